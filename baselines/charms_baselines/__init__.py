@@ -1,0 +1,1 @@
+"""The agents CHARMS is compared with."""

@@ -1,0 +1,14 @@
+"""Level-k drivers below CHARMS: Level-0, which does not reason about others."""
+
+import numpy as np
+
+from charms_bench.agent import IDLE, SLOWER, Actions, Observations, Policy
+from charms_bench.observation import FRONT, X_SCALE_M
+
+
+class Level0(Policy):
+    """Keeps speed and lane; SLOWER while a slower vehicle is within 30 m ahead in its lane."""
+
+    def decide(self, observations: Observations) -> Actions:
+        presence, x, _, vx, _ = observations[:, FRONT].T
+        return np.where((presence > 0) & (x * X_SCALE_M < 30) & (vx < 0), SLOWER, IDLE)

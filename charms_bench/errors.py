@@ -1,0 +1,40 @@
+"""What can go wrong through no bug of ours.
+
+    CharmsBenchError
+    ├── InputError          a file, name, option or value from outside is wrong
+    │   ├── SuiteError      a suite file; names file and line
+    │   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
+    │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
+    │   └── RunFolderError  a run folder cannot be read, written or continued
+    └── AgentError          an agent raised or answered with something unusable
+
+The command line prints the message of any of these and exits with 2.
+"""
+
+
+class CharmsBenchError(Exception):
+    """The base of every error a user can cause; its text is the whole message."""
+
+
+class InputError(CharmsBenchError):
+    """Something from outside is wrong: what, where, what was expected, what to do."""
+
+
+class SuiteError(InputError):
+    """A suite file does not say something that can be run."""
+
+
+class RegistryError(InputError):
+    """A plugin cannot be found or loaded."""
+
+
+class ModelError(InputError):
+    """A model file cannot be used."""
+
+
+class RunFolderError(InputError):
+    """A run folder cannot be read, written or continued."""
+
+
+class AgentError(CharmsBenchError):
+    """An agent raised, or returned the wrong shape, type or range."""

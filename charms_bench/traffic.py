@@ -1,0 +1,56 @@
+"""The plugin contract of a traffic: who drives each of the vehicles around the ego.
+
+Registered in the entry-point group `charms_bench.traffic`. Every agent's name is also the name of
+a traffic in which that agent drives every vehicle.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError
+
+
+class Traffic(ABC):
+    """Assigns an agent to every vehicle of the traffic."""
+
+    agents: tuple[str, ...]
+    """Names of all agents that `assign` may return, in the order in which they act."""
+
+    @abstractmethod
+    def assign(
+        self, rng: np.random.Generator, scenes: int, vehicles: int
+    ) -> NDArray[np.str_]:
+        """The agents' names, (scenes, vehicles), in the order of spawning without the ego."""
+
+
+class OneAgent(Traffic):
+    """One agent drives every vehicle."""
+
+    def __init__(self, agent: str) -> None:
+        self.agents = (agent,)
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return np.full((scenes, vehicles), self.agents[0])
+
+
+class Mixture(Traffic):
+    """Every vehicle's agent is drawn independently with fixed probabilities.
+
+    Args:
+        shares: Probability of each agent by name; they sum to 1.
+
+    Raises:
+        InputError: The shares are no probability distribution.
+    """
+
+    def __init__(self, shares: Mapping[str, float]) -> None:
+        self.agents = tuple(shares)
+        self._shares = np.array([float(share) for share in shares.values()])
+        if not shares or (self._shares < 0).any() or abs(self._shares.sum() - 1) > 1e-9:
+            raise InputError(f"shares must be non-negative and sum to 1, got {dict(shares)}")
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return rng.choice(np.array(self.agents), size=(scenes, vehicles), p=self._shares)
