@@ -1,7 +1,4 @@
-"""The Intelligent Driver Model (Treiber et al. 2000) as highway-env computes it, compiled.
-
-A vehicle is meant by its scene `b` and its place; -1 is no vehicle, as in the neighbour tables.
-"""
+"""The Intelligent Driver Model (Treiber et al. 2000) as highway-env computes it, compiled."""
 
 import math
 
@@ -18,48 +15,60 @@ def not_zero(value: float) -> float:
 
 
 @compiled
-def desired_gap(b: int, vehicle: int, leader: int, scene: Scene, p: IdmMobilParameters) -> float:
-    """Gap the vehicle wants to a leader, m, centre to centre [`IDMVehicle.desired_gap`]."""
-    speed, heading = scene.speed[b, vehicle], scene.heading[b, vehicle]
-    leader_speed, leader_heading = scene.speed[b, leader], scene.heading[b, leader]
-    if heading == 0.0 and leader_heading == 0.0:
-        closing = speed - leader_speed
-    else:
-        cos, sin = math.cos(heading), math.sin(heading)
-        closing = (speed * cos - leader_speed * math.cos(leader_heading)) * cos
-        closing += (speed * sin - leader_speed * math.sin(leader_heading)) * sin
+def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> float:
+    """Gap wanted to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
     braking = 2 * math.sqrt(p.acceleration * p.deceleration)
-    return p.jam_distance + speed * p.time_headway + speed * closing / braking
-
-
-@compiled
-def free_acceleration(
-    b: int, vehicle: int, exponent: float, scene: Scene, p: IdmMobilParameters
-) -> float:
-    """Acceleration towards the target speed on an empty road, m/s2."""
-    target = min(max(scene.target_speed[b, vehicle], 0.0), scene.constants.speed_limit)
-    share = max(scene.speed[b, vehicle], 0.0) / abs(not_zero(target))
-    return p.acceleration * (1 - share**exponent)
-
-
-@compiled
-def interaction(b: int, vehicle: int, leader: int, scene: Scene, p: IdmMobilParameters) -> float:
-    """Deceleration on account of a leader, m/s2; 0 without one."""
-    if leader < 0:
-        return 0.0
-    gap = not_zero(scene.x[b, leader] - scene.x[b, vehicle])
-    return p.acceleration * (desired_gap(b, vehicle, leader, scene, p) / gap) ** 2
+    return p.jam_distance + speed * p.time_headway + speed * closing_speed / braking
 
 
 @compiled
 def idm_acceleration(
-    b: int, vehicle: int, leader: int, exponent: float, scene: Scene, p: IdmMobilParameters
+    speed: float,
+    wanted_speed: float,
+    gap: float,
+    closing_speed: float,
+    exponent: float,
+    p: IdmMobilParameters,
 ) -> float:
     """IDM acceleration, m/s2, Treiber et al. 2000 eq. 3 [`IDMVehicle.acceleration`].
 
-    0 without a vehicle; `exponent` is that of the driver who does the reckoning.
+    `gap` is centre to centre, and infinite without a leader.
     """
-    if vehicle < 0:
+    free = p.acceleration * (1 - (max(speed, 0.0) / abs(not_zero(wanted_speed))) ** exponent)
+    crowding = desired_gap(speed, closing_speed, p) / not_zero(gap)
+    return free - p.acceleration * (crowding * crowding)
+
+
+@compiled
+def closing_speed(
+    speed: float, heading: float, leader_speed: float, leader_heading: float
+) -> float:
+    """Speed at which a vehicle nears its leader, along its own heading, m/s."""
+    if heading == 0.0 and leader_heading == 0.0:
+        return speed - leader_speed
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead = speed * cos - leader_speed * math.cos(leader_heading)
+    aside = speed * sin - leader_speed * math.sin(leader_heading)
+    return ahead * cos + aside * sin
+
+
+@compiled
+def following(
+    b: int, i: int, leader: int, exponent: float, scene: Scene, p: IdmMobilParameters
+) -> float:
+    """IDM acceleration of vehicle i of scene b behind a leader, m/s2.
+
+    -1 is no vehicle, as in the neighbour tables; no vehicle accelerates by 0. `exponent` is that
+    of the driver who does the reckoning.
+    """
+    if i < 0:
         return 0.0
-    free = free_acceleration(b, vehicle, exponent, scene, p)
-    return free - interaction(b, vehicle, leader, scene, p)
+    speed = scene.speed[b, i]
+    gap, closing = math.inf, 0.0
+    if leader >= 0:
+        gap = scene.x[b, leader] - scene.x[b, i]
+        closing = closing_speed(
+            speed, scene.heading[b, i], scene.speed[b, leader], scene.heading[b, leader]
+        )
+    wanted = min(max(scene.target_speed[b, i], 0.0), scene.constants.speed_limit)
+    return idm_acceleration(speed, wanted, gap, closing, exponent, p)

@@ -7,7 +7,7 @@ promises more room and speed.
 
 import numpy as np
 
-from charms_baselines.idm import idm_acceleration
+from charms_baselines.idm import following
 from charms_bench.agent import DriverModel
 from charms_bench.compiled import compiled
 from charms_bench.errors import InputError
@@ -107,11 +107,12 @@ def _drive(
                 ):
                     best = _utility(b, i, side, scene)
                     target_lane[m] = side
-        following = idm_acceleration(b, i, scene.leaders[b, i, lane], exponent, scene, p)
+        leader = scene.leaders[b, i, lane]
+        wanted = following(b, i, leader, exponent, scene, p)
         if lane != target_lane[m]:
             leader = scene.leaders[b, i, target_lane[m]]
-            following = min(following, idm_acceleration(b, i, leader, exponent, scene, p))
-        acceleration[m] = min(max(following, -braking), p.acceleration)
+            wanted = min(wanted, following(b, i, leader, exponent, scene, p))
+        acceleration[m] = min(max(wanted, -braking), p.acceleration)
 
 
 @compiled
@@ -138,6 +139,7 @@ def _is_open(
     follower = scene.followers[b, i, lane]
     if follower < 0 or scene.x[b, i] - scene.x[b, follower] > open_distance:
         return True
-    before = idm_acceleration(b, follower, scene.leaders[b, i, lane], exponent, scene, p)
-    after = idm_acceleration(b, follower, i, exponent, scene, p)
+    leader = scene.leaders[b, i, lane]
+    before = following(b, follower, leader, exponent, scene, p)
+    after = following(b, follower, i, exponent, scene, p)
     return bool(before - after <= follower_loss)

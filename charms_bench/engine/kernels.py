@@ -62,57 +62,62 @@ def closest_lane(y: float, c: Constants) -> int:
 
 
 @compiled
-def move(b: int, i: int, scene: Scene) -> None:
-    """One Euler step of the bicycle model [`Vehicle.clip_actions`, `Vehicle.step`]."""
-    c = scene.constants
-    speed = scene.speed[b, i]
-    heading = scene.heading[b, i]
-    steering = scene.steering[b, i]
-    acceleration = scene.acceleration[b, i]
-    if scene.crashed[b, i]:
-        steering = 0.0
-        acceleration = -1.0 * speed
-    if speed > c.speed_max:
-        acceleration = min(acceleration, 1.0 * (c.speed_max - speed))
-    elif speed < c.speed_min:
-        acceleration = max(acceleration, 1.0 * (c.speed_min - speed))
-    scene.steering[b, i] = steering
-    scene.acceleration[b, i] = acceleration
-
-    if steering == 0.0 and heading == 0.0:
-        scene.x[b, i] += speed * c.dt
-    else:
-        beta = math.atan(1 / 2 * math.tan(steering))
-        scene.x[b, i] += speed * math.cos(heading + beta) * c.dt
-        scene.y[b, i] += speed * math.sin(heading + beta) * c.dt
-        scene.heading[b, i] = heading + speed * math.sin(beta) / (c.length / 2) * c.dt
-        scene.lane[b, i] = closest_lane(scene.y[b, i], c)
-    if scene.impact[b, i]:
-        scene.x[b, i] += scene.impact_x[b, i]
-        scene.y[b, i] += scene.impact_y[b, i]
-        scene.crashed[b, i] = True
-        scene.impact[b, i] = False
-        scene.lane[b, i] = closest_lane(scene.y[b, i], c)
-    scene.speed[b, i] = speed + acceleration * c.dt
-    scene.timer_s[b, i] += c.dt
+def move(
+    x: Floats,
+    y: Floats,
+    heading: Floats,
+    speed: Floats,
+    acceleration: Floats,
+    steering: Floats,
+    lane: Ints,
+    crashed: Bools,
+    impact: Bools,
+    impact_x: Floats,
+    impact_y: Floats,
+    c: Constants,
+) -> None:
+    """An Euler step of the bicycle model for a scene [`Vehicle.clip_actions`, `Vehicle.step`]."""
+    for i in range(x.size):
+        v, psi = speed[i], heading[i]
+        if crashed[i]:
+            steering[i] = 0.0
+            acceleration[i] = -1.0 * v
+        if v > c.speed_max:
+            acceleration[i] = min(acceleration[i], 1.0 * (c.speed_max - v))
+        elif v < c.speed_min:
+            acceleration[i] = max(acceleration[i], 1.0 * (c.speed_min - v))
+        if steering[i] == 0.0 and psi == 0.0:
+            x[i] += v * c.dt
+        else:
+            beta = math.atan(1 / 2 * math.tan(steering[i]))
+            x[i] += v * math.cos(psi + beta) * c.dt
+            y[i] += v * math.sin(psi + beta) * c.dt
+            heading[i] = psi + v * math.sin(beta) / (c.length / 2) * c.dt
+            lane[i] = closest_lane(y[i], c)
+        if impact[i]:
+            x[i] += impact_x[i]
+            y[i] += impact_y[i]
+            crashed[i] = True
+            impact[i] = False
+            lane[i] = closest_lane(y[i], c)
+        speed[i] = v + acceleration[i] * c.dt
 
 
 @compiled
-def sort_by_x(b: int, scene: Scene) -> None:
+def sort_by_x(x: Floats, order: Ints, rank: Ints) -> None:
     """Restores `order` and `rank`: by x, then by place. Nearly sorted already, so by insertion."""
-    order, x = scene.order, scene.x
-    for k in range(1, order.shape[1]):
-        i = order[b, k]
+    for k in range(1, order.size):
+        i = order[k]
         m = k
         while m > 0:
-            j = order[b, m - 1]
-            if x[b, j] < x[b, i] or (x[b, j] == x[b, i] and j < i):
+            j = order[m - 1]
+            if x[j] < x[i] or (x[j] == x[i] and j < i):
                 break
-            order[b, m] = j
+            order[m] = j
             m -= 1
-        order[b, m] = i
-    for k in range(order.shape[1]):
-        scene.rank[b, order[b, k]] = k
+        order[m] = i
+    for k in range(order.size):
+        rank[order[k]] = k
 
 
 @compiled
@@ -125,65 +130,85 @@ def is_on_lane(x: float, y: float, lane: int, margin: float, c: Constants) -> bo
 
 
 @compiled
-def find_neighbours(b: int, scene: Scene, nearest: Ints) -> None:
-    """Fills `leaders` and `followers` from `order` [`Road.neighbour_vehicles` for each lane].
+def lanes_of(x: float, y: float, lane: int, c: Constants) -> tuple[int, int]:
+    """First and last lane on which a vehicle whose closest is `lane` counts as a neighbour.
+
+    A vehicle is on a lane up to 1 m beside it [`Road.neighbour_vehicles`], so it may be on two;
+    beside or beyond the road it is on none, and the first returned exceeds the last.
+    """
+    if y == lane * c.lane_width and -c.length <= x < c.road_length + c.length:
+        return lane, lane
+    first, last = c.lanes, -1
+    for other in range(max(lane - 1, 0), min(lane + 2, c.lanes)):
+        if is_on_lane(x, y, other, 1.0, c):
+            first, last = min(first, other), other
+    return first, last
+
+
+@compiled
+def find_neighbours(
+    x: Floats,
+    y: Floats,
+    lane: Ints,
+    order: Ints,
+    leaders: Ints,
+    followers: Ints,
+    nearest: Ints,
+    c: Constants,
+) -> None:
+    """Fills a scene's `leaders` and `followers` [`Road.neighbour_vehicles` for each lane].
 
     `nearest` (L,) is working memory. Vehicles at the same x are each other's leader and nobody's
-    follower, and among several the last spawned leads and the first spawned follows.
+    follower; among several the last spawned leads and the first spawned follows.
     """
-    c = scene.constants
-    order, x, y = scene.order, scene.x, scene.y
-    vehicles = order.shape[1]
+    vehicles = order.size
     nearest[:] = -1
     k = vehicles - 1
     while k >= 0:
         first = k
-        while first > 0 and x[b, order[b, first - 1]] == x[b, order[b, k]]:
+        while first > 0 and x[order[first - 1]] == x[order[k]]:
             first -= 1
         for m in range(first, k + 1):
-            i = order[b, m]
-            for lane in range(c.lanes):
-                leader = nearest[lane]
-                for other in range(k, first - 1, -1):
-                    j = order[b, other]
-                    if j != i and is_on_lane(x[b, j], y[b, j], lane, 1.0, c):
-                        leader = j
-                        break
-                scene.leaders[b, i, lane] = leader
+            i = order[m]
+            for on in range(c.lanes):
+                leaders[i, on] = nearest[on]
+            for other in range(first, k + 1):
+                j = order[other]
+                if j != i:
+                    low, high = lanes_of(x[j], y[j], lane[j], c)
+                    leaders[i, low : high + 1] = j
         for m in range(first, k + 1):
-            i = order[b, m]
-            for lane in range(c.lanes):
-                if is_on_lane(x[b, i], y[b, i], lane, 1.0, c):
-                    nearest[lane] = i
+            i = order[m]
+            low, high = lanes_of(x[i], y[i], lane[i], c)
+            for on in range(low, high + 1):
+                nearest[on] = i
         k = first - 1
     nearest[:] = -1
     k = 0
     while k < vehicles:
         last = k
-        while last < vehicles - 1 and x[b, order[b, last + 1]] == x[b, order[b, k]]:
+        while last < vehicles - 1 and x[order[last + 1]] == x[order[k]]:
             last += 1
         for m in range(k, last + 1):
-            i = order[b, m]
-            for lane in range(c.lanes):
-                scene.followers[b, i, lane] = nearest[lane]
+            for on in range(c.lanes):
+                followers[order[m], on] = nearest[on]
         for m in range(last, k - 1, -1):
-            i = order[b, m]
-            for lane in range(c.lanes):
-                if is_on_lane(x[b, i], y[b, i], lane, 1.0, c):
-                    nearest[lane] = i
+            i = order[m]
+            low, high = lanes_of(x[i], y[i], lane[i], c)
+            for on in range(low, high + 1):
+                nearest[on] = i
         k = last + 1
 
 
 @compiled
-def fill_polygon(b: int, i: int, scene: Scene, corners: Floats) -> None:
-    """The vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated first one]."""
-    c = scene.constants
-    cos, sin = math.cos(scene.heading[b, i]), math.sin(scene.heading[b, i])
+def fill_polygon(x: float, y: float, heading: float, c: Constants, corners: Floats) -> None:
+    """A vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated first one]."""
+    cos, sin = math.cos(heading), math.sin(heading)
     for corner in range(4):
         ahead = -c.length / 2 if corner < 2 else c.length / 2
         aside = -c.width / 2 if corner in (0, 3) else c.width / 2
-        corners[corner, 0] = cos * ahead - sin * aside + scene.x[b, i]
-        corners[corner, 1] = sin * ahead + cos * aside + scene.y[b, i]
+        corners[corner, 0] = cos * ahead - sin * aside + x
+        corners[corner, 1] = sin * ahead + cos * aside + y
 
 
 @compiled
@@ -248,40 +273,49 @@ def polygons_intersect(
 
 
 @compiled
-def collide(b: int, scene: Scene, hits: Floats, corners: Floats) -> None:
-    """Collisions between all pairs [`Road.step`, `RoadObject.handle_collisions`].
+def collide(
+    x: Floats,
+    y: Floats,
+    heading: Floats,
+    speed: Floats,
+    order: Ints,
+    crashed: Bools,
+    impact: Bools,
+    impact_x: Floats,
+    impact_y: Floats,
+    hits: Floats,
+    corners: Floats,
+    c: Constants,
+) -> None:
+    """Collisions of a scene's pairs [`Road.step`, `RoadObject.handle_collisions`].
 
     Pairs are found along `order` and then applied in highway-env's order, place by place, because
     a later impact replaces an earlier one. Working memory: `hits` (pairs, 6), `corners` (2, 4, 2).
     """
-    c = scene.constants
-    x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
-    vehicles = x.shape[1]
     diagonal = math.sqrt(c.length**2 + c.width**2)
     fastest = 0.0
-    for i in range(vehicles):
-        fastest = max(fastest, abs(speed[b, i]))
+    for i in range(x.size):
+        fastest = max(fastest, abs(speed[i]))
     reach = diagonal + fastest * c.dt
     found = 0
-    for k in range(vehicles):
-        near = scene.order[b, k]
-        for m in range(k + 1, vehicles):
-            far = scene.order[b, m]
-            if x[b, far] - x[b, near] > reach:
+    for k in range(x.size):
+        near = order[k]
+        for m in range(k + 1, x.size):
+            far = order[m]
+            dx, dy = x[far] - x[near], y[far] - y[near]
+            if dx > reach:
                 break
-            dy = y[b, far] - y[b, near]
-            if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > c.width:
+            if heading[near] == 0.0 and heading[far] == 0.0 and abs(dy) > c.width:
                 continue  # side by side and straight: no axis across the road lets them touch
             i, j = min(near, far), max(near, far)
-            dx = x[b, far] - x[b, near]
-            if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:
+            if math.sqrt(dx * dx + dy * dy) > diagonal + speed[i] * c.dt:
                 continue
-            fill_polygon(b, i, scene, corners[0])
-            fill_polygon(b, j, scene, corners[1])
-            relative_x = speed[b, i] * math.cos(heading[b, i]) * c.dt
-            relative_x -= speed[b, j] * math.cos(heading[b, j]) * c.dt
-            relative_y = speed[b, i] * math.sin(heading[b, i]) * c.dt
-            relative_y -= speed[b, j] * math.sin(heading[b, j]) * c.dt
+            fill_polygon(x[i], y[i], heading[i], c, corners[0])
+            fill_polygon(x[j], y[j], heading[j], c, corners[1])
+            relative_x = speed[i] * math.cos(heading[i]) * c.dt
+            relative_x -= speed[j] * math.cos(heading[j]) * c.dt
+            relative_y = speed[i] * math.sin(heading[i]) * c.dt
+            relative_y -= speed[j] * math.sin(heading[j]) * c.dt
             now, soon, part_x, part_y = polygons_intersect(
                 corners[0], corners[1], relative_x, relative_y
             )
@@ -305,13 +339,13 @@ def collide(b: int, scene: Scene, hits: Floats, corners: Floats) -> None:
     for hit in range(found):
         i, j = int(hits[hit, 0]), int(hits[hit, 1])
         if hits[hit, 3]:
-            scene.impact[b, i] = scene.impact[b, j] = True
-            scene.impact_x[b, i] = hits[hit, 4] / 2
-            scene.impact_y[b, i] = hits[hit, 5] / 2
-            scene.impact_x[b, j] = -hits[hit, 4] / 2
-            scene.impact_y[b, j] = -hits[hit, 5] / 2
+            impact[i] = impact[j] = True
+            impact_x[i] = hits[hit, 4] / 2
+            impact_y[i] = hits[hit, 5] / 2
+            impact_x[j] = -hits[hit, 4] / 2
+            impact_y[j] = -hits[hit, 5] / 2
         if hits[hit, 2]:
-            scene.crashed[b, i] = scene.crashed[b, j] = True
+            crashed[i] = crashed[j] = True
 
 
 @compiled
@@ -338,22 +372,51 @@ def advance(scene: Scene, modelled: Bools) -> None:
     for b in range(scene.x.shape[0]):
         if not scene.active[b]:
             continue
+        # One scene's rows: taking arrays out of `scene` for every vehicle would cost more than
+        # the physics.
+        x, y, heading, speed = scene.x[b], scene.y[b], scene.heading[b], scene.speed[b]
+        acceleration, steering = scene.acceleration[b], scene.steering[b]
+        target_speed, target_lane = scene.target_speed[b], scene.target_lane[b]
+        crashed, timer_s, obeying = scene.crashed[b], scene.timer_s[b], modelled[b]
+        impact, impact_x, impact_y = scene.impact[b], scene.impact_x[b], scene.impact_y[b]
+        lane, order = scene.lane[b], scene.order[b]
         for i in range(vehicles):
-            if not modelled[b, i]:
-                scene.acceleration[b, i] = (1 / c.tau_acceleration) * (
-                    scene.target_speed[b, i] - scene.speed[b, i]
-                )
-            scene.steering[b, i] = steering_control(
-                scene.y[b, i],
-                scene.heading[b, i],
-                scene.speed[b, i],
-                scene.target_lane[b, i],
-                c,
-            )
-            move(b, i, scene)
-        sort_by_x(b, scene)
-        collide(b, scene, hits, corners)
-        find_neighbours(b, scene, nearest)
+            if not obeying[i]:
+                acceleration[i] = (1 / c.tau_acceleration) * (target_speed[i] - speed[i])
+            steering[i] = steering_control(y[i], heading[i], speed[i], target_lane[i], c)
+            timer_s[i] += c.dt
+        move(
+            x,
+            y,
+            heading,
+            speed,
+            acceleration,
+            steering,
+            lane,
+            crashed,
+            impact,
+            impact_x,
+            impact_y,
+            c,
+        )
+        sort_by_x(x, order, scene.rank[b])
+        collide(
+            x,
+            y,
+            heading,
+            speed,
+            order,
+            crashed,
+            impact,
+            impact_x,
+            impact_y,
+            hits,
+            corners,
+            c,
+        )
+        find_neighbours(
+            x, y, lane, order, scene.leaders[b], scene.followers[b], nearest, c
+        )
 
 
 @compiled
@@ -362,10 +425,13 @@ def locate(scene: Scene, rows: Ints) -> None:
     c = scene.constants
     nearest = np.empty(c.lanes, dtype=np.int64)
     for b in rows:
-        for i in range(scene.x.shape[1]):
-            scene.lane[b, i] = closest_lane(scene.y[b, i], c)
-        sort_by_x(b, scene)
-        find_neighbours(b, scene, nearest)
+        x, y, lane, order = scene.x[b], scene.y[b], scene.lane[b], scene.order[b]
+        for i in range(x.size):
+            lane[i] = closest_lane(y[i], c)
+        sort_by_x(x, order, scene.rank[b])
+        find_neighbours(
+            x, y, lane, order, scene.leaders[b], scene.followers[b], nearest, c
+        )
 
 
 @compiled
