@@ -1,0 +1,104 @@
+"""A network in an ONNX file as a policy."""
+
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from charms_bench.agent import ACTIONS, Actions, Observations, Policy
+from charms_bench.errors import ModelError
+
+SIZE_LIMIT_BYTES = 64 * 2**20
+_EXTERNAL_DATA = b"\x0a\x08location\x12"
+"""How every tensor outside the file begins to name its place (TensorProto.external_data)."""
+
+
+class OnnxPolicy(Policy):
+    """Takes the action of the highest value.
+
+    The model is one file with one input `(batch, 35)` or `(batch, 7, 5)` and one output
+    `(batch, 5)`, both float32, and runs on one thread.
+
+    Args:
+        path: The `.onnx` file.
+        decision_hz: Decisions a second.
+
+    Raises:
+        ModelError: The file is missing, too large, broken or of another shape.
+    """
+
+    def __init__(self, path: str | Path, decision_hz: float = 3.0) -> None:
+        self.path = Path(path)
+        self.decision_hz = decision_hz
+        data = _read(self.path)
+        self._sha256 = sha256(data).hexdigest()
+        self._session = _session(self.path, data)
+        self._input, self._shape = _input(self.path, self._session)
+
+    @property
+    def weights_sha256(self) -> str:
+        return self._sha256
+
+    def decide(self, observations: Observations) -> Actions:
+        return np.argmax(self.values(observations), axis=1)
+
+    def values(self, observations: Observations) -> np.ndarray[Any, np.dtype[np.float32]]:
+        """The network's output (M, 5) for observations (M, 7, 5)."""
+        inputs = observations.reshape(-1, *self._shape)
+        values: np.ndarray[Any, np.dtype[np.float32]]
+        (values,) = self._session.run(None, {self._input: inputs})
+        return values
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path, self.decision_hz)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > SIZE_LIMIT_BYTES:
+            raise ModelError(
+                f"{path}: {size:,} bytes; a policy may have {SIZE_LIMIT_BYTES:,} at most"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    if _EXTERNAL_DATA in data:
+        raise ModelError(f"{path}: keeps tensors in other files; save it as a single file")
+    return data
+
+
+def _session(path: Path, data: bytes) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 4  # what is wrong with the model is said in the exception
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors share no public base
+        reason = str(error).splitlines()[0]
+        raise ModelError(f"{path}: is no model onnxruntime can load: {reason}") from error
+
+
+def _input(path: Path, session: Any) -> tuple[str, tuple[int, ...]]:
+    """The input's name and its shape after the batch."""
+    inputs = [(node.name, node.type, node.shape) for node in session.get_inputs()]
+    outputs = [(node.name, node.type, node.shape) for node in session.get_outputs()]
+    found = f"inputs {inputs}, outputs {outputs}"
+    wanted = (
+        "one float32 input (batch, 35) or (batch, 7, 5) with a free batch, and one float32 "
+        f"output (batch, {len(ACTIONS)})"
+    )
+    fits = (
+        len(inputs) == len(outputs) == 1
+        and inputs[0][1] == outputs[0][1] == "tensor(float)"
+        and inputs[0][2][1:] in ([35], [7, 5])
+        and not isinstance(inputs[0][2][0], int)
+        and outputs[0][2][1:] == [len(ACTIONS)]
+    )
+    if not fits:
+        raise ModelError(f"{path}: has {found}; expected {wanted}")
+    return inputs[0][0], tuple(inputs[0][2][1:])

@@ -1,0 +1,128 @@
+"""Entry points -> plugins, by name.
+
+Listing reads metadata only. A plugin is imported when it is asked for, so a broken one is nobody
+else's trouble.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from charms_bench.agent import Agent, DriverModel, Policy
+from charms_bench.errors import CharmsBenchError, RegistryError
+from charms_bench.traffic import OneAgent, Traffic
+
+AGENTS = "charms_bench.agents"
+TRAFFIC = "charms_bench.traffic"
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """What an entry point says of itself."""
+
+    name: str
+    role: str
+    """`agent` or `traffic`."""
+    distribution: str
+    version: str
+    entry_point: EntryPoint
+
+
+def plugins(group: str) -> dict[str, Plugin]:
+    """The installed plugins of an entry-point group, by name and in its order.
+
+    Raises:
+        RegistryError: Two distributions claim one name.
+    """
+    found: dict[str, Plugin] = {}
+    for entry_point in entry_points(group=group):
+        distribution = entry_point.dist
+        plugin = Plugin(
+            name=entry_point.name,
+            role="agent" if group == AGENTS else "traffic",
+            distribution=distribution.name if distribution else "unknown",
+            version=distribution.version if distribution else "unknown",
+            entry_point=entry_point,
+        )
+        rival = found.setdefault(plugin.name, plugin)
+        if rival.distribution != plugin.distribution:
+            raise RegistryError(
+                f"the {plugin.role} '{plugin.name}' is claimed by two distributions, "
+                f"{rival.distribution} and {plugin.distribution}; uninstall one of them"
+            )
+    return dict(sorted(found.items()))
+
+
+def find(group: str, name: str) -> Plugin:
+    """The plugin of that name.
+
+    Raises:
+        RegistryError: There is none; names those there are.
+    """
+    installed = plugins(group)
+    if name in installed:
+        return installed[name]
+    role = "agent" if group == AGENTS else "traffic"
+    raise RegistryError(f"no {role} named '{name}'. {suggestion(name, installed)}")
+
+
+def suggestion(name: str, known: Mapping[str, object]) -> str:
+    """What to say to whoever misspelt one of the known names."""
+    close = get_close_matches(name, known, n=1)
+    hint = f" Did you mean '{close[0]}'?" if close else ""
+    return f"Installed: {', '.join(known) or 'none'}.{hint}"
+
+
+def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
+    """The agent of that name, made with `options`.
+
+    Raises:
+        RegistryError: It is not installed, cannot be imported, does not take the options, or is
+            no agent.
+    """
+    agent = _make(find(AGENTS, name), options or {})
+    if not isinstance(agent, (Policy, DriverModel)):
+        raise RegistryError(
+            f"agent '{name}' is a {type(agent).__name__}, not a Policy or a DriverModel"
+        )
+    return agent
+
+
+def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
+    """The traffic of that name; an agent's name is the traffic in which it drives everybody.
+
+    Raises:
+        RegistryError: As for `make_agent`.
+    """
+    installed = plugins(TRAFFIC)
+    if name not in installed:
+        agents = plugins(AGENTS)
+        if name in agents and not options:
+            return OneAgent(name)
+        known = {**installed, **agents}
+        raise RegistryError(f"no traffic named '{name}'. {suggestion(name, known)}")
+    traffic = _make(installed[name], options or {})
+    if not isinstance(traffic, Traffic):
+        raise RegistryError(f"traffic '{name}' is a {type(traffic).__name__}, not a Traffic")
+    return traffic
+
+
+def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
+    whose = f"{plugin.role} '{plugin.name}' of {plugin.distribution} {plugin.version}"
+    try:
+        factory = plugin.entry_point.load()
+    except Exception as error:
+        raise RegistryError(
+            f"{whose} cannot be imported: {type(error).__name__}: {error}"
+        ) from error
+    try:
+        return factory(**options)
+    except CharmsBenchError:
+        raise
+    except Exception as error:
+        given = ", ".join(options) or "none"
+        raise RegistryError(
+            f"{whose} cannot be made (options: {given}): {type(error).__name__}: {error}"
+        ) from error
