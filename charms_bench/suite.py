@@ -1,0 +1,219 @@
+"""Suites: what is evaluated, from YAML."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+
+from charms_bench.agent import Agent
+from charms_bench.document import Document
+from charms_bench.errors import RegistryError
+from charms_bench.profile import PROFILES, Finite, FrozenModel, Profile
+from charms_bench.registry import AGENTS, find, make_agent, make_traffic, suggestion
+from charms_bench.scene import SceneSettings
+from charms_bench.traffic import Mixture, Traffic
+
+Name = Annotated[str, Field(min_length=1, max_length=80)]
+EVALUATION_SEEDS = 1_000_000_000
+"""Episodes of evaluations have seeds below this, those of trainings above."""
+
+
+class AgentSpec(FrozenModel):
+    """An agent by its name, or a network by the path of its ONNX file."""
+
+    name: Name | None = None
+    options: dict[str, Any] = {}
+    onnx: Path | None = Field(default=None, strict=False)
+    decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"name": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "AgentSpec":
+        if (self.name is None) == (self.onnx is None):
+            raise ValueError("give a name, or the path of an ONNX file as {onnx: path}")
+        if self.onnx is None and self.decision_hz is not None:
+            raise ValueError("decision_hz is for networks given by path")
+        if self.onnx is not None and self.options:
+            raise ValueError("options are for agents given by name")
+        return self
+
+    @property
+    def key(self) -> str:
+        """Tells agents apart: the plain name of one without options."""
+        if self.name is not None and not self.options:
+            return self.name
+        return json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
+
+    def make(self, folder: Path) -> Agent:
+        """The agent; a relative path starts at `folder`."""
+        if self.onnx is None:
+            return make_agent(str(self.name), self.options)
+        from charms_bench.onnx_policy import OnnxPolicy
+
+        return OnnxPolicy(folder / self.onnx, self.decision_hz or 3.0)
+
+
+class TrafficSpec(FrozenModel):
+    """A traffic or an agent by its name, or shares of agents."""
+
+    name: Name | None = None
+    options: dict[str, Any] = {}
+    mixture: dict[Name, Annotated[float, Field(ge=0, le=1)]] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"name": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "TrafficSpec":
+        if (self.name is None) == (not self.mixture):
+            raise ValueError("give a name, or shares of agents as {mixture: {agent: share}}")
+        return self
+
+    def make(self) -> Traffic:
+        """The traffic."""
+        if self.name is not None:
+            return make_traffic(self.name, self.options)
+        return Mixture(self.mixture)
+
+
+class EgoEntry(FrozenModel):
+    """An ego of the suite."""
+
+    agent: AgentSpec
+    label: Name | None = None
+    paper: dict[str, Finite] = {}
+    """What the paper reports of it, by metric."""
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.label or self.agent.name or str(self.agent.onnx)
+
+
+class TrafficEntry(FrozenModel):
+    """A traffic of the suite."""
+
+    traffic: TrafficSpec
+    label: Name | None = None
+    paper: dict[str, Finite] = {}
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.label or self.traffic.name or " + ".join(self.traffic.mixture)
+
+
+def _with_overrides(value: object) -> object:
+    """A profile by name, or by name with other values for some of its fields."""
+    name = value.get("name") if isinstance(value, dict) else value
+    if isinstance(value, Profile) or not isinstance(name, str):
+        return value
+    if name not in PROFILES:
+        raise ValueError(f"no profile named '{name}'. {suggestion(name, PROFILES)}")
+    merged = PROFILES[name].model_dump()
+    for key, override in (value if isinstance(value, dict) else {}).items():
+        if isinstance(override, dict) and isinstance(merged.get(key), dict):
+            merged[key] = {**merged[key], **override}
+        else:
+            merged[key] = override
+    return merged
+
+
+class SuiteScene(SceneSettings):
+    """Scene settings whose profile is given by name."""
+
+    profile: Annotated[Profile, BeforeValidator(_with_overrides)] = PROFILES["charms"]
+
+
+class Cell(FrozenModel):
+    """An ego in a traffic."""
+
+    ego: EgoEntry
+    traffic: TrafficEntry
+
+    @property
+    def paper(self) -> dict[str, float]:
+        """What the paper reports of it, by metric."""
+        return {**self.traffic.paper, **self.ego.paper}
+
+
+class Suite(FrozenModel):
+    """An evaluation: every ego in every traffic, on the same episodes."""
+
+    suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+    """Its name, which is also that of its tables."""
+    title: str = ""
+    episodes: Annotated[int, Field(ge=1, le=10_000_000)]
+    seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
+    """The first episode's seed; the others follow."""
+    scene: SuiteScene = SuiteScene()
+    egos: Annotated[tuple[EgoEntry, ...], Field(min_length=1, strict=False)]
+    traffics: Annotated[tuple[TrafficEntry, ...], Field(min_length=1, strict=False)]
+    columns: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Metrics of the printed table; none: all that the paper reports."""
+    folder: Path = Field(default=Path(), exclude=True, strict=False)
+    """Where relative paths start: the suite file's folder."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _remember_folder(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, dict) and info.context and "folder" not in value:
+            return {**value, "folder": info.context["folder"]}
+        return value
+
+    @model_validator(mode="after")
+    def _labels_differ(self) -> "Suite":
+        for what, entries in (("egos", self.egos), ("traffics", self.traffics)):
+            titles = [entry.title for entry in entries]
+            for title in titles:
+                if titles.count(title) > 1:
+                    raise ValueError(f"two {what} are called '{title}'; give them labels")
+        return self
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """Every ego with every traffic."""
+        return tuple(Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics)
+
+    def fingerprint(self) -> str:
+        """Hash of everything that decides its results but the number of episodes."""
+        fields = self.model_dump(mode="json", exclude={"episodes", "title", "columns"})
+        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+
+
+def load_suite(path: Path) -> Suite:
+    """The suite of a YAML file.
+
+    Raises:
+        SuiteError: Something in it is wrong, or an agent or traffic is not installed.
+    """
+    return suite_of(Document(path))
+
+
+def suite_of(document: Document) -> Suite:
+    """The suite of a document; see `load_suite`."""
+    suite = document.validate(Suite)
+    for what, entries in (("egos", suite.egos), ("traffics", suite.traffics)):
+        for index, entry in enumerate(entries):
+            try:
+                _check_names(entry)
+            except RegistryError as error:
+                raise document.error((what, index), str(error)) from error
+    return suite
+
+
+def _check_names(entry: EgoEntry | TrafficEntry) -> None:
+    if isinstance(entry, EgoEntry):
+        if entry.agent.name is not None:
+            find(AGENTS, entry.agent.name)
+        return
+    for agent in entry.traffic.make().agents:
+        find(AGENTS, agent)
