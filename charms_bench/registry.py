@@ -16,6 +16,8 @@ from charms_bench.traffic import OneAgent, Traffic
 
 AGENTS = "charms_bench.agents"
 TRAFFIC = "charms_bench.traffic"
+PIPELINES = "charms_bench.pipelines"
+_ROLES = {AGENTS: "agent", TRAFFIC: "traffic", PIPELINES: "pipeline"}
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Plugin:
 
     name: str
     role: str
-    """`agent` or `traffic`."""
+    """`agent`, `traffic` or `pipeline`."""
     distribution: str
     version: str
     entry_point: EntryPoint
@@ -41,7 +43,7 @@ def plugins(group: str) -> dict[str, Plugin]:
         distribution = entry_point.dist
         plugin = Plugin(
             name=entry_point.name,
-            role="agent" if group == AGENTS else "traffic",
+            role=_ROLES[group],
             distribution=distribution.name if distribution else "unknown",
             version=distribution.version if distribution else "unknown",
             entry_point=entry_point,
@@ -64,8 +66,7 @@ def find(group: str, name: str) -> Plugin:
     installed = plugins(group)
     if name in installed:
         return installed[name]
-    role = "agent" if group == AGENTS else "traffic"
-    raise RegistryError(f"no {role} named '{name}'. {suggestion(name, installed)}")
+    raise RegistryError(f"no {_ROLES[group]} named '{name}'. {suggestion(name, installed)}")
 
 
 def suggestion(name: str, known: Mapping[str, object]) -> str:
@@ -109,14 +110,26 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     return traffic
 
 
-def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
-    whose = f"{plugin.role} '{plugin.name}' of {plugin.distribution} {plugin.version}"
+def load(group: str, name: str) -> Any:
+    """What the entry point of that name stands for.
+
+    Raises:
+        RegistryError: It is not installed or cannot be imported.
+    """
+    return _load(find(group, name))
+
+
+def _load(plugin: Plugin) -> Any:
     try:
-        factory = plugin.entry_point.load()
+        return plugin.entry_point.load()
     except Exception as error:
         raise RegistryError(
-            f"{whose} cannot be imported: {type(error).__name__}: {error}"
+            f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}"
         ) from error
+
+
+def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
+    factory = _load(plugin)
     try:
         return factory(**options)
     except CharmsBenchError:
@@ -124,5 +137,9 @@ def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
     except Exception as error:
         given = ", ".join(options) or "none"
         raise RegistryError(
-            f"{whose} cannot be made (options: {given}): {type(error).__name__}: {error}"
+            f"{_whose(plugin)} cannot be made (options: {given}): {type(error).__name__}: {error}"
         ) from error
+
+
+def _whose(plugin: Plugin) -> str:
+    return f"{plugin.role} '{plugin.name}' of {plugin.distribution} {plugin.version}"

@@ -1,0 +1,196 @@
+"""Measures environment steps a second: this engine, highway-env and, if installed, EnvPool.
+
+An environment step is one decision of the ego: a third of a second of traffic at 15 Hz, the
+observation, and a new scene when the episode is over. Everything is measured in one run, in turn,
+several times, so that ratios hold on a machine whose speed drifts.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.util import find_spec
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from charms_bench.agent import IDLE
+from charms_bench.observation import neighbours
+from charms_bench.registry import make_agent, make_traffic
+from charms_bench.scene import SceneSettings
+from charms_bench.simulation import RUNNING, Simulation
+
+_SCENES = 512
+_SEED = 10**6
+
+Contestant = Callable[[float], tuple[int, float]]
+"""Steps for about so many seconds: the environment steps made, and the seconds they took."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What one contestant managed."""
+
+    name: str
+    threads: int
+    vehicles: int
+    steps_per_s: float
+    """Median over the rounds."""
+    low: float
+    high: float
+
+
+def bench(
+    vehicles: int = 21,
+    traffic: str = "idm_mobil",
+    seconds: float = 2.0,
+    rounds: int = 3,
+    progress: Callable[[str], None] = lambda name: None,
+) -> list[Measurement]:
+    """Measures every contestant `rounds` times for about `seconds`, in turn.
+
+    Args:
+        vehicles: Vehicles in a scene, the ego included.
+        traffic: The traffic by name; EnvPool and highway-env have their own IDM.
+        seconds: Of one measurement.
+        rounds: Measurements of each.
+        progress: Told what is being measured.
+    """
+    settings = SceneSettings(traffic_vehicles=vehicles - 1)
+    all_threads = os.cpu_count() or 1
+    crowded = SceneSettings(traffic_vehicles=199)
+    contestants: list[tuple[str, int, int, Contestant]] = [
+        ("batched", 1, vehicles, _batched(settings, traffic, 1)),
+        ("batched", all_threads, vehicles, _batched(settings, traffic, all_threads)),
+        ("batched", 1, 200, _batched(crowded, traffic, 1)),
+        ("highway-env engine", 1, vehicles, _reference(settings, traffic)),
+        ("highway-env", 1, vehicles, _highway_env(settings)),
+    ]
+    if find_spec("envpool"):
+        contestants += [
+            ("EnvPool", 1, vehicles, _envpool(settings, 1)),
+            ("EnvPool", all_threads, vehicles, _envpool(settings, all_threads)),
+        ]
+    rates: list[list[float]] = [[] for _ in contestants]
+    for _, _, _, contestant in contestants:
+        contestant(0.0)  # compiles and allocates
+    for _ in range(rounds):
+        for (name, threads, size, contestant), measured in zip(contestants, rates, strict=True):
+            progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
+            steps, took = contestant(seconds)
+            measured.append(steps / took)
+    return [
+        Measurement(name, threads, size, median(measured), min(measured), max(measured))
+        for (name, threads, size, _), measured in zip(contestants, rates, strict=True)
+    ]
+
+
+def _batched(settings: SceneSettings, traffic: str, threads: int) -> Contestant:
+    simulations = [_simulation(settings, traffic, "batched", _SCENES) for _ in range(threads)]
+    pool = ThreadPoolExecutor(threads)  # the kernels release the GIL
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        until = start + seconds
+        steps = sum(pool.map(lambda simulation: _drive(simulation, until), simulations))
+        return steps, time.perf_counter() - start
+
+    return run
+
+
+def _reference(settings: SceneSettings, traffic: str) -> Contestant:
+    simulation = _simulation(settings, traffic, "highway-env", 1)
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        return _drive(simulation, start + seconds), time.perf_counter() - start
+
+    return run
+
+
+def _simulation(settings: SceneSettings, traffic: str, engine: Any, scenes: int) -> Simulation:
+    plugin = make_traffic(traffic)
+    agents = {name: make_agent(name) for name in plugin.agents}
+    simulation = Simulation(settings, scenes, None, plugin, agents, engine)
+    simulation.reset(np.arange(_SEED, _SEED + scenes, dtype=np.uint64))
+    # Episodes in all stages, so that every step has its share of new scenes.
+    simulation.steps[:] = np.arange(scenes) * settings.decisions // scenes
+    return simulation
+
+
+def _drive(simulation: Simulation, until: float) -> int:
+    """Steps until that time, at least once; returns the environment steps made."""
+    actions = np.full(simulation.seeds.size, IDLE)
+    steps = 0
+    while True:
+        simulation.step(actions)
+        ended = np.nonzero(simulation.ending != RUNNING)[0]
+        if ended.size:
+            simulation.reset(simulation.seeds[ended] + np.uint64(simulation.seeds.size), ended)
+        neighbours(simulation.scene, simulation.ego_vehicles)
+        steps += simulation.seeds.size
+        if time.perf_counter() >= until:
+            return steps
+
+
+def _highway_env(settings: SceneSettings) -> Contestant:
+    import gymnasium
+    import highway_env  # noqa: F401  # registers highway-v0
+
+    environment = gymnasium.make(
+        "highway-v0",
+        config={
+            "lanes_count": settings.lanes,
+            "vehicles_count": settings.traffic_vehicles,
+            "simulation_frequency": settings.simulation_hz,
+            "policy_frequency": settings.decision_hz,
+            "duration": settings.duration_s,
+            "observation": {"type": "Kinematics", "vehicles_count": 7},
+        },
+    )
+    environment.reset(seed=_SEED)
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        steps = 0
+        while True:
+            _, _, terminated, truncated, _ = environment.step(IDLE)
+            steps += 1
+            if terminated or truncated:
+                environment.reset()
+            if time.perf_counter() >= start + seconds:
+                return steps, time.perf_counter() - start
+
+    return run
+
+
+def _envpool(settings: SceneSettings, threads: int) -> Contestant:
+    import envpool
+
+    environments = envpool.make_gymnasium(
+        "Highway-v0",
+        num_envs=64 * threads,
+        num_threads=threads,
+        max_episode_steps=settings.decisions,
+        lanes_count=settings.lanes,
+        vehicles_count=settings.traffic_vehicles,
+        observation_vehicles_count=7,
+        simulation_frequency=settings.simulation_hz,
+        policy_frequency=settings.decision_hz,
+        duration=round(settings.duration_s),
+    )
+    environments.reset()
+    actions = np.full(64 * threads, IDLE, dtype=np.int32)
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        steps = 0
+        while True:
+            environments.step(actions)
+            steps += actions.size
+            if time.perf_counter() >= start + seconds:
+                return steps, time.perf_counter() - start
+
+    return run

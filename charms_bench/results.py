@@ -1,0 +1,181 @@
+"""A run folder: its manifest and its shards, written whole or not at all."""
+
+import json
+import os
+import platform
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from charms_bench import __version__
+from charms_bench.errors import RunFolderError
+from charms_bench.suite import Suite
+
+MANIFEST = "manifest.json"
+_RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Lets `write` fill a file beside `path` and then puts it in its place.
+
+    Raises:
+        RunFolderError: The folder cannot be written to.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(partial)
+        os.replace(partial, path)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A fixed number of episodes of a cell; its key names everything its rows depend on."""
+
+    cell: int
+    """Index into `Suite.cells`."""
+    first_seed: int
+    episodes: int
+    key: str
+
+    @property
+    def name(self) -> str:
+        """Name of its files, without ending."""
+        return f"{self.cell:03d}-{self.first_seed:09d}-{self.key[:16]}"
+
+
+class RunFolder:
+    """The files of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def open_for(self, suite: Suite, engine: str) -> None:
+        """Makes the folder this suite's; one that holds another run is left alone.
+
+        Raises:
+            RunFolderError: It holds another run, or cannot be read or written.
+        """
+        manifest = self.path / MANIFEST
+        fields = json.loads(suite.model_dump_json(exclude={"title", "columns", "episodes"}))
+        ours = {"suite": fields, "engine": engine}
+        if manifest.exists():
+            theirs = self.manifest()
+            for difference in _differences({key: theirs.get(key) for key in ours}, ours):
+                raise RunFolderError(
+                    f"{self.path} holds another run: {difference}; "
+                    "choose another folder with --output, or delete this one"
+                )
+        elif self.path.exists() and any(self.path.iterdir()):
+            raise RunFolderError(
+                f"{self.path} is not empty and holds no run; choose another with --output"
+            )
+
+    def write_manifest(self, suite: Suite, engine: str, agents: dict[str, Any]) -> None:
+        """Writes what was run, with what, on what."""
+        manifest = {
+            "charms_bench": __version__,
+            "title": suite.title,
+            "episodes": suite.episodes,
+            "suite": json.loads(suite.model_dump_json(exclude={"title", "columns", "episodes"})),
+            "suite_sha256": suite.fingerprint(),
+            "engine": engine,
+            "agents": agents,
+            "versions": {name: version(name) for name in _RECORDED_VERSIONS},
+            "machine": {
+                "python": platform.python_version(),
+                "system": platform.system(),
+                "processor": platform.machine(),
+                "cpus": os.cpu_count(),
+            },
+        }
+        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+        write_atomically(
+            self.path / MANIFEST, lambda path: path.write_text(text, encoding="utf-8")
+        )
+
+    def manifest(self) -> dict[str, Any]:
+        """What `write_manifest` wrote.
+
+        Raises:
+            RunFolderError: There is none, or it is damaged.
+        """
+        path = self.path / MANIFEST
+        try:
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise RunFolderError(f"{path}: is no JSON: {error}") from error
+        if not isinstance(manifest, dict):
+            raise RunFolderError(f"{path}: expected a JSON object")
+        return manifest
+
+    def has(self, shard: Shard) -> bool:
+        """Whether the shard is finished: its episodes are written last."""
+        return self._file("episodes", shard).exists() and self._file("steps", shard).exists()
+
+    def write(self, shard: Shard, episodes: pl.DataFrame, steps: pl.DataFrame) -> None:
+        """Writes a finished shard."""
+        for kind, rows in (("steps", steps), ("episodes", episodes)):
+            write_atomically(
+                self._file(kind, shard),
+                lambda path, rows=rows: rows.write_parquet(path, compression="zstd"),
+            )
+
+    def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
+        """The rows, `episodes` or `steps`, of some shards.
+
+        Raises:
+            RunFolderError: A file is missing or damaged.
+        """
+        frames = []
+        for shard in shards:
+            path = self._file(kind, shard)
+            try:
+                frames.append(pl.read_parquet(path))
+            except (OSError, pl.exceptions.PolarsError) as error:
+                reason = str(error).splitlines()[0]
+                raise RunFolderError(
+                    f"{path}: cannot be read: {reason}; delete it and run again"
+                ) from error
+        return pl.concat(frames)
+
+    def drop_others(self, shards: Iterable[Shard]) -> None:
+        """Removes shards of the folder that are no longer part of the run."""
+        names = {f"{shard.name}.parquet" for shard in shards}
+        for kind in ("episodes", "steps"):
+            for path in sorted((self.path / kind).glob("*.parquet")):
+                if path.name not in names:
+                    path.unlink()
+
+    def _file(self, kind: str, shard: Shard) -> Path:
+        return self.path / kind / f"{shard.name}.parquet"
+
+
+def _differences(theirs: Any, ours: Any, at: str = "") -> list[str]:
+    """Where two JSON values differ, in words."""
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        keys = sorted({*theirs, *ours})
+        return [
+            difference
+            for key in keys
+            for difference in _differences(theirs.get(key), ours.get(key), f"{at}.{key}")
+        ]
+    if isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
+        return [
+            difference
+            for index, pair in enumerate(zip(theirs, ours, strict=True))
+            for difference in _differences(*pair, f"{at}[{index}]")
+        ]
+    if theirs == ours:
+        return []
+    return [f"{at.removeprefix('.suite').lstrip('.')} was {theirs}, now {ours}"]
