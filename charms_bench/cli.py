@@ -198,7 +198,7 @@ def verify(
 def _print_comparisons(results: Any, differing: int) -> None:
     from rich.table import Table
 
-    table = Table(box=None)
+    table = Table(box=None, padding=(0, 1, 0, 0))
     for column in ("case", "episodes", "steps", "lane changes", "crashed", "largest", "differing"):
         table.add_column(column, justify="left" if column == "case" else "right")
     for r in results:

@@ -38,7 +38,7 @@ class Case(FrozenModel):
         """What it is, in a line."""
         scene = self.scene
         return (
-            f"{self.ego.key} in {scene.profile.name}, {scene.lanes} lanes, "
+            f"{self.ego.name or self.ego.onnx}, {scene.profile.name}: {scene.lanes} lanes, "
             f"{scene.vehicles} vehicles, density {scene.density:g}"
         )
 

@@ -64,11 +64,13 @@ class HighwayEnvEngine:
 
     def advance(self) -> None:
         active = np.nonzero(self.scene.active)[0]
+        dt = 1 / self._settings.simulation_hz
         for row in active:
             road = self.roads[row]
             for index in range(-1, len(self._models)):
                 self._act(row, road, index)
-            road.step(1 / self._settings.simulation_hz)
+            road.step(dt)
+            self.scene.timer_s[row] += dt  # where a vehicle keeps no timer of its own
             self._copy_state(row)
         kernels.locate(self.scene, active)
 
