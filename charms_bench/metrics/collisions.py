@@ -1,0 +1,73 @@
+"""How often the ego, or the traffic around it, collides or leaves the road."""
+
+import polars as pl
+
+from charms_bench.metrics.metric import Metric, ratio
+
+ENDED_BADLY = pl.first("ending").is_in(["rear_end", "side", "off_road"])
+EPISODES = pl.lit(1)
+MEGAMETRES = pl.first("distance_m") / 1e6
+TRAFFIC_MEGAMETRES = pl.first("traffic_distance_m") / 1e6
+
+COLLISION_RATE = Metric(
+    name="collision_rate",
+    unit="1/step",
+    description="episodes that a collision or leaving the road ended, per decision step",
+    rests_on="steps",
+    sums=(pl.first("steps"), pl.first("steps"), ENDED_BADLY),
+    value=ratio,
+    interval="garwood",
+)
+CRASHED_EPISODES = Metric(
+    name="crashed_episodes",
+    unit="",
+    description="share of episodes in which the ego collides or leaves the road",
+    rests_on="episodes",
+    sums=(EPISODES, ENDED_BADLY),
+    value=ratio,
+    interval="wilson",
+)
+TRAFFIC_CRASHED = Metric(
+    name="traffic_crashed",
+    unit="",
+    description="share of the other vehicles that collide or leave the road within an episode",
+    rests_on="vehicles",
+    sums=(pl.first("traffic_vehicles"), pl.first("traffic_crashed")),
+    value=ratio,
+    interval="share",
+)
+TRAFFIC_CRASHES_PER_1000KM = Metric(
+    name="traffic_crashes_per_1000km",
+    unit="1/1,000 km",
+    description="other vehicles that collide or leave the road, per 1,000 km driven by them",
+    rests_on="episodes",
+    sums=(EPISODES, TRAFFIC_MEGAMETRES, pl.first("traffic_crashed")),
+    value=ratio,
+    interval="rate",
+)
+
+
+def _per_1000km(name: str, what: str, happened: pl.Expr) -> Metric:
+    return Metric(
+        name=name,
+        unit="1/1,000 km",
+        description=f"{what}, per 1,000 km driven by the ego",
+        rests_on="episodes",
+        sums=(EPISODES, MEGAMETRES, happened),
+        value=ratio,
+        interval="garwood",
+    )
+
+
+CRASHES_PER_1000KM = _per_1000km(
+    "crashes_per_1000km", "collisions of the ego and departures from the road", ENDED_BADLY
+)
+REAR_END_PER_1000KM = _per_1000km(
+    "rear_end_per_1000km", "rear-end collisions of the ego", pl.first("ending") == "rear_end"
+)
+SIDE_PER_1000KM = _per_1000km(
+    "side_per_1000km", "side collisions of the ego", pl.first("ending") == "side"
+)
+OFF_ROAD_PER_1000KM = _per_1000km(
+    "off_road_per_1000km", "departures of the ego from the road", pl.first("ending") == "off_road"
+)

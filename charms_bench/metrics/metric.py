@@ -1,0 +1,89 @@
+"""What a metric is: sums of each episode's rows, and the number that their totals make.
+
+Because a metric sees only totals over episodes, the totals of resampled episodes give its
+interval, and those of a run's shards add up to those of the run.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from charms_bench.scene import Floats
+
+Interval = Literal["bootstrap", "share", "rate", "wilson", "garwood"]
+"""Where a metric's 95 % interval comes from.
+
+bootstrap: Resampled episodes; none where the resamples do not vary.
+share: The same; where all or nothing was counted, Wilson's over the episodes it was counted in.
+rate: The same; where nothing was counted, Garwood's.
+wilson: A share of episodes, each a trial of its own.
+garwood: A rate of what happens at most once an episode and ends it.
+"""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number that describes how an agent drives, or what it is driven among."""
+
+    name: str
+    unit: str
+    """Empty for a share."""
+    description: str
+    rests_on: str
+    """What `n` counts: steps, episodes, lane changes, ..."""
+    sums: tuple[pl.Expr, ...]
+    """k aggregations of an episode's rows (`rows.join_rows`); the first counts n."""
+    value: Callable[[Floats], Floats]
+    """[..., k] totals -> [...]; NaN where it is not defined."""
+    interval: Interval = "bootstrap"
+
+
+@dataclass(frozen=True)
+class MetricSet:
+    """Metrics that are reported together; the version rises when a definition changes."""
+
+    name: str
+    version: int
+    metrics: tuple[Metric, ...]
+
+    @property
+    def label(self) -> str:
+        """The name in tables, such as `paper-1`."""
+        return f"{self.name}-{self.version}"
+
+
+def total(expression: pl.Expr, where: pl.Expr) -> pl.Expr:
+    """The sum of an expression over the rows where a condition holds."""
+    return pl.when(where).then(expression).sum()
+
+
+def moments(expression: pl.Expr, where: pl.Expr) -> tuple[pl.Expr, pl.Expr, pl.Expr]:
+    """Count, sum and sum of squares, for `standard_deviation`."""
+    return where.sum(), total(expression, where), total(expression.pow(2), where)
+
+
+def ratio(totals: Floats) -> Floats:
+    """The last sum over the one before it."""
+    below = totals[..., -2]
+    result = np.full(below.shape, np.nan)
+    np.divide(totals[..., -1], below, out=result, where=below > 0)
+    return result
+
+
+def root_mean_square(totals: Floats) -> Floats:
+    """Of (count, sum of squares)."""
+    result: Floats = np.sqrt(ratio(totals))
+    return result
+
+
+def standard_deviation(totals: Floats) -> Floats:
+    """Of the population with (count, sum, sum of squares)."""
+    mean_square = ratio(totals[..., [0, 2]])
+    variance = mean_square - ratio(totals[..., [0, 1]]) ** 2
+    # Less than this is what rounding leaves of a constant.
+    variance = np.where(variance < 1e-12 * mean_square, 0.0, variance)
+    result: Floats = np.sqrt(variance)
+    return result

@@ -1,0 +1,46 @@
+"""How fast the ego and the traffic drive."""
+
+import polars as pl
+
+from charms_bench.metrics.metric import Metric, moments, ratio, standard_deviation, total
+
+LOGGED = pl.col("logged")
+DRIVING = pl.col("driving")
+SPEED = pl.col("speed")
+
+PAPER_SPEED_MEAN = Metric(
+    name="speed_mean",
+    unit="m/s",
+    description="speed in logged steps",
+    rests_on="logged steps",
+    sums=(LOGGED.sum(), total(SPEED, LOGGED)),
+    value=ratio,
+)
+PAPER_SPEED_STD = Metric(
+    name="speed_std",
+    unit="m/s",
+    description="its standard deviation",
+    rests_on="logged steps",
+    sums=moments(SPEED, LOGGED),
+    value=standard_deviation,
+)
+SPEED_MEAN = Metric(
+    name="speed_mean",
+    unit="m/s",
+    description="speed of the ego, up to a collision",
+    rests_on="steps",
+    sums=(DRIVING.sum(), total(SPEED, DRIVING)),
+    value=ratio,
+)
+TRAFFIC_SPEED_MEAN = Metric(
+    name="traffic_speed_mean",
+    unit="m/s",
+    description="distance over time of the other vehicles, wrecks included",
+    rests_on="vehicles",
+    sums=(
+        pl.first("traffic_vehicles"),
+        pl.first("traffic_vehicles") * pl.first("duration_s"),
+        pl.first("traffic_distance_m"),
+    ),
+    value=ratio,
+)

@@ -1,0 +1,213 @@
+"""A run's tables: one number a row for programs, one cell a row for people."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from charms_bench.metrics import METRIC_SETS, sums_by_episode
+from charms_bench.results import write_atomically
+from charms_bench.scene import SceneSettings
+from charms_bench.stats import estimate
+
+LONG_SCHEMA: dict[str, pl.DataType] = {
+    "agent": pl.String(),
+    "traffic": pl.String(),
+    "metric_set": pl.String(),  # with its version, such as paper-1
+    "metric": pl.String(),
+    "value": pl.Float64(),  # null where it is not defined
+    "low": pl.Float64(),  # of the 95 % interval
+    "high": pl.Float64(),
+    "n": pl.Int64(),  # what it rests on; `Metric.rests_on` says what that is
+    "paper": pl.Float64(),
+}
+DIGITS = 6
+"""Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
+BLOCK = 5
+"""Metrics side by side in the terminal, to fit 100 characters."""
+NOTHING = "–"
+
+Row = Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class CellRows:
+    """An ego in a traffic, and what was recorded of it."""
+
+    agent: str
+    traffic: str
+    episodes: pl.DataFrame
+    steps: pl.DataFrame
+    paper: Mapping[str, float] = field(default_factory=dict)
+    """What the paper reports, by metric of the set `paper`."""
+
+
+def build_table(cells: Iterable[CellRows], settings: SceneSettings, seed: int) -> pl.DataFrame:
+    """The long table of a run, by cell, metric set and metric (`LONG_SCHEMA`).
+
+    Args:
+        cells: In the order of the table.
+        settings: What their scenes have in common.
+        seed: Of the resamples, which are the same for cells of as many episodes.
+    """
+    metrics = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+    labels = [metric_set.label for metric_set in METRIC_SETS for _ in metric_set.metrics]
+    paper_label = METRIC_SETS[0].label
+    rows = []
+    for cell in cells:
+        sums = sums_by_episode(metrics, cell.episodes, cell.steps, settings)
+        estimates = estimate(metrics, sums, np.random.default_rng(seed))
+        rows += [
+            {
+                "agent": cell.agent,
+                "traffic": cell.traffic,
+                "metric_set": label,
+                "metric": metric.name,
+                "value": result.value,
+                "low": result.low,
+                "high": result.high,
+                "n": result.n,
+                "paper": cell.paper.get(metric.name) if label == paper_label else None,
+            }
+            for metric, label, result in zip(metrics, labels, estimates, strict=True)
+        ]
+    numbers = pl.col("value", "low", "high")
+    table = pl.DataFrame(rows, schema=LONG_SCHEMA)
+    return table.with_columns(numbers.fill_nan(None).round_sig_figs(DIGITS))
+
+
+def write_tables(folder: Path, name: str, long: pl.DataFrame) -> None:
+    """Writes `<name>.csv`, the long table, and `<name>.md`, for reading, into a folder."""
+    write_atomically(folder / f"{name}.csv", long.write_csv)
+    text = render_markdown(long)
+    write_atomically(folder / f"{name}.md", lambda path: path.write_bytes(text.encode()))
+
+
+def render_markdown(long: pl.DataFrame) -> str:
+    """A table a metric set, a cell a row; beneath it what the metrics are."""
+    parts = [f"Values with 95 % intervals; {NOTHING} where there is none."]
+    for metric_set in METRIC_SETS:
+        columns = _columns(long.filter(metric_set=metric_set.label))
+        if not columns:
+            continue
+        header, body = ["agent", "traffic"], [list(cell) for cell in _cells(long)]
+        for metric, column in columns.items():
+            decimals = _decimals(column.values())
+            compared = any(row["paper"] is not None for row in column.values())
+            header += [metric, "paper (difference)"] if compared else [metric]
+            for line in body:
+                row = column.get((line[0], line[1]), {})
+                line.append(_with_interval(row, decimals))
+                if compared:
+                    line.append(_with_difference(row, decimals))
+        rule = ["---", "---"] + ["---:"] * (len(header) - 2)
+        lines = ["| " + " | ".join(map(_escaped, line)) + " |" for line in (header, rule, *body)]
+        legend = [
+            f"- `{metric.name}`{f' ({metric.unit})' if metric.unit else ''}: "
+            f"{metric.description}. n: {metric.rests_on}."
+            for metric in metric_set.metrics
+            if metric.name in columns
+        ]
+        parts.append("\n".join([f"## {metric_set.label}", "", *lines, "", *legend]))
+    return "\n\n".join(parts) + "\n"
+
+
+def render_terminal(long: pl.DataFrame, columns: Sequence[str] = ()) -> Group:
+    """The long table for a terminal of 100 characters, a few metrics at a time.
+
+    Args:
+        long: The long table.
+        columns: The metrics to show, from each set that has them; none: those that the paper
+            reports, and if there are none, all.
+    """
+    if not columns:
+        reported = set(long.filter(pl.col("paper").is_not_null())["metric"])
+        columns = [name for name in _columns(long) if name in reported]
+    cells = _cells(long)
+    traffics = {traffic for _, traffic in cells}
+    tables = []
+    for metric_set in METRIC_SETS:
+        shown = _columns(long.filter(metric_set=metric_set.label))
+        names = [name for name in columns or shown if name in shown]
+        blocks = math.ceil(len(names) / BLOCK)
+        for block in (
+            names[i * len(names) // blocks : (i + 1) * len(names) // blocks] for i in range(blocks)
+        ):
+            table = Table(title=metric_set.label, title_justify="left", box=box.SIMPLE_HEAD)
+            table.add_column("agent")
+            if len(traffics) > 1:
+                table.add_column("traffic")
+            for name in block:
+                # Words, so that a long name wraps.
+                table.add_column(name.replace("_", " "), justify="right")
+            for agent, traffic in cells:
+                line = [Text(agent), Text(traffic)][: 1 + (len(traffics) > 1)]
+                for name in block:
+                    row = shown[name].get((agent, traffic), {})
+                    line.append(_stacked(row, _decimals(shown[name].values())))
+                table.add_row(*line)
+            tables.append(table)
+    return Group(*tables)
+
+
+def _cells(long: pl.DataFrame) -> list[tuple[str, str]]:
+    """The cells, each an agent and a traffic."""
+    return long.select("agent", "traffic").unique(maintain_order=True).rows()
+
+
+def _columns(long: pl.DataFrame) -> dict[str, dict[tuple[str, str], Row]]:
+    """The rows by metric and cell."""
+    columns: dict[str, dict[tuple[str, str], Row]] = {}
+    for row in long.iter_rows(named=True):
+        columns.setdefault(row["metric"], {})[row["agent"], row["traffic"]] = row
+    return columns
+
+
+def _decimals(rows: Iterable[Row]) -> int:
+    """Decimals for a column: four digits of its largest number, three of one below 1."""
+    numbers = [row[key] for row in rows for key in ("value", "high", "paper")]
+    largest = max((abs(number) for number in numbers if number is not None), default=0.0)
+    magnitude = math.floor(math.log10(largest)) if largest else 0
+    return min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
+
+
+def _number(number: float | None, decimals: int, sign: str = "") -> str:
+    return NOTHING if number is None else f"{number:{sign}.{decimals}f}"
+
+
+def _interval(row: Row, decimals: int) -> str:
+    if row.get("low") is None:
+        return ""
+    return f"[{_number(row['low'], decimals)}, {_number(row['high'], decimals)}]"
+
+
+def _with_interval(row: Row, decimals: int) -> str:
+    return f"{_number(row.get('value'), decimals)} {_interval(row, decimals)}".rstrip()
+
+
+def _with_difference(row: Row, decimals: int) -> str:
+    value, paper = row.get("value"), row.get("paper")
+    if value is None or paper is None:
+        return _number(paper, decimals)
+    return f"{_number(paper, decimals)} ({_number(value - paper, decimals, '+')})"
+
+
+def _stacked(row: Row, decimals: int) -> Text:
+    """The value, its interval under it, and the paper's value under that."""
+    text = Text(_number(row.get("value"), decimals), style="bold")
+    if interval := _interval(row, decimals):
+        text.append("\n" + interval.strip("[]").replace(", ", "–"), style="not bold dim")
+    if (paper := row.get("paper")) is not None:
+        text.append(f"\npaper {_number(paper, decimals)}", style="not bold")
+    return text
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")
