@@ -31,7 +31,7 @@ STEP_SCHEMA: dict[str, pl.DataType] = {
     "leader_speed": pl.Float32(),
     "follower_distance": pl.Float32(),
     "follower_speed": pl.Float32(),
-    "follower_acceleration": pl.Float32(),
+    "follower_acceleration": pl.Float32(),  # also null for a wreck, which nobody drives
     "vehicles_near": pl.Int16(),  # within 30 m and a lane, the ego included
 }
 
@@ -87,7 +87,9 @@ class Recording:
             "leader_speed": _where(has_leader, scene.speed[rows, leader]),
             "follower_distance": _where(has_follower, scene.x[egos] - scene.x[rows, follower]),
             "follower_speed": _where(has_follower, scene.speed[rows, follower]),
-            "follower_acceleration": _where(has_follower, scene.acceleration[rows, follower]),
+            "follower_acceleration": _where(
+                has_follower & ~scene.crashed[rows, follower], scene.acceleration[rows, follower]
+            ),
             "vehicles_near": near.sum(axis=1),
         }
         self._frames.append(pl.DataFrame(columns).cast(dict(STEP_SCHEMA)))
