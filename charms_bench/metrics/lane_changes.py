@@ -33,7 +33,8 @@ IMPOSED_BRAKING_MEAN = Metric(
 IMPOSED_BRAKING_ABOVE_2 = Metric(
     name="imposed_braking_above_2",
     unit="",
-    description="share of lane changes in which that is above 2 m/s²",
+    description="share of lane changes within 2 s of which the new follower brakes by more "
+    "than 2 m/s²",
     rests_on="lane changes with a follower",
     sums=(IMPOSED.count(), (IMPOSED > SAFE_BRAKING_MPS2).sum()),
     value=ratio,

@@ -40,7 +40,8 @@ PAPER_TTC_BELOW_3S = Metric(
 PAPER_TTC_BELOW_3S_CLOSING = Metric(
     name="ttc_below_3s_closing",
     unit="",
-    description="the same among the logged steps in which the ego closes in on its leader",
+    description="share with a centre-to-centre TTC below 3 s among the logged steps in which the "
+    "ego is faster than its leader",
     rests_on="closing steps",
     sums=(CLOSING.sum(), (CLOSING & (PAPER_TTC < TTC_THRESHOLD_S)).sum()),
     value=ratio,

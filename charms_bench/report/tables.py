@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -131,30 +132,32 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = ()) -> Group:
         reported = set(long.filter(pl.col("paper").is_not_null())["metric"])
         columns = [name for name in _columns(long) if name in reported]
     cells = _cells(long)
-    traffics = {traffic for _, traffic in cells}
+    shows_traffic = len({traffic for _, traffic in cells}) > 1
+    shows_agent = not shows_traffic or len({agent for agent, _ in cells}) > 1
     tables = []
     for metric_set in METRIC_SETS:
         shown = _columns(long.filter(metric_set=metric_set.label))
-        names = [name for name in columns or shown if name in shown]
-        blocks = math.ceil(len(names) / BLOCK)
-        for block in (
-            names[i * len(names) // blocks : (i + 1) * len(names) // blocks] for i in range(blocks)
-        ):
+        for block in _blocks([name for name in columns or shown if name in shown]):
             table = Table(title=metric_set.label, title_justify="left", box=box.SIMPLE_HEAD)
-            table.add_column("agent")
-            if len(traffics) > 1:
-                table.add_column("traffic")
+            for header in ["agent"] * shows_agent + ["traffic"] * shows_traffic:
+                table.add_column(header)
             for name in block:
-                # Words, so that a long name wraps.
+                # Spaces wrap, underscores do not.
                 table.add_column(name.replace("_", " "), justify="right")
             for agent, traffic in cells:
-                line = [Text(agent), Text(traffic)][: 1 + (len(traffics) > 1)]
-                for name in block:
-                    row = shown[name].get((agent, traffic), {})
-                    line.append(_stacked(row, _decimals(shown[name].values())))
-                table.add_row(*line)
+                names = [Text(agent)] * shows_agent + [Text(traffic)] * shows_traffic
+                rows = [shown[name].get((agent, traffic), {}) for name in block]
+                decimals = [_decimals(shown[name].values()) for name in block]
+                table.add_row(*names, *map(_stacked, rows, decimals))
             tables.append(table)
     return Group(*tables)
+
+
+def _blocks(names: list[str]) -> list[list[str]]:
+    """The names in blocks of about the same length."""
+    count = math.ceil(len(names) / BLOCK)
+    ends = [i * len(names) // max(count, 1) for i in range(count + 1)]
+    return [names[start:end] for start, end in pairwise(ends)]
 
 
 def _cells(long: pl.DataFrame) -> list[tuple[str, str]]:
