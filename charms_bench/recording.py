@@ -15,36 +15,40 @@ from charms_bench.simulation import ENDINGS, Simulation
 
 INTERACTION_RANGE_M = 30.0
 
-STEP_SCHEMA: dict[str, pl.DataType] = {
-    "episode": pl.UInt64(),  # the episode's seed
-    "step": pl.Int32(),  # decisions made, from 1
-    "x": pl.Float32(),  # m
-    "y": pl.Float32(),
-    "heading": pl.Float32(),  # rad
-    "speed": pl.Float32(),  # m/s
-    "acceleration": pl.Float32(),  # m/s2, as commanded in the last simulation step
-    "steering": pl.Float32(),  # rad
-    "lane": pl.Int8(),
-    "target_lane": pl.Int8(),
-    "action": pl.Int8(),  # index into agent.ACTIONS; null under a driver model
-    "leader_distance": pl.Float32(),  # m, centre to centre, on the ego's lane
-    "leader_speed": pl.Float32(),
-    "follower_distance": pl.Float32(),
-    "follower_speed": pl.Float32(),
-    "follower_acceleration": pl.Float32(),  # also null for a wreck, which nobody drives
-    "vehicles_near": pl.Int16(),  # within 30 m and a lane, the ego included
-}
+STEP_SCHEMA = pl.Schema(
+    {
+        "episode": pl.UInt64(),  # the episode's seed
+        "step": pl.Int32(),  # decisions made, from 1
+        "x": pl.Float32(),  # m
+        "y": pl.Float32(),
+        "heading": pl.Float32(),  # rad
+        "speed": pl.Float32(),  # m/s
+        "acceleration": pl.Float32(),  # m/s2, as commanded in the last simulation step
+        "steering": pl.Float32(),  # rad
+        "lane": pl.Int8(),
+        "target_lane": pl.Int8(),
+        "action": pl.Int8(),  # index into agent.ACTIONS; null under a driver model
+        "leader_distance": pl.Float32(),  # m, centre to centre, on the ego's lane
+        "leader_speed": pl.Float32(),
+        "follower_distance": pl.Float32(),
+        "follower_speed": pl.Float32(),
+        "follower_acceleration": pl.Float32(),  # also null for a wreck, which nobody drives
+        "vehicles_near": pl.Int16(),  # within 30 m and a lane, the ego included
+    }
+)
 
-EPISODE_SCHEMA: dict[str, pl.DataType] = {
-    "episode": pl.UInt64(),
-    "ending": pl.String(),  # time, rear_end, side or off_road
-    "steps": pl.Int32(),
-    "duration_s": pl.Float64(),
-    "distance_m": pl.Float64(),  # of the ego, along the road
-    "traffic_vehicles": pl.Int32(),
-    "traffic_crashed": pl.Int32(),  # vehicles of the traffic that collided or left the road
-    "traffic_distance_m": pl.Float64(),  # of all vehicles of the traffic together
-}
+EPISODE_SCHEMA = pl.Schema(
+    {
+        "episode": pl.UInt64(),
+        "ending": pl.String(),  # time, rear_end, side or off_road
+        "steps": pl.Int32(),
+        "duration_s": pl.Float64(),
+        "distance_m": pl.Float64(),  # of the ego, along the road
+        "traffic_vehicles": pl.Int32(),
+        "traffic_crashed": pl.Int32(),  # vehicles of the traffic that collided or left the road
+        "traffic_distance_m": pl.Float64(),  # of all vehicles of the traffic together
+    }
+)
 
 
 class Recording:
@@ -92,7 +96,7 @@ class Recording:
             ),
             "vehicles_near": near.sum(axis=1),
         }
-        self._frames.append(pl.DataFrame(columns).cast(dict(STEP_SCHEMA)))
+        self._frames.append(pl.DataFrame(columns).cast(STEP_SCHEMA))
 
     def steps(self) -> pl.DataFrame:
         """The rows of all steps so far, by episode and step."""
@@ -116,7 +120,7 @@ class Recording:
             "traffic_crashed": (self._lost & others).sum(axis=1),
             "traffic_distance_m": np.where(others, driven, 0.0).sum(axis=1),
         }
-        return pl.DataFrame(columns).cast(dict(EPISODE_SCHEMA)).sort("episode")
+        return pl.DataFrame(columns).cast(EPISODE_SCHEMA).sort("episode")
 
 
 def _where(present: Bools, values: NDArray[np.float64] | Ints) -> pl.Series:
