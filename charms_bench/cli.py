@@ -81,7 +81,7 @@ def run(
         raise InputError(f"--only is for trainings; {suite} is an evaluation")
 
     from charms_bench import runner
-    from charms_bench.report.tables import long_table, terminal_table, write_tables
+    from charms_bench.report.tables import build_table, render_terminal, write_tables
     from charms_bench.suite import suite_of
 
     loaded = suite_of(document)
@@ -93,13 +93,16 @@ def run(
         finished = runner.run(
             loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count)
         )
-    table = long_table(finished)
+    table = build_table(finished.cells(), loaded.scene, loaded.seed)
     write_tables(folder / "tables", loaded.suite, table)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
     else:
-        out.print(terminal_table(table, loaded))
-        out.print(f"Everything else is in {_plain(str(folder / 'tables'))}.", highlight=False)
+        if loaded.title:
+            out.print(_plain(loaded.title), highlight=False)
+        out.print(render_terminal(table, loaded.columns))
+        rest = folder / "tables" / f"{loaded.suite}.md"
+        out.print(f"All metrics: {_plain(str(rest))}", highlight=False, soft_wrap=True)
 
 
 def _run_pipeline(document: Any, output: Path, workers: int | None, only: str | None) -> None:
@@ -123,7 +126,9 @@ def agents(as_json: Json = False) -> None:
     found = [*plugins(AGENTS).values(), *plugins(TRAFFIC).values()]
     if as_json:
         keys = ("name", "role", "version", "distribution")
-        print(json.dumps([{key: getattr(plugin, key) for key in keys} for plugin in found], indent=2))
+        print(
+            json.dumps([{key: getattr(plugin, key) for key in keys} for plugin in found], indent=2)
+        )
         return
     table = Table("name", "role", "version", "distribution", box=None)
     for plugin in found:
@@ -248,8 +253,8 @@ def bench(
     pool = [r for r in results if r.name == "EnvPool"]
     for row in rows:
         rival = next((r for r in pool if r.threads == row["threads"]), None)
-        comparable = rival is not None and row["vehicles"] == rival.vehicles
-        row["times_envpool"] = row["steps_per_s"] / rival.steps_per_s if comparable else None
+        comparable = rival if rival and row["vehicles"] == rival.vehicles else None
+        row["times_envpool"] = row["steps_per_s"] / comparable.steps_per_s if comparable else None
         row["ns_per_vehicle_step"] = 1e9 / (row["steps_per_s"] * 5 * row["vehicles"])
     if as_json:
         print(json.dumps(rows, indent=2))

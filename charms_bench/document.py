@@ -37,14 +37,14 @@ class Document:
             raise SuiteError(f"{path}: is no UTF-8 text: {error.reason}") from error
         try:
             for event in yaml.parse(self.text, Loader=yaml.SafeLoader):
-                if isinstance(event, yaml.AliasEvent):
+                if isinstance(event, yaml.AliasEvent) and event.start_mark:
                     raise self._at(event.start_mark.line, "aliases (*name) are not supported")
             self._root = yaml.compose(self.text, Loader=yaml.SafeLoader)
             self._refuse_repeated_keys(self._root)
             self.data = yaml.safe_load(self.text)
         except yaml.MarkedYAMLError as error:
-            line = error.problem_mark.line if error.problem_mark else 0
-            raise self._at(line, f"is not YAML: {error.problem}") from error
+            mark = error.problem_mark
+            raise self._at(mark.line if mark else 0, f"is not YAML: {error.problem}") from error
         except (yaml.YAMLError, ValueError, RecursionError) as error:
             raise SuiteError(f"{path}: is not YAML: {error}") from error
         if not isinstance(self.data, dict):

@@ -41,7 +41,8 @@ class OnnxPolicy(Policy):
         return self._sha256
 
     def decide(self, observations: Observations) -> Actions:
-        return np.argmax(self.values(observations), axis=1)
+        actions: Actions = np.argmax(self.values(observations), axis=1)
+        return actions
 
     def values(self, observations: Observations) -> np.ndarray[Any, np.dtype[np.float32]]:
         """The network's output (M, 5) for observations (M, 7, 5)."""

@@ -73,7 +73,7 @@ def suggestion(name: str, known: Mapping[str, object]) -> str:
     """What to say to whoever misspelt one of the known names."""
     close = get_close_matches(name, known, n=1)
     hint = f" Did you mean '{close[0]}'?" if close else ""
-    return f"Installed: {', '.join(known) or 'none'}.{hint}"
+    return f"Known: {', '.join(known) or 'none'}.{hint}"
 
 
 def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:

@@ -98,9 +98,7 @@ class RunFolder:
             },
         }
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-        write_atomically(
-            self.path / MANIFEST, lambda path: path.write_text(text, encoding="utf-8")
-        )
+        write_atomically(self.path / MANIFEST, lambda path: path.write_text(text, encoding="utf-8"))
 
     def manifest(self) -> dict[str, Any]:
         """What `write_manifest` wrote.
@@ -125,11 +123,8 @@ class RunFolder:
 
     def write(self, shard: Shard, episodes: pl.DataFrame, steps: pl.DataFrame) -> None:
         """Writes a finished shard."""
-        for kind, rows in (("steps", steps), ("episodes", episodes)):
-            write_atomically(
-                self._file(kind, shard),
-                lambda path, rows=rows: rows.write_parquet(path, compression="zstd"),
-            )
+        write_atomically(self._file("steps", shard), steps.write_parquet)
+        write_atomically(self._file("episodes", shard), episodes.write_parquet)
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
         """The rows, `episodes` or `steps`, of some shards.

@@ -20,15 +20,13 @@ from charms_bench.agent import Agent, Policy
 from charms_bench.engine import EngineName
 from charms_bench.errors import RunFolderError, SuiteError
 from charms_bench.registry import AGENTS, TRAFFIC, find, plugins
+from charms_bench.report.tables import CellRows
 from charms_bench.results import RunFolder, Shard
 from charms_bench.suite import EVALUATION_SEEDS, AgentSpec, Cell, Suite
 
 SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
 """Enough scenes for the compiled engine to be fast; few enough to lose little by a kill."""
-_ONE_THREAD = {
-    name: "1"
-    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
-}
+_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
 
 Progress = Callable[[Cell, int], None]
 """Told of every finished shard: its cell and its number of episodes."""
@@ -42,9 +40,19 @@ class Run:
     folder: RunFolder
     shards: tuple[Shard, ...]
 
-    def shards_of(self, cell: int) -> list[Shard]:
-        """The shards of a cell."""
-        return [shard for shard in self.shards if shard.cell == cell]
+    def cells(self) -> list[CellRows]:
+        """The rows of every cell, as tables want them."""
+        return [
+            CellRows(
+                agent=cell.ego.title,
+                traffic=cell.traffic.title,
+                episodes=self.folder.read("episodes", shards),
+                steps=self.folder.read("steps", shards),
+                paper=cell.paper,
+            )
+            for index, cell in enumerate(self.suite.cells)
+            for shards in [[shard for shard in self.shards if shard.cell == index]]
+        ]
 
 
 def plan(suite: Suite, engine: EngineName) -> tuple[tuple[Shard, ...], dict[str, Any]]:
@@ -116,7 +124,7 @@ def run(
 
 def local_workers(count: int, engine: EngineName) -> ProcessPoolExecutor:
     """Worker processes of one thread each, started afresh."""
-    os.environ |= _ONE_THREAD
+    os.environ |= dict.fromkeys(_THREADS, "1")
     if engine == "highway-env":
         use_exact_maths()
     return ProcessPoolExecutor(

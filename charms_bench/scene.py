@@ -4,7 +4,7 @@ Lane 0 is the leftmost and its centre is y = 0; y grows to the right, x along th
 heading is positive towards the right. Vehicles keep the order in which they were spawned.
 """
 
-from typing import Annotated, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,10 @@ from pydantic import Field, model_validator
 from charms_bench.profile import CHARMS, FrozenModel, Positive, Profile
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Ints = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
-Vehicles = tuple[Ints, Ints]
-"""M vehicles: their scenes (M,) and their places in the scene (M,); indexes any `[B, N]` array."""
+Vehicles = tuple[Ints, ...]
+"""M vehicles: their scenes (M,) and their places in them (M,); indexes any `[B, N]` array."""
 
 
 class SceneSettings(FrozenModel):
@@ -230,7 +230,7 @@ class Scene(NamedTuple):
         c = self.constants
         beside = np.abs(self.y - self.lane * c.lane_width) > c.lane_width / 2
         on_length = (-c.length <= self.x) & (self.x < c.road_length + c.length)
-        return cast(Bools, beside | ~on_length)
+        return beside | ~on_length
 
     def ego_of(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """The ego's entry (B,) of a `[B, N]` array."""

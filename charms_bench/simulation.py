@@ -195,7 +195,7 @@ class Simulation:
         scene = self.scene
         new = np.nonzero(scene.active & (self._crash == 0) & scene.crashed[self.ego_vehicles])[0]
         for b in new:
-            self._crash[b] = _kind_of_crash(scene, b)
+            self._crash[b] = _kind_of_crash(scene, int(b))
 
 
 def _kind_of_crash(scene: Scene, b: int) -> int:
@@ -238,7 +238,8 @@ class _CheckedModel(DriverModel):
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:
-            acceleration, target_lane = map(np.asarray, self._model.drive(scene, vehicles))
+            answer = self._model.drive(scene, vehicles)
+            acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
         except Exception as error:
             raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
         shape = vehicles[0].shape

@@ -2,14 +2,16 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from charms_bench.agent import Agent
-from charms_bench.document import Document
+from charms_bench.document import Document, Location
 from charms_bench.errors import RegistryError
+from charms_bench.metrics import METRIC_SETS
 from charms_bench.profile import PROFILES, Finite, FrozenModel, Profile
 from charms_bench.registry import AGENTS, find, make_agent, make_traffic, suggestion
 from charms_bench.scene import SceneSettings
@@ -24,7 +26,7 @@ class AgentSpec(FrozenModel):
     """An agent by its name, or a network by the path of its ONNX file."""
 
     name: Name | None = None
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default={})
     onnx: Path | None = Field(default=None, strict=False)
     decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
 
@@ -63,8 +65,8 @@ class TrafficSpec(FrozenModel):
     """A traffic or an agent by its name, or shares of agents."""
 
     name: Name | None = None
-    options: dict[str, Any] = {}
-    mixture: dict[Name, Annotated[float, Field(ge=0, le=1)]] = {}
+    options: dict[str, Any] = Field(default={})
+    mixture: dict[Name, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
 
     @model_validator(mode="before")
     @classmethod
@@ -89,7 +91,7 @@ class EgoEntry(FrozenModel):
 
     agent: AgentSpec
     label: Name | None = None
-    paper: dict[str, Finite] = {}
+    paper: dict[str, Finite] = Field(default={})
     """What the paper reports of it, by metric."""
 
     @property
@@ -103,7 +105,7 @@ class TrafficEntry(FrozenModel):
 
     traffic: TrafficSpec
     label: Name | None = None
-    paper: dict[str, Finite] = {}
+    paper: dict[str, Finite] = Field(default={})
 
     @property
     def title(self) -> str:
@@ -181,7 +183,9 @@ class Suite(FrozenModel):
     @property
     def cells(self) -> tuple[Cell, ...]:
         """Every ego with every traffic."""
-        return tuple(Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics)
+        return tuple(
+            Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics
+        )
 
     def fingerprint(self) -> str:
         """Hash of everything that decides its results but the number of episodes."""
@@ -201,13 +205,26 @@ def load_suite(path: Path) -> Suite:
 def suite_of(document: Document) -> Suite:
     """The suite of a document; see `load_suite`."""
     suite = document.validate(Suite)
-    for what, entries in (("egos", suite.egos), ("traffics", suite.traffics)):
+    both: dict[str, Sequence[EgoEntry | TrafficEntry]]
+    both = {"egos": suite.egos, "traffics": suite.traffics}
+    for what, entries in both.items():
         for index, entry in enumerate(entries):
             try:
                 _check_names(entry)
             except RegistryError as error:
                 raise document.error((what, index), str(error)) from error
+        for index, entry in enumerate(entries):
+            for metric in entry.paper:
+                _check_metric(document, (what, index, "paper", metric), metric)
+    for index, metric in enumerate(suite.columns):
+        _check_metric(document, ("columns", index), metric)
     return suite
+
+
+def _check_metric(document: Document, location: Location, name: str) -> None:
+    known = {metric.name: metric for metric_set in METRIC_SETS for metric in metric_set.metrics}
+    if name not in known:
+        raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
 
 
 def _check_names(entry: EgoEntry | TrafficEntry) -> None:

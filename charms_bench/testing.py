@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.agent import ACTIONS, Agent, DriverModel, Policy
+from charms_bench.agent import ACTIONS, Agent, DriverModel, Observations, Policy
 from charms_bench.engine.batched import BatchedEngine
-from charms_bench.observation import OBSERVATIONS, Observations
+from charms_bench.observation import OBSERVATIONS
 from charms_bench.scene import Scene, SceneSettings, Vehicles
 from charms_bench.traffic import Traffic
 

@@ -20,9 +20,7 @@ class Traffic(ABC):
     """Names of all agents that `assign` may return, in the order in which they act."""
 
     @abstractmethod
-    def assign(
-        self, rng: np.random.Generator, scenes: int, vehicles: int
-    ) -> NDArray[np.str_]:
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         """The agents' names, (scenes, vehicles), in the order of spawning without the ego."""
 
 

@@ -175,12 +175,12 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
             )
             ours.scene.active[row] = theirs.scene.active[row] = False
     crashed = int(ours.scene.crashed.sum())
-    return Comparison(
-        case, episodes, steps, lane_changes, crashed, largest, tuple(differences)
-    )
+    return Comparison(case, episodes, steps, lane_changes, crashed, largest, tuple(differences))
 
 
-def _differences(ours: Simulation, theirs: Simulation, frame: int) -> tuple[list[Difference], float]:
+def _differences(
+    ours: Simulation, theirs: Simulation, frame: int
+) -> tuple[list[Difference], float]:
     """The first difference of every scene that still runs, which ends it, and the largest."""
     rows = np.nonzero(ours.scene.active)[0]
     found: dict[int, Difference] = {}

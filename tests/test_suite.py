@@ -66,7 +66,7 @@ def test_the_fingerprint_ignores_the_number_of_episodes_and_nothing_else_that_co
     ],
 )
 def test_an_agent_is_a_name_or_a_network(spec: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match="give a name|decision_hz is for|options are for"):
+    with pytest.raises(ValueError, match=r"give a name|decision_hz is for|options are for"):
         AgentSpec.model_validate(spec)
 
 

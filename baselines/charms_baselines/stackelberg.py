@@ -15,7 +15,7 @@ from charms_bench.scene import Floats, IdmMobilParameters, Ints, Scene, Vehicles
 
 
 class Stackelberg(DriverModel):
-    """IDM along the lane, a leader-follower game across.
+    """IDM along the lane, a leader-follower game across at every simulation step.
 
     Args:
         deceleration_mps2: IDM's comfortable deceleration b.
@@ -96,8 +96,7 @@ def _drive(
         acceleration[m] = 0.0
         if scene.crashed[b, i]:
             continue
-        if lane == target and scene.timer_s[b, i] > p.lane_change_period:
-            scene.timer_s[b, i] = 0.0
+        if lane == target:
             best = _utility(b, i, lane, scene) + gain
             for side in (lane - 1, lane + 1):
                 if (

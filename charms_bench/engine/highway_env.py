@@ -6,7 +6,7 @@ its highway-env class is that class here, and any other is shown each scene as a
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from highway_env.road.lane import StraightLane
@@ -52,7 +52,7 @@ class HighwayEnvEngine:
             self.scene.active[row] = True
             self._model_of[row] = np.insert(traffic, ego, ego_model)
             self.roads[row] = self._spawn(row, ego, rng, classes)
-            self._copy_state(row)
+            self._copy_state(int(row))
         kernels.locate(self.scene, rows)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
@@ -65,7 +65,7 @@ class HighwayEnvEngine:
     def advance(self) -> None:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
-        for row in active:
+        for row in map(int, active):
             road = self.roads[row]
             for index in range(-1, len(self._models)):
                 self._act(row, road, index)
@@ -88,15 +88,13 @@ class HighwayEnvEngine:
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
-    def _vehicle_class(self, model: DriverModel) -> type[ControlledVehicle]:
+    def _vehicle_class(self, model: DriverModel) -> Any:
         if not model.highway_env_class:
             return self._mover
         module, name = model.highway_env_class.split(":")
         return _with_constants(getattr(import_module(module), name), self._settings.profile)
 
-    def _spawn(
-        self, row: int, ego: int, rng: np.random.Generator, classes: list[type[ControlledVehicle]]
-    ) -> Road:
+    def _spawn(self, row: int, ego: int, rng: np.random.Generator, classes: list[Any]) -> Road:
         """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]."""
         settings, profile = self._settings, self._settings.profile
         network = RoadNetwork()
@@ -173,6 +171,8 @@ class _SpawningVehicle(Vehicle):  # type: ignore[misc]  # highway-env is untyped
 class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]
     """Meta-actions whose lane commands count from the current lane, within a speed range."""
 
+    target_lane_index: tuple[str, str, int]
+    target_speed: float
     LOWEST_TARGET = HIGHEST_TARGET = 0.0
     FROM_CURRENT_LANE = True
 
@@ -197,6 +197,8 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]
 class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]
     """Carries out what a driver model answered."""
 
+    target_lane_index: tuple[str, str, int]
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.timer = 0.0
@@ -217,7 +219,7 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]
         super().step(dt)
 
 
-def _commanded_class(profile: Profile) -> type[ControlledVehicle]:
+def _commanded_class(profile: Profile) -> Any:
     if not profile.target_speeds_mps:
         return _with_constants(_RelativeMetaVehicle, profile)
     stock = _with_constants(MDPVehicle, profile)
@@ -253,4 +255,4 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         "LANE_CHANGE_DELAY": idm.lane_change_period_s,
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
-    return cast(Any, type(vehicle_class.__name__, (vehicle_class,), held))
+    return type(vehicle_class.__name__, (vehicle_class,), held)

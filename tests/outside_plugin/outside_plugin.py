@@ -1,8 +1,8 @@
 """Agents and a traffic of a distribution that charms-bench knows nothing about."""
 
-from charms_bench import ACTIONS, DriverModel, Policy, Traffic
-
 import numpy as np
+
+from charms_bench import ACTIONS, DriverModel, Policy, Traffic
 
 IDLE, LANE_RIGHT, SLOWER = (ACTIONS.index(name) for name in ("IDLE", "LANE_RIGHT", "SLOWER"))
 
