@@ -34,8 +34,6 @@ class Estimate:
 
 def wilson(successes: int, trials: int) -> Bounds:
     """The interval of a share, Wilson 1927."""
-    if not trials:
-        return NO_BOUNDS
     interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 

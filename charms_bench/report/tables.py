@@ -96,8 +96,6 @@ def render_markdown(long: pl.DataFrame) -> str:
     parts = [f"Values with 95 % intervals; {NOTHING} where there is none."]
     for metric_set in METRIC_SETS:
         columns = _columns(long.filter(metric_set=metric_set.label))
-        if not columns:
-            continue
         header, body = ["agent", "traffic"], [list(cell) for cell in _cells(long)]
         for metric, column in columns.items():
             decimals = _decimals(column.values())

@@ -1,0 +1,43 @@
+"""Rows written by hand, and what a metric makes of them."""
+
+from typing import Any
+
+import polars as pl
+
+from charms_bench.metrics import Metric, sums_by_episode
+from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.scene import SceneSettings
+
+Rows = list[dict[str, Any]]
+Episode = tuple[dict[str, Any], Rows]
+"""What is to be said of an episode, and of each of its steps."""
+
+SCENE = SceneSettings()
+QUIET_STEP = {"speed": 25.0, "acceleration": 0.0, "steering": 0.0, "lane": 1, "vehicles_near": 1}
+QUIET_EPISODE = {
+    "ending": "time",
+    "distance_m": 500.0,
+    "traffic_vehicles": 20,
+    "traffic_crashed": 0,
+    "traffic_distance_m": 10_000.0,
+}
+
+
+def frames(*episodes: Episode) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Episode and step rows; what is not given is quiet or null."""
+    heads: Rows = []
+    rows: Rows = []
+    for number, (episode, steps) in enumerate(episodes):
+        count = {"steps": len(steps), "duration_s": len(steps) / 3}
+        heads.append({"episode": number, **count, **QUIET_EPISODE, **episode})
+        rows += [
+            {"episode": number, "step": step, **QUIET_STEP, **row}
+            for step, row in enumerate(steps, start=1)
+        ]
+    return pl.DataFrame(heads, schema=EPISODE_SCHEMA), pl.DataFrame(rows, schema=STEP_SCHEMA)
+
+
+def measure(metric: Metric, *episodes: Episode, settings: SceneSettings = SCENE) -> float:
+    """The value of a metric over episodes."""
+    (sums,) = sums_by_episode([metric], *frames(*episodes), settings)
+    return float(metric.value(sums.sum(axis=0)))

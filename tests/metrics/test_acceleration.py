@@ -1,0 +1,43 @@
+import math
+
+import pytest
+from handmade_rows import measure
+
+from charms_bench.metrics.acceleration import (
+    ACC_STD,
+    JERK_RMS,
+    PAPER_ACC_MEAN,
+    PAPER_ACC_STD,
+    PAPER_HARSH_ACC_RATE,
+)
+from charms_bench.scene import SceneSettings
+
+NEAR = {"leader_distance": 30.0, "leader_speed": 25.0}
+
+
+def test_the_papers_mean_acceleration_leaves_braking_out() -> None:
+    steps = [{"acceleration": a, **NEAR} for a in (1.0, 2.0, 0.0, -4.0)] + [{"acceleration": 6.0}]
+    assert measure(PAPER_ACC_MEAN, ({}, steps)) == 1.5
+    assert measure(PAPER_ACC_STD, ({}, steps)) == pytest.approx(math.sqrt(21 / 4 - 1 / 16))
+
+
+def test_harsh_is_more_than_2_5_either_way() -> None:
+    steps = [{"acceleration": a, **NEAR} for a in (2.5, 2.75, -2.75, 0.0)]
+    assert measure(PAPER_HARSH_ACC_RATE, ({}, steps)) == pytest.approx(2 / 4)
+
+
+def test_only_braking_has_no_mean_of_positive_accelerations() -> None:
+    assert math.isnan(measure(PAPER_ACC_MEAN, ({}, [{"acceleration": -1.0, **NEAR}])))
+
+
+def test_the_standard_deviation_ends_with_a_collision() -> None:
+    steps = [{"acceleration": a} for a in (1.0, 3.0, -30.0)]
+    assert measure(ACC_STD, ({"ending": "rear_end"}, steps)) == 1.0
+
+
+def test_jerk_is_the_difference_over_the_decision_interval() -> None:
+    episode = ({}, [{"acceleration": a} for a in (0.0, 1.0, -1.0)])
+    other = ({}, [{"acceleration": 6.0}])  # no pair, and none across episodes
+    assert measure(JERK_RMS, episode, other) == pytest.approx(math.sqrt((3.0**2 + 6.0**2) / 2))
+    slow = SceneSettings(decision_hz=1)
+    assert measure(JERK_RMS, episode, settings=slow) == pytest.approx(math.sqrt((1.0 + 4.0) / 2))

@@ -1,0 +1,46 @@
+import math
+
+import pytest
+from handmade_rows import measure
+
+from charms_bench.metrics.collisions import (
+    COLLISION_RATE,
+    CRASHED_EPISODES,
+    CRASHES_PER_1000KM,
+    OFF_ROAD_PER_1000KM,
+    REAR_END_PER_1000KM,
+    SIDE_PER_1000KM,
+    TRAFFIC_CRASHED,
+    TRAFFIC_CRASHES_PER_1000KM,
+)
+
+QUIET = ({"distance_m": 700.0}, [{}] * 6)
+REAR_END = ({"ending": "rear_end", "distance_m": 100.0}, [{}] * 2)
+OFF_ROAD = ({"ending": "off_road", "distance_m": 200.0}, [{}] * 4)
+
+
+def test_the_collision_rate_counts_decision_steps() -> None:
+    assert measure(COLLISION_RATE, QUIET, QUIET, REAR_END, OFF_ROAD) == pytest.approx(2 / 18)
+
+
+def test_leaving_the_road_is_a_crash_and_running_out_of_time_is_none() -> None:
+    assert measure(CRASHED_EPISODES, QUIET, QUIET, OFF_ROAD) == pytest.approx(1 / 3)
+
+
+def test_crashes_per_distance_are_those_of_their_kinds_together() -> None:
+    run = (QUIET, REAR_END, OFF_ROAD)  # 1 km
+    assert measure(CRASHES_PER_1000KM, *run) == pytest.approx(2000.0)
+    assert measure(REAR_END_PER_1000KM, *run) == pytest.approx(1000.0)
+    assert measure(SIDE_PER_1000KM, *run) == 0.0
+    assert measure(OFF_ROAD_PER_1000KM, *run) == pytest.approx(1000.0)
+
+
+def test_traffic_crashes_are_counted_by_vehicle() -> None:
+    crashed = ({"traffic_crashed": 3, "traffic_distance_m": 5000.0}, [{}])
+    assert measure(TRAFFIC_CRASHED, QUIET, crashed) == pytest.approx(3 / 40)
+    assert measure(TRAFFIC_CRASHES_PER_1000KM, QUIET, crashed) == pytest.approx(200.0)
+
+
+def test_without_traffic_its_share_of_crashes_is_undefined() -> None:
+    alone = ({"traffic_vehicles": 0, "traffic_distance_m": 0.0}, [{}])
+    assert math.isnan(measure(TRAFFIC_CRASHED, alone))

@@ -1,0 +1,168 @@
+from pathlib import Path
+
+import polars as pl
+import pytest
+from rich.console import Console
+
+from charms_bench.metrics import PAPER, STANDARD
+from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.report.tables import (
+    CellRows,
+    build_table,
+    render_markdown,
+    render_terminal,
+    write_tables,
+)
+from charms_bench.scene import SceneSettings
+
+SCENE = SceneSettings()
+
+
+def cell(
+    speeds: list[float],
+    agent: str = "IDM+MOBIL",
+    traffic: str = "mixed",
+    leader: float | None = 30.0,
+    paper: dict[str, float] | None = None,
+) -> CellRows:
+    """An episode a speed, of one step each."""
+    step = {"step": 1, "acceleration": 0.5, "steering": 0.0, "lane": 0, "vehicles_near": 2}
+    front = {} if leader is None else {"leader_distance": leader, "leader_speed": 25.0}
+    head = {"ending": "time", "steps": 1, "duration_s": 1 / 3, "distance_m": 10.0}
+    others = {"traffic_vehicles": 20, "traffic_crashed": 0, "traffic_distance_m": 200.0}
+    rows = [{"episode": e, "speed": speed, **step, **front} for e, speed in enumerate(speeds)]
+    heads = [{"episode": e, **head, **others} for e in range(len(speeds))]
+    return CellRows(
+        agent=agent,
+        traffic=traffic,
+        episodes=pl.DataFrame(heads, schema=EPISODE_SCHEMA),
+        steps=pl.DataFrame(rows, schema=STEP_SCHEMA),
+        paper=paper or {},
+    )
+
+
+def row(table: pl.DataFrame, metric: str, metric_set: str = PAPER.label) -> dict[str, object]:
+    return table.row(
+        by_predicate=pl.col("metric").eq(metric) & (pl.col("metric_set") == metric_set), named=True
+    )
+
+
+def shown(table: pl.DataFrame, columns: tuple[str, ...] = ()) -> str:
+    console = Console(width=100, color_system=None)
+    with console.capture() as capture:
+        console.print(render_terminal(table, columns))
+    return capture.get()
+
+
+def test_the_long_table_has_a_row_for_every_metric_of_every_cell() -> None:
+    table = build_table([cell([24.0, 26.0]), cell([20.0], agent="other")], SCENE, seed=0)
+    header = ["agent", "traffic", "metric_set", "metric", "value", "low", "high", "n", "paper"]
+    assert table.columns == header
+    assert len(table) == 2 * (len(PAPER.metrics) + len(STANDARD.metrics))
+    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
+
+
+def test_a_row_has_value_interval_number_and_the_papers_figure() -> None:
+    table = build_table([cell([24.0, 26.0], paper={"speed_mean": 23.67})], SCENE, seed=0)
+    assert row(table, "speed_mean") == {
+        "agent": "IDM+MOBIL",
+        "traffic": "mixed",
+        "metric_set": "paper-1",
+        "metric": "speed_mean",
+        "value": 25.0,
+        "low": 24.0,  # a quarter of the resamples has one episode twice
+        "high": 26.0,
+        "n": 2,
+        "paper": 23.67,
+    }
+    assert row(table, "speed_mean", STANDARD.label)["paper"] is None
+
+
+def test_what_is_not_defined_is_null() -> None:
+    table = build_table([cell([25.0], leader=None)], SCENE, seed=0)
+    undefined = row(table, "speed_mean")
+    assert (undefined["value"], undefined["low"], undefined["high"]) == (None, None, None)
+    assert undefined["n"] == 0
+    assert row(table, "crashed_episodes", STANDARD.label)["value"] == 0.0
+
+
+def test_a_cells_numbers_do_not_depend_on_the_cells_beside_it() -> None:
+    first, second = cell([20.0, 25.0, 31.0]), cell([22.0] * 9, agent="other")
+    both = build_table([second, first], SCENE, seed=3)
+    assert both.filter(agent=first.agent).equals(build_table([first], SCENE, seed=3))
+
+
+def test_tables_are_written_the_same_every_time(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        cells = [cell([20.0, 25.0, 31.0], paper={"speed_mean": 25.0}), cell([20.0], agent="b")]
+        write_tables(tmp_path / folder, "ego", build_table(cells, SCENE, seed=1))
+    for name in ("ego.csv", "ego.md"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == ["ego.csv", "ego.md"]
+
+
+def test_the_csv_reads_back_as_the_long_table(tmp_path: Path) -> None:
+    table = build_table([cell([20.0, 31.0], paper={"acc_std": 1.425})], SCENE, seed=1)
+    write_tables(tmp_path, "ego", table)
+    assert pl.read_csv(tmp_path / "ego.csv", schema=table.schema).equals(table)
+
+
+def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> None:
+    cells = [
+        cell([24.0, 26.0], paper={"speed_mean": 23.67}),
+        cell([25.0], agent="none", leader=None, paper={"speed_mean": 23.73}),
+    ]
+    text = render_markdown(build_table(cells, SCENE, seed=0))
+    assert "| 25.00 [24.00, 26.00] | 23.67 (+1.33) |" in text
+    assert "| – | 23.73 |" in text
+    assert "- `speed_mean` (m/s): speed in logged steps. n: logged steps." in text
+
+
+def test_markdown_survives_a_bar_in_a_name() -> None:
+    lines = render_markdown(build_table([cell([25.0], agent="a|b")], SCENE, seed=0)).splitlines()
+    rows = [line.replace(r"\|", "").count("|") for line in lines if line.startswith("|")]
+    assert "| a\\|b | mixed |" in "\n".join(lines)
+    assert len(set(rows[:3])) == 1
+
+
+def test_the_terminal_shows_the_columns_of_the_suite_in_100_characters() -> None:
+    cells = [
+        cell([24.0, 26.5, 33.0], agent=agent, paper={"speed_mean": 28.892})
+        for agent in ("Efficient-Competitive", "Efficient-Egoistic")
+    ]
+    columns = (*(metric.name for metric in PAPER.metrics), "crashed_episodes")
+    text = shown(build_table(cells, SCENE, seed=0), columns)
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
+    assert "…" not in text
+    assert "paper 28.89" in text
+    assert "crashed episodes" in text
+    assert "tet" not in text
+
+
+def test_the_terminal_shows_what_the_paper_reports_if_nothing_is_asked_for() -> None:
+    text = shown(build_table([cell([25.0], paper={"speed_mean": 23.67})], SCENE, seed=0))
+    assert "speed mean" in text
+    assert "acc std" not in text
+
+
+def test_without_columns_and_paper_the_terminal_shows_every_metric() -> None:
+    text = " ".join(shown(build_table([cell([25.0])], SCENE, seed=0)).split())
+    for metric in ("interaction", "jerk", "tet", "drac"):
+        assert metric in text
+
+
+@pytest.mark.parametrize(
+    ("names", "headers"),
+    [
+        ([("a", "x"), ("b", "x")], ("agent",)),
+        ([("a", "x"), ("a", "y")], ("traffic",)),
+        ([("a", "x"), ("b", "y")], ("agent", "traffic")),
+        ([("a", "x")], ("agent",)),
+    ],
+)
+def test_the_terminal_names_what_differs(
+    names: list[tuple[str, str]], headers: tuple[str, ...]
+) -> None:
+    cells = [cell([25.0], agent=agent, traffic=traffic) for agent, traffic in names]
+    words = shown(build_table(cells, SCENE, seed=0), ("speed_mean",)).split()
+    assert tuple(word for word in ("agent", "traffic") if word in words) == headers
