@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -128,7 +129,7 @@ def local_workers(count: int, engine: EngineName) -> ProcessPoolExecutor:
     if engine == "highway-env":
         use_exact_maths()
     return ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupts
+        count, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
     )
 
 
@@ -219,6 +220,14 @@ def _made(spec: str, folder: Path) -> Agent:
     return AgentSpec.model_validate_json(spec).make(folder)
 
 
-def _ignore_interrupts() -> None:
-    """Ctrl-C is the parent's to handle: a worker finishes its shard."""
+def _start_worker() -> None:
+    """Leaves Ctrl-C to the parent, and ends the worker when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def follow() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

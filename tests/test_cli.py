@@ -1,0 +1,212 @@
+"""The command line as a newcomer meets it."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SUITE = """\
+suite: small
+title: A [bold]small[/] suite
+episodes: 6
+scene: {duration_s: 2.0, traffic_vehicles: 5}
+egos:
+  - {agent: idm_mobil, label: IDM, paper: {speed_mean: 23.67}}
+  - {agent: EGO}
+traffics:
+  - traffic: idm_mobil
+"""
+
+
+def charms_bench(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "charms_bench", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
+    )
+
+
+@pytest.fixture
+def suite_file(tmp_path: Path) -> Path:
+    return write(tmp_path, "stackelberg")
+
+
+def write(folder: Path, ego: str) -> Path:
+    path = folder / "suite.yaml"
+    path.write_text(SUITE.replace("EGO", ego))
+    return path
+
+
+def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> None:
+    result = charms_bench("run", suite_file, cwd=suite_file.parent)
+    assert result.returncode == 0, result.stderr
+    assert "A [bold]small[/] suite" in result.stdout
+    assert re.search(r"IDM\s+\d+\.\d+", result.stdout)
+    assert "paper 23.67" in result.stdout
+    assert (suite_file.parent / "runs" / "small" / "tables" / "small.csv").exists()
+    assert "\x1b" not in result.stdout + result.stderr
+
+
+def test_json_is_all_there_is_on_standard_output(suite_file: Path) -> None:
+    result = charms_bench("run", suite_file, "--json", "--output", suite_file.parent / "run")
+    rows = json.loads(result.stdout)
+    assert list(rows[0]) == [
+        "agent", "traffic", "metric_set", "metric", "value", "low", "high", "n", "paper"
+    ]  # fmt: skip
+    speed = next(row for row in rows if row["metric"] == "speed_mean")
+    assert (speed["agent"], speed["paper"]) == ("IDM", 23.67)
+
+
+def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -> None:
+    output = suite_file.parent / "run"
+    options = ["--engine", "highway-env", "--episodes", 2, "--seed", 5, "--output", output]
+    result = charms_bench("run", suite_file, *options)
+    assert result.returncode == 0, result.stderr
+    manifest = json.loads((output / "manifest.json").read_text())
+    assert manifest["engine"] == "highway-env"
+    assert (manifest["episodes"], manifest["suite"]["seed"]) == (2, 5)
+
+
+@pytest.mark.parametrize(
+    ("ego", "message"),
+    [
+        ("idm_mobl", "suite.yaml:7: egos[1]: no agent named 'idm_mobl'"),
+        ("{onnx: none.onnx}", "none.onnx: cannot be read: No such file or directory"),
+        ("outside_broken", "agent 'outside_broken' of outside-plugin 1.2.3 cannot be imported"),
+        ("outside_raising", "agent 'outside_raising', episode 0, step 0: raised ValueError"),
+        ("outside_misshapen", "decide returned int64 of shape (6, 2)"),
+        ("outside_not_finite", "drive returned nan; expected a finite acceleration"),
+        ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
+        ("{name: stackelberg, options: {gian: 1}}", "cannot be made (options: gian)"),
+        ("stackelberg, paper: {speed: 1}", "suite.yaml:7: egos[1].paper.speed: no metric named"),
+    ],
+)
+def test_a_mistake_is_one_message_and_exit_code_2(tmp_path: Path, ego: str, message: str) -> None:
+    result = charms_bench("run", write(tmp_path, ego), "--output", tmp_path / "run")
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    assert message in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_run_folder_of_another_suite_is_refused(suite_file: Path) -> None:
+    output = suite_file.parent / "run"
+    assert charms_bench("run", suite_file, "--output", output).returncode == 0
+    result = charms_bench("run", suite_file, "--seed", 9, "--output", output)
+    assert result.returncode == 2
+    assert "holds another run: seed was 0, now 9" in result.stderr
+
+
+def test_only_is_refused_for_an_evaluation(suite_file: Path) -> None:
+    result = charms_bench("run", suite_file, "--only", "level_1")
+    assert (result.returncode, "--only is for trainings" in result.stderr) == (2, True)
+
+
+def test_a_pipeline_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_text("pipeline: nobody\n")
+    result = charms_bench("run", path)
+    assert (result.returncode, "no pipeline named 'nobody'" in result.stderr) == (2, True)
+
+
+def test_agents_are_listed_with_role_version_and_distribution() -> None:
+    rows = json.loads(charms_bench("agents", "--json").stdout)
+    expected = {"role": "agent", "version": "1.2.3", "distribution": "outside-plugin"}
+    assert {"name": "outside_broken", **expected} in rows
+    listed = charms_bench("agents").stdout
+    assert re.search(r"outside_traffic +traffic +1\.2\.3 +outside-plugin", listed)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "message"),
+    [
+        ("outside_policy", 0, "kept   policy decides for each vehicle alone"),
+        ("outside_model", 0, "kept   model leaves the scene alone"),
+        ("outside_traffic", 0, "kept   traffic follows its rng"),
+        ("outside_misshapen", 1, "broken policy returns an action a vehicle: shape (336, 2)"),
+        ("outside_raising", 1, "ValueError('out of petrol')"),
+    ],
+)
+def test_check_holds_a_plugin_against_the_contract(name: str, code: int, message: str) -> None:
+    result = charms_bench("check", name)
+    assert result.returncode == code, result.stderr
+    assert message in result.stdout
+
+
+def test_check_of_an_unknown_name_is_a_mistake() -> None:
+    result = charms_bench("check", "nobody")
+    assert (result.returncode, "no agent named 'nobody'" in result.stderr) == (2, True)
+
+
+def test_verify_compares_a_suites_cells(suite_file: Path) -> None:
+    result = charms_bench("verify", "--suite", suite_file, "--episodes", 2)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "4 episodes: the engines agree." in result.stdout
+
+
+def test_bench_prints_ratios() -> None:
+    result = charms_bench("bench", "--seconds", "0.1", "--rounds", "1", "--json")
+    rows = json.loads(result.stdout)
+    assert {"batched", "highway-env engine", "highway-env"} <= {row["name"] for row in rows}
+    reference = next(row for row in rows if row["name"] == "highway-env")
+    assert reference["times_highway_env"] == 1.0
+
+
+def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:
+    output = suite_file.parent / "run"
+    command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]
+    running = subprocess.Popen(
+        [*command, "--episodes", "200000", "--output", str(output)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not list(output.glob("episodes/*.parquet")):
+        time.sleep(0.05)
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert f"interrupted; finished shards are in {output}" in said.replace("\n", "")
+    assert "Traceback" not in said
+
+
+def test_a_terminal_gets_a_progress_bar(suite_file: Path) -> None:
+    primary, secondary = pty.openpty()
+    command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]
+    running = subprocess.Popen(
+        [*command, "--output", str(suite_file.parent / "run")],
+        stdout=subprocess.DEVNULL,
+        stderr=secondary,
+        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"},
+    )
+    os.close(secondary)
+    seen = b""
+    while True:
+        try:
+            seen += os.read(primary, 65536)
+        except OSError:  # the other end is closed
+            break
+    assert running.wait() == 0
+    assert b"episodes" in seen
+    assert "━".encode() in seen
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    listing = subprocess.run(
+        f"{sys.executable} -m charms_bench agents | head -1",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "Traceback" not in listing.stderr

@@ -1,0 +1,169 @@
+"""Runs: the same rows whatever the workers, the order or the interruptions."""
+
+import hashlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from charms_bench import runner
+from charms_bench.errors import AgentError, RunFolderError, SuiteError
+from charms_bench.runner import plan, run
+from charms_bench.suite import Suite
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+SMALL = {
+    "suite": "small",
+    "episodes": 25,
+    "scene": {"duration_s": 2.0, "traffic_vehicles": 5},
+    "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+def suite(**changes: object) -> Suite:
+    return Suite.model_validate({**SMALL, **changes})
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(runner.SHARD_EPISODES, "batched", 10)
+    return
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    run(suite(), tmp_path / "one", workers=1)
+    run(suite(), tmp_path / "two", workers=2)
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+    assert len(files(tmp_path / "one")) == 1 + 2 * 2 * 3  # manifest; 2 cells of 3 shards, 2 kinds
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
+    first = run(suite(), tmp_path, workers=1)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.parquet")}
+    lost = sorted(before)[0]
+    lost.unlink()
+    run(suite(), tmp_path, workers=1)
+    after = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.parquet")}
+    assert {path for path in before if before[path] != after[path]} <= {
+        path for path in before if path.name == lost.name
+    }
+    assert len(first.shards) * 2 == len(after)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_more_episodes_add_to_what_is_there(tmp_path: Path) -> None:
+    run(suite(episodes=10), tmp_path, workers=1)
+    before = files(tmp_path / "episodes")
+    run(suite(episodes=20), tmp_path, workers=1)
+    assert before.items() <= files(tmp_path / "episodes").items()
+
+
+def test_another_suite_is_kept_out_of_a_folder_and_the_difference_named(tmp_path: Path) -> None:
+    run(suite(episodes=2), tmp_path, workers=1)
+    before = files(tmp_path)
+    denser = suite(episodes=2, scene={**SMALL["scene"], "density": 1.5})  # type: ignore[dict-item]
+    with pytest.raises(RunFolderError, match=r"scene\.density was 1\.0, now 1\.5"):
+        run(denser, tmp_path, workers=1)
+    assert files(tmp_path) == before
+
+
+def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(RunFolderError, match="is not empty and holds no run"):
+        run(suite(), tmp_path, workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"suite": '])
+def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(RunFolderError, match=r"manifest\.json: (is no JSON|expected a JSON)"):
+        run(suite(), tmp_path, workers=1)
+
+
+def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+    finished = run(suite(episodes=2), tmp_path, workers=1)
+    path = next((tmp_path / "steps").iterdir())
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: .*delete it"):
+        finished.cells()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError, match=r"file/run.*: cannot be written"):
+        run(suite(), tmp_path / "file" / "run", workers=1)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Path) -> None:
+    egos = [{"agent": "idm_mobil"}, {"agent": "outside_raising"}]
+    with pytest.raises(AgentError, match="agent 'outside_raising', episode 0, step 0: raised"):
+        run(suite(egos=egos), tmp_path, workers=1)
+    assert len(list((tmp_path / "episodes").glob("000-*.parquet"))) == 3
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_evaluation_seeds_stay_below_those_of_trainings() -> None:
+    with pytest.raises(SuiteError, match="reach those of trainings, which start at 1000000000"):
+        plan(suite(seed=999_999_990), "batched")
+
+
+def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
+    def keys(**changes: object) -> set[str]:
+        return {shard.key for shard in plan(suite(**changes), "batched")[0]}
+
+    eager = [{"agent": {"name": "stackelberg", "options": {"gain": 0.05}}}]
+    calm = [{"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]
+    assert not keys(egos=eager) & keys(egos=calm)
+    assert not keys() & keys(scene={"lanes": 4})
+
+
+def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path: Path) -> None:
+    scene = {"duration_s": 4.0, "traffic_vehicles": 8, "density": 2.0}
+    egos = [{"agent": "outside_policy"}, {"agent": "outside_model"}]
+    both = suite(episodes=3, scene=scene, egos=egos, traffics=[{"traffic": "outside_traffic"}])
+    ours = run(both, tmp_path / "batched", "batched", workers=2).cells()
+    theirs = run(both, tmp_path / "highway-env", "highway-env", workers=2).cells()
+    for a, b in zip(ours, theirs, strict=True):
+        assert a.episodes.equals(b.episodes)
+        assert a.steps.equals(b.steps)
+
+
+def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(tmp_path: Path) -> None:
+    text = "suite: killed\nepisodes: 1200\negos: [{agent: idm_mobil}, {agent: stackelberg}]\n"
+    path = tmp_path / "suite.yaml"
+    path.write_text(text + "traffics: [{traffic: idm_mobil}]\n")
+
+    def start(output: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "charms_bench", "run", str(path), "--workers", "2"]
+        return subprocess.Popen(
+            [*command, "--output", str(tmp_path / output)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    assert start("undisturbed").wait() == 0
+    victim = start("killed")
+    while len(list((tmp_path / "killed").glob("episodes/*.parquet"))) < 3:
+        time.sleep(0.02)
+    victim.send_signal(signal.SIGKILL)
+    victim.wait()
+    assert start("killed").wait() == 0
+    assert files(tmp_path / "killed") == files(tmp_path / "undisturbed")
