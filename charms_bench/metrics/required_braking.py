@@ -9,15 +9,18 @@ import polars as pl
 from charms_bench.metrics.metric import Metric, ratio
 
 DRAC_LIMIT_MPS2 = 3.35
+DRAC_CAP_MPS2 = 9.81
+"""What tyres allow; in the instant before a collision DRAC grows without bounds."""
 
 DRAC = pl.col("drac_mps2")
 
 DRAC_MAX = Metric(
     name="drac_max",
     unit="m/s²",
-    description="largest DRAC of an episode: mean over the episodes with a leader",
+    description="largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a "
+    "leader",
     rests_on="episodes with a leader",
-    sums=(DRAC.is_not_null().any(), DRAC.max()),
+    sums=(DRAC.is_not_null().any(), DRAC.max().clip(upper_bound=DRAC_CAP_MPS2)),
     value=ratio,
 )
 DRAC_ABOVE_3_35 = Metric(

@@ -20,3 +20,7 @@ def test_drac_is_the_closing_speed_squared_over_twice_the_gap() -> None:
 def test_a_leader_that_gets_away_requires_no_braking() -> None:
     assert measure(DRAC_MAX, ({}, [behind(15.0, -10.0)])) == 0.0
     assert math.isnan(measure(DRAC_MAX, ({}, [{}])))
+
+
+def test_what_no_tyre_can_do_counts_as_9_81() -> None:
+    assert measure(DRAC_MAX, ({}, [behind(5.5, 10.0)])) == 9.81
