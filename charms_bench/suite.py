@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from charms_bench.agent import Agent
 from charms_bench.document import Document, Location
 from charms_bench.errors import RegistryError
-from charms_bench.metrics import METRIC_SETS
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.profile import PROFILES, Finite, FrozenModel, Profile
 from charms_bench.registry import AGENTS, find, make_agent, make_traffic, suggestion
 from charms_bench.scene import SceneSettings
@@ -215,14 +215,16 @@ def suite_of(document: Document) -> Suite:
                 raise document.error((what, index), str(error)) from error
         for index, entry in enumerate(entries):
             for metric in entry.paper:
-                _check_metric(document, (what, index, "paper", metric), metric)
+                _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, metric in enumerate(suite.columns):
-        _check_metric(document, ("columns", index), metric)
+        _check_metric(document, ("columns", index), metric, METRIC_SETS)
     return suite
 
 
-def _check_metric(document: Document, location: Location, name: str) -> None:
-    known = {metric.name: metric for metric_set in METRIC_SETS for metric in metric_set.metrics}
+def _check_metric(
+    document: Document, location: Location, name: str, sets: tuple[MetricSet, ...]
+) -> None:
+    known = {metric.name: metric for metric_set in sets for metric in metric_set.metrics}
     if name not in known:
         raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
 

@@ -1,0 +1,42 @@
+"""The base install evaluates without torch or anything else of the extra `train`."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SUITE = Path(__file__).parent.parent / "suites" / "ego.yaml"
+
+
+@pytest.fixture
+def without_torch(tmp_path: Path) -> dict[str, str]:
+    """An environment in which importing a library of the extra `train` fails."""
+    for name in ("torch", "stable_baselines3", "onnx", "tensorboard"):
+        (tmp_path / f"{name}.py").write_text(f"raise ImportError('{name} is not installed')\n")
+    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+
+def charms_bench(environment: dict[str, str], *arguments: str) -> str:
+    command = [sys.executable, "-m", "charms_bench", *arguments]
+    finished = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False
+    )
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout
+
+
+def test_the_ego_suite_runs_with_every_row(without_torch: dict[str, str], tmp_path: Path) -> None:
+    options = ["--episodes", "6", "--json", "--output", str(tmp_path / "run")]
+    rows = json.loads(charms_bench(without_torch, "run", str(SUITE), *options))
+    assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg", "Prior Level-k"}
+
+
+def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str]) -> None:
+    listed = json.loads(charms_bench(without_torch, "agents", "--json"))
+    ours = [row["name"] for row in listed if row["distribution"] == "charms-bench"]
+    assert {"idm_mobil", "stackelberg", "level_0", "prior_level_k"} <= set(ours)
+    for name in ours:
+        charms_bench(without_torch, "check", name)
