@@ -1,0 +1,1 @@
+"""CHARMS: its policies, its traffic and how they were trained."""

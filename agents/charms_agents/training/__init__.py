@@ -1,0 +1,1 @@
+"""How the packaged networks are trained; needs the extra `train`."""

@@ -1,0 +1,137 @@
+"""Double DQN (van Hasselt et al. 2016) on Stable-Baselines3's DQN."""
+
+import json
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import DQN
+from stable_baselines3.common.vec_env import VecEnv
+from torch.nn.functional import mse_loss
+
+Arrays = dict[str, NDArray[Any]]
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
+
+
+class DoubleDQN(DQN):
+    """DQN in which the online network chooses the action that the target network values.
+
+    Beside that it differs from its base in three ways. The loss is the squared error, as in the
+    paper. Every environment explores by a draw of its own, where the base lets all explore in
+    the same steps. All chance after the initial weights comes from one generator, so that
+    `arrays` and `load_arrays` can take everything along.
+
+    Args:
+        environment: Its observations are flattened.
+        seed: Of the initial weights and of exploration and replay.
+        arguments: As for `DQN`.
+    """
+
+    def __init__(self, environment: VecEnv, seed: int, **arguments: Any) -> None:
+        self.rng = np.random.default_rng([seed, 2])
+        self.loss = float("nan")
+        super().__init__("MlpPolicy", environment, seed=seed, **arguments)
+
+    def train(self, gradient_steps: int, batch_size: int = 32) -> None:
+        """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""
+        buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
+        assert buffer is not None
+        rows = self.rng.integers(buffer.size(), size=shape)
+        envs = self.rng.integers(buffer.n_envs, size=shape)
+        observations, next_observations, actions, rewards, dones, timeouts = (
+            torch.from_numpy(getattr(buffer, name)[rows, envs]) for name in _REPLAYED
+        )
+        observations = observations.flatten(2)
+        next_observations = next_observations.flatten(2)
+        # An episode whose time is over would have gone on: its last observation has a value.
+        discounts = self.gamma * (1 - dones * (1 - timeouts))
+        # The networks behind Stable-Baselines3's preprocessing, which only flattens.
+        online, target = self.q_net.q_net, self.q_net_target.q_net
+        optimizer, parameters = self.policy.optimizer, list(online.parameters())
+        with torch.no_grad():  # the target network stays the same throughout
+            next_values = target(next_observations)
+        losses = torch.empty(gradient_steps)
+        for k in range(gradient_steps):
+            with torch.no_grad():
+                best = online(next_observations[k]).argmax(dim=1, keepdim=True)
+                following = next_values[k].gather(1, best)[:, 0]
+                wanted = rewards[k] + discounts[k] * following
+            values = online(observations[k]).gather(1, actions[k])[:, 0]
+            loss = mse_loss(values, wanted)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
+            optimizer.step()
+            losses[k] = loss.detach()
+        self._n_updates += gradient_steps
+        self.loss = float(losses.mean())
+
+    def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The online network's values (M, 5) of observations (M, 7, 5)."""
+        with torch.no_grad():
+            flat = torch.from_numpy(observations.reshape(-1, 35))
+            values: NDArray[np.float32] = self.q_net.q_net(flat).numpy()
+        return values
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        actions = self.rng.integers(self.action_space.n, size=n_envs)  # type: ignore[attr-defined]
+        if self.num_timesteps >= learning_starts:
+            assert isinstance(self._last_obs, np.ndarray)
+            greedy = self.values(self._last_obs).argmax(axis=1)
+            explores = self.rng.random(n_envs) < self.exploration_rate
+            actions = np.where(explores, actions, greedy)
+        return actions, actions
+
+    def arrays(self) -> Arrays:
+        """Everything that further training depends on, but for the environment, as plain arrays."""
+        buffer = self.replay_buffer
+        assert buffer is not None
+        arrays: Arrays = {}
+        for network in ("q_net", "q_net_target"):
+            for name, tensor in getattr(self, network).state_dict().items():
+                arrays[f"{network}/{name}"] = tensor.numpy()
+        for index, moments in self.policy.optimizer.state_dict()["state"].items():
+            for name, tensor in moments.items():
+                arrays[f"optimizer/{index}/{name}"] = tensor.numpy()
+        for name in _REPLAYED:
+            arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()]
+        numbers = {
+            "counters": {name: getattr(self, name) for name in _COUNTERS},
+            "rng": self.rng.bit_generator.state,
+            "loss": self.loss,
+            "replay": {"pos": buffer.pos, "full": buffer.full},
+        }
+        arrays["numbers"] = np.array(json.dumps(numbers))
+        return arrays
+
+    def load_arrays(self, arrays: Arrays) -> None:
+        """Takes over what `arrays` of an equally configured one returned."""
+        buffer, optimizer = self.replay_buffer, self.policy.optimizer
+        assert buffer is not None
+        numbers = json.loads(str(arrays["numbers"]))
+        for network in ("q_net", "q_net_target"):
+            module = getattr(self, network)
+            module.load_state_dict(
+                {
+                    name: torch.from_numpy(arrays[f"{network}/{name}"])
+                    for name in module.state_dict()
+                }
+            )
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for key in (key for key in arrays if key.startswith("optimizer/")):
+            _, index, name = key.split("/")
+            state.setdefault(int(index), {})[name] = torch.from_numpy(arrays[key])
+        groups = optimizer.state_dict()["param_groups"]
+        optimizer.load_state_dict({"state": state, "param_groups": groups})
+        for name in _REPLAYED:
+            stored = arrays[f"replay/{name}"]
+            getattr(buffer, name)[: len(stored)] = stored
+        buffer.pos, buffer.full = numbers["replay"]["pos"], numbers["replay"]["full"]
+        for name in _COUNTERS:
+            setattr(self, name, numbers["counters"][name])
+        self.rng.bit_generator.state = numbers["rng"]
+        self.loss = numbers["loss"]

@@ -1,0 +1,349 @@
+"""Training one network: from settings to a finished folder, through checkpoints."""
+
+import hashlib
+import json
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+
+from charms_agents.training.curve import LearningCurve, Point
+from charms_agents.training.double_dqn import Arrays, DoubleDQN
+from charms_agents.training.export import check_export, export
+from charms_agents.training.rewards import StyleReward
+from charms_agents.training.settings import (
+    EPISODES_OF_A_SEED,
+    FIRST_TRAINING_SEED,
+    Stage,
+    TrainingSuite,
+)
+from charms_agents.training.vec_env import EpisodesVecEnv
+from charms_bench.agent import Agent, Policy
+from charms_bench.errors import RunFolderError
+from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.registry import make_agent
+from charms_bench.results import write_atomically
+from charms_bench.traffic import OneAgent
+from charms_bench.vector_env import EpisodesState, HighwayVectorEnv
+
+_VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stage whose traffic is known: everything its network depends on."""
+
+    name: str
+    stage: Stage
+    suite: TrainingSuite
+    traffic: str
+    """Name of the agent that drives the others."""
+    traffic_network: Path | None
+    """Its file, where it is another stage's network."""
+    traffic_sha256: str
+    """Hash of its weights; empty where it has none."""
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """Everything that decides the resulting network, for JSON."""
+        return {
+            "stage": self.name,
+            "steps": self.stage.steps,
+            "style": {
+                "svo": self.stage.svo,
+                "weights": {
+                    "name": self.stage.weights,
+                    **self.suite.weights[self.stage.weights].model_dump(),
+                },
+            },
+            "seed": self.suite.seed,
+            "first_episode_seed": self.first_episode_seed,
+            "hyperparameters": self.suite.hyperparameters.model_dump(mode="json"),
+            "curve_steps": self.suite.curve_steps,
+            "scene": self.stage.scene.model_dump(mode="json"),
+            "traffic": {"agent": self.traffic, "weights_sha256": self.traffic_sha256},
+            "charms_bench": version("charms-bench"),
+        }
+
+    @property
+    def key(self) -> str:
+        """Hash of `inputs`."""
+        return hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def first_episode_seed(self) -> int:
+        """The k-th episode has the seed k further."""
+        return FIRST_TRAINING_SEED + self.suite.seed * EPISODES_OF_A_SEED
+
+    @property
+    def style(self) -> str:
+        """In words."""
+        return f"{self.stage.weights}, {self.stage.svo}"
+
+    def make_traffic_agent(self) -> Agent:
+        """The agent that drives the others."""
+        if self.traffic_network is not None:
+            return OnnxPolicy(self.traffic_network)
+        return make_agent(self.traffic)
+
+
+class StageFolder:
+    """Where a stage keeps its checkpoint and, once it is finished, its network."""
+
+    def __init__(self, output: Path, job: Job) -> None:
+        self.path = output / f"{job.name}-{job.key[:12]}"
+        self.network = self.path / f"{job.name}.onnx"
+        self.manifest = self.path / f"{job.name}.json"
+        self.curve_csv = self.path / f"{job.name}.csv"
+        self.curve_png = self.path / f"{job.name}.png"
+        self.checkpoint = self.path / "checkpoint.npz"
+        self.tensorboard = self.path / "tensorboard"
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do; the manifest is written last."""
+        return self.manifest.exists() and self.network.exists()
+
+    def write_checkpoint(self, arrays: Arrays) -> None:
+        """Replaces the checkpoint, so that there is a whole one at any time."""
+
+        def write(partial: Path) -> None:
+            with partial.open("wb") as file:
+                np.savez(file, **arrays)  # type: ignore[arg-type]  # allow_pickle is no array
+
+        write_atomically(self.checkpoint, write)
+
+    def read_checkpoint(self) -> Arrays | None:
+        """The last checkpoint; none before the first.
+
+        Raises:
+            RunFolderError: It cannot be read.
+        """
+        if not self.checkpoint.exists():
+            return None
+        try:
+            with np.load(self.checkpoint, allow_pickle=False) as file:
+                return dict(file)
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise RunFolderError(
+                f"{self.checkpoint}: is no checkpoint: {error}; delete it to begin this stage anew"
+            ) from error
+
+
+class Interrupted(Exception):
+    """The training was asked to stop, and has written a checkpoint."""
+
+
+class Training(BaseCallback):
+    """What surrounds the learning of a stage: curve, logs and checkpoints.
+
+    Between two rollouts nothing is under way, so that is when checkpoints are written. When they
+    are written changes nothing about what is learnt.
+
+    Args:
+        job: The stage.
+        folder: Where it is kept.
+        report: Called with the steps so far and, at every point of the curve, that point.
+        stop: Whether to write a checkpoint and stop.
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        folder: StageFolder,
+        report: Callable[[int, Point | None], None],
+        stop: Callable[[], bool],
+    ) -> None:
+        super().__init__()
+        self.curve = LearningCurve()
+        self.wall_s = 0.0
+        self._job, self._folder, self._report, self._stop = job, folder, report, stop
+        self._tick = self._last_checkpoint = time.monotonic()
+        self._agent = make_model(job)
+        stored = folder.read_checkpoint()
+        if stored is not None:
+            self._restore(stored)
+        self._agent.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
+
+    def train(self) -> DoubleDQN:
+        """Goes on to the stage's last step.
+
+        Raises:
+            Interrupted: `stop` said so.
+        """
+        self._tick = self._last_checkpoint = time.monotonic()
+        agent, steps = self._agent, self._job.stage.steps
+        if agent.num_timesteps < steps:
+            agent.learn(
+                steps - agent.num_timesteps,
+                callback=self,
+                log_interval=None,  # type: ignore[arg-type]  # which it allows
+                reset_num_timesteps=False,
+            )
+            self._close_point_when_due()
+            self._write_checkpoint()
+        agent.logger.close()
+        return agent
+
+    def _on_rollout_start(self) -> None:
+        self._close_point_when_due()
+        if self._stop():
+            self._write_checkpoint()
+            self._agent.logger.close()
+            raise Interrupted
+        if time.monotonic() - self._last_checkpoint >= self._job.suite.checkpoint_s:
+            self._write_checkpoint()
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if info:
+                self.curve.add(info["final_info"])
+        return True
+
+    def _close_point_when_due(self) -> None:
+        agent, last = self._agent, self.curve.points[-1].steps if self.curve.points else 0
+        if agent.num_timesteps - last < self._job.suite.curve_steps:
+            self._report(agent.num_timesteps, None)
+            return
+        point = self.curve.close(agent.num_timesteps, agent.loss, agent.exploration_rate)
+        for name, value in asdict(point).items():
+            if name != "steps" and value is not None:
+                agent.logger.record(f"charms/{name}", value)
+        agent.logger.dump(agent.num_timesteps)
+        self._report(agent.num_timesteps, point)
+
+    def _write_checkpoint(self) -> None:
+        now = time.monotonic()
+        self.wall_s += now - self._tick
+        self._tick = self._last_checkpoint = now
+        arrays = self._agent.arrays()
+        episodes = _episodes(self._agent).state()
+        for name, value in episodes._asdict().items():
+            arrays[f"episodes/{name}"] = np.asarray(value)
+        progress = {"key": self._job.key, "wall_s": self.wall_s, "curve": self.curve.state()}
+        arrays["progress"] = np.array(json.dumps(progress))
+        self._folder.write_checkpoint(arrays)
+        self.curve.write_csv(self._folder.curve_csv)
+
+    def _restore(self, arrays: Arrays) -> None:
+        try:
+            progress = json.loads(str(arrays["progress"]))
+            if progress["key"] != self._job.key:
+                raise ValueError("it is that of other settings")
+            self.wall_s = progress["wall_s"]
+            self.curve.restore(progress["curve"])
+            self._agent.load_arrays(arrays)
+            fields = {name: arrays[f"episodes/{name}"] for name in EpisodesState._fields}
+            next_seed = int(fields.pop("next_seed"))
+            state = EpisodesState(next_seed=next_seed, **fields)
+            self._agent._last_obs = _episodes(self._agent).restore(state)
+        except (KeyError, ValueError, TypeError, RuntimeError) as error:
+            raise RunFolderError(
+                f"{self._folder.checkpoint}: cannot be continued: {error}; "
+                "delete it to begin this stage anew"
+            ) from error
+        scenes = self._job.suite.hyperparameters.scenes
+        self._agent._last_episode_starts = np.zeros(scenes, dtype=np.bool_)
+
+
+def make_model(job: Job) -> DoubleDQN:
+    """The untrained network of a stage, in its environment."""
+    h, suite = job.suite.hyperparameters, job.suite
+    episodes = HighwayVectorEnv(
+        job.stage.scene,
+        h.scenes,
+        OneAgent(job.traffic),
+        {job.traffic: job.make_traffic_agent()},
+        StyleReward(suite.weights[job.stage.weights], job.stage.svo),
+        job.first_episode_seed,
+    )
+    return DoubleDQN(
+        EpisodesVecEnv(episodes),
+        suite.seed,
+        learning_rate=h.learning_rate,
+        buffer_size=h.replay_buffer,
+        learning_starts=h.learning_starts,
+        batch_size=h.batch_size,
+        gamma=h.discount,
+        train_freq=(1, "step"),  # of all scenes together: `scenes` steps
+        gradient_steps=h.scenes // h.steps_per_gradient_step,
+        target_update_interval=h.target_update_steps,
+        exploration_initial_eps=h.exploration_initial,
+        exploration_final_eps=h.exploration_final,
+        exploration_fraction=h.exploration_share,
+        max_grad_norm=h.max_gradient_norm,
+        policy_kwargs={
+            "net_arch": list(h.hidden_layers),
+            "optimizer_class": torch.optim.Adam,
+            "optimizer_kwargs": {"fused": True},
+        },
+        device="cpu",
+    )
+
+
+def _episodes(agent: DoubleDQN) -> HighwayVectorEnv[Any]:
+    environment = agent.get_env()
+    assert isinstance(environment, EpisodesVecEnv)
+    return environment.episodes
+
+
+def train_stage(
+    job: Job,
+    output: Path,
+    suite_sha256: str,
+    report: Callable[[int, Point | None], None],
+    stop: Callable[[], bool],
+) -> StageFolder:
+    """Trains a stage, or goes on with it, and writes its network; a finished one is left alone.
+
+    Raises:
+        Interrupted: `stop` said so; the folder holds a checkpoint.
+        RunFolderError: The folder cannot be read, written or continued.
+    """
+    folder = StageFolder(output, job)
+    if folder.finished:
+        return folder
+    torch.set_num_threads(1)
+    training = Training(job, folder, report, stop)
+    agent = training.train()
+    facts = {"stage": job.name, "style": job.style, "decision_hz": f"{Policy.decision_hz:g}"}
+    export(agent, folder.network, facts)
+    checked = check_export(agent, folder.network)
+    training.curve.write_csv(folder.curve_csv)
+    training.curve.write_png(folder.curve_png, f"{job.name} ({job.style})")
+    manifest = {
+        **job.inputs,
+        "key": job.key,
+        "suite_sha256": suite_sha256,
+        "onnx_sha256": hashlib.sha256(folder.network.read_bytes()).hexdigest(),
+        "export_check": checked,
+        "gradient_steps": agent._n_updates,
+        "curve": _summary(training.curve),
+        "wall_s": round(training.wall_s, 1),
+        "steps_per_s": round(job.stage.steps / training.wall_s, 1),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in _VERSIONS},
+        },
+        "machine": {"system": platform.system(), "processor": platform.machine()},
+    }
+    text = json.dumps(manifest, indent=2) + "\n"
+    write_atomically(folder.manifest, lambda path: path.write_text(text, encoding="utf-8"))
+    return folder
+
+
+def _summary(curve: LearningCurve) -> dict[str, Any]:
+    """First, best and last point with episodes."""
+    points = [point for point in curve.points if point.return_mean is not None]
+    if not points:
+        return {}
+    best = max(points, key=lambda point: point.return_mean or 0.0)
+    return {"first": asdict(points[0]), "best": asdict(best), "last": asdict(points[-1])}

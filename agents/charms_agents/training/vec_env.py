@@ -1,0 +1,74 @@
+"""Episodes as a Stable-Baselines3 `VecEnv`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from charms_bench.agent import Observations
+from charms_bench.vector_env import HighwayVectorEnv
+
+ENDED = ("ending", "steps", "episode_return", "seed")
+"""What an episode's last info says of it, under `final_info`."""
+
+
+class EpisodesVecEnv(VecEnv):
+    """A `HighwayVectorEnv` as Stable-Baselines3 wants it.
+
+    An ended episode's last observation is `infos[i]["terminal_observation"]`, and
+    `infos[i]["TimeLimit.truncated"]` says that it was only its time that was over.
+    """
+
+    def __init__(self, episodes: HighwayVectorEnv[Any]) -> None:
+        self.episodes = episodes
+        self.render_mode = None
+        super().__init__(
+            episodes.num_envs, episodes.single_observation_space, episodes.single_action_space
+        )
+        self._actions: NDArray[Any] = np.zeros(episodes.num_envs, dtype=np.int64)
+
+    def reset(self) -> Observations:
+        observations, _ = self.episodes.reset()
+        return observations
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, terminations, truncations, final = self.episodes.step(self._actions)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        ended = terminations | truncations
+        for row in np.nonzero(ended)[0]:
+            infos[row] = {
+                "terminal_observation": final["final_obs"][row],
+                "TimeLimit.truncated": bool(truncations[row]),
+                "final_info": {name: final["final_info"][name][row].item() for name in ENDED},
+            }
+        return observations, rewards.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        self.episodes.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        raise NotImplementedError("episodes share their attributes; set them when making them")
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
+    ) -> list[Any]:
+        raise NotImplementedError("episodes have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        raise NotImplementedError("episodes are not drawn")
