@@ -31,8 +31,8 @@ LONG_SCHEMA: dict[str, pl.DataType] = {
 }
 DIGITS = 6
 """Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
-BLOCK = 5
-"""Metrics side by side in the terminal, to fit 100 characters."""
+METRIC_WIDTH = 15
+"""Characters a metric needs in the terminal: its interval and the space around it."""
 NOTHING = "–"
 
 Row = Mapping[str, float | None]
@@ -118,13 +118,14 @@ def render_markdown(long: pl.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def render_terminal(long: pl.DataFrame, columns: Sequence[str] = ()) -> Group:
-    """The long table for a terminal of 100 characters, a few metrics at a time.
+def render_terminal(long: pl.DataFrame, columns: Sequence[str] = (), width: int = 100) -> Group:
+    """The long table for a terminal, as many metrics side by side as fit.
 
     Args:
         long: The long table.
         columns: The metrics to show, from each set that has them; none: those that the paper
             reports, and if there are none, all.
+        width: Of the terminal, in characters.
     """
     if not columns:
         reported = set(long.filter(pl.col("paper").is_not_null())["metric"])
@@ -132,10 +133,12 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = ()) -> Group:
     cells = _cells(long)
     shows_traffic = len({traffic for _, traffic in cells}) > 1
     shows_agent = not shows_traffic or len({agent for agent, _ in cells}) > 1
+    labels = [len(agent) * shows_agent + len(traffic) * shows_traffic for agent, traffic in cells]
+    side_by_side = max(1, (width - max(labels, default=0) - 6) // METRIC_WIDTH)
     tables = []
     for metric_set in METRIC_SETS:
         shown = _columns(long.filter(metric_set=metric_set.label))
-        for block in _blocks([name for name in columns or shown if name in shown]):
+        for block in _blocks([name for name in columns or shown if name in shown], side_by_side):
             table = Table(title=metric_set.label, title_justify="left", box=box.SIMPLE_HEAD)
             for header in ["agent"] * shows_agent + ["traffic"] * shows_traffic:
                 table.add_column(header)
@@ -151,9 +154,9 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = ()) -> Group:
     return Group(*tables)
 
 
-def _blocks(names: list[str]) -> list[list[str]]:
-    """The names in blocks of about the same length."""
-    count = math.ceil(len(names) / BLOCK)
+def _blocks(names: list[str], side_by_side: int) -> list[list[str]]:
+    """The names in blocks of about the same length, at most `side_by_side`."""
+    count = math.ceil(len(names) / side_by_side)
     ends = [i * len(names) // max(count, 1) for i in range(count + 1)]
     return [names[start:end] for start, end in pairwise(ends)]
 
