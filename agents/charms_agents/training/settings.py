@@ -11,6 +11,7 @@ from charms_bench.document import Document
 from charms_bench.errors import RegistryError
 from charms_bench.profile import FrozenModel, Positive
 from charms_bench.registry import AGENTS, find
+from charms_bench.suite import Name as AgentName
 from charms_bench.suite import SuiteScene
 
 FIRST_TRAINING_SEED = 2**40
@@ -64,7 +65,7 @@ class Hyperparameters(FrozenModel):
 class StageTraffic(FrozenModel):
     """Who drives the others: an installed agent, or the network of another stage."""
 
-    agent: Name | None = None
+    agent: AgentName | None = None
     stage: Name | None = None
 
     @model_validator(mode="after")
