@@ -1,0 +1,72 @@
+"""Training suites: what they say, and how they say what is wrong."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from charms_agents.training.settings import FIRST_TRAINING_SEED, load_training
+
+from charms_bench.errors import SuiteError
+from charms_bench.suite import EVALUATION_SEEDS
+
+SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
+
+
+def changed(tmp_path: Path, *path: str, value: Any) -> Path:
+    """The project's training suite with one value changed."""
+    data = yaml.safe_load(SUITE.read_text())
+    inner = data
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    file = tmp_path / "train.yaml"
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    return file
+
+
+def test_the_projects_suite_trains_with_the_papers_table() -> None:
+    suite = load_training(SUITE)
+    h = suite.hyperparameters
+    assert (h.learning_rate, h.batch_size, h.discount, h.replay_buffer) == (1e-4, 32, 0.99, 50_000)
+    assert h.hidden_layers == (256, 256)
+    assert suite.stages["level_1"].steps == 1_000_000
+    assert suite.stages["prior_level_k"].steps == 500_000
+    assert suite.order.index("level_1") < suite.order.index("prior_level_k")
+
+
+def test_a_stage_needs_the_stages_its_traffic_comes_from() -> None:
+    suite = load_training(SUITE)
+    assert suite.needed_for("level_1") == ("level_1",)
+    assert suite.needed_for("prior_level_k") == ("level_1", "prior_level_k")
+
+
+def test_no_training_scene_is_ever_evaluated() -> None:
+    assert FIRST_TRAINING_SEED > EVALUATION_SEEDS
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("hyperparameters", "batch_size"), 0, "hyperparameters.batch_size"),
+        (("hyperparameters", "batchsize"), 32, "hyperparameters.batchsize: unknown key"),
+        (("hyperparameters", "scenes"), 7, "hyperparameters: .*no multiple of steps_per_gradient"),
+        (("hyperparameters", "replay_buffer"), 50_005, "replay_buffer 50005 is no multiple"),
+        (("curve_steps",), 10_001, "curve_steps: 10001 is no multiple of scenes 10"),
+        (("stages", "level_1", "steps"), 11, "stages.level_1.steps: 11 is no multiple"),
+        (("stages", "level_1", "svo"), "kind", "stages.level_1.svo"),
+        (("stages", "level_1", "weights"), "fast", "no weights named 'fast'.*safe, efficient"),
+        (("stages", "level_1", "traffic"), {}, "stages.level_1.traffic: give the name"),
+        (("stages", "level_1", "traffic"), {"agent": "level_O"}, "Did you mean 'level_0'"),
+        (("stages", "prior_level_k", "traffic"), {"stage": "level_2"}, "no stage named 'level_2'"),
+        (("stages", "level_1", "traffic"), {"stage": "prior_level_k"}, "stages need each other"),
+        (("weights", "safe", "comfort"), -1.0, "weights.safe.comfort"),
+        (("stages", "level_1", "scene", "density"), 0, "stages.level_1.scene.density"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(
+    tmp_path: Path, path: tuple[str, ...], value: Any, message: str
+) -> None:
+    file = changed(tmp_path, *path, value=value)
+    with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
+        load_training(file)
