@@ -5,7 +5,8 @@
     │   ├── SuiteError      a suite file; names file and line
     │   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
     │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
-    │   └── RunFolderError  a run folder cannot be read, written or continued
+    │   ├── RunFolderError  a run folder cannot be read, written or continued
+    │   └── DataError       recorded driving is missing, damaged or of no use
     └── AgentError          an agent raised or answered with something unusable
 
 The command line prints the message of any of these and exits with 2.
@@ -34,6 +35,10 @@ class ModelError(InputError):
 
 class RunFolderError(InputError):
     """A run folder cannot be read, written or continued."""
+
+
+class DataError(InputError):
+    """Recorded driving cannot be read or learnt from."""
 
 
 class AgentError(CharmsBenchError):

@@ -19,7 +19,7 @@ LAYERS = (
     {"registry", "observation", "document", "engine", "metrics", "onnx_policy"},
     {"suite", "stats", "simulation"},
     {"recording", "results", "testing", "vector_env"},
-    {"report"},
+    {"report", "human"},
     {"runner"},
     {"verify", "bench"},
     {"cli"},
