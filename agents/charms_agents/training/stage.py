@@ -312,6 +312,8 @@ def train_stage(
     folder = StageFolder(output, job)
     if folder.finished:
         return folder
+    for partial in folder.path.glob(".*.partial"):
+        partial.unlink(missing_ok=True)  # of a training that was killed while it wrote
     torch.set_num_threads(1)
     training = Training(job, folder, report, stop)
     agent = training.train()
