@@ -1,6 +1,6 @@
 """What tests of training share."""
 
-from importlib.util import find_spec
+import sys
 
 import pytest
 
@@ -8,7 +8,5 @@ import pytest
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread() -> None:
     """On several threads, small networks mostly wait."""
-    if find_spec("torch"):
-        import torch
-
-        torch.set_num_threads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)

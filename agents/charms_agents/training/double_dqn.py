@@ -10,7 +10,8 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn.functional import mse_loss
 
-Arrays = dict[str, NDArray[Any]]
+from charms_agents.training.job import Arrays
+
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
 

@@ -19,8 +19,9 @@ from rich.progress import (
 )
 
 from charms_agents.training.curve import Point
+from charms_agents.training.job import Job, StageFolder
 from charms_agents.training.settings import TrainingSuite, load_training
-from charms_agents.training.stage import Interrupted, Job, StageFolder, train_stage
+from charms_agents.training.stage import Interrupted, train_stage
 from charms_bench.agent import Policy
 from charms_bench.errors import InputError
 from charms_bench.registry import make_agent

@@ -1,0 +1,128 @@
+"""A stage to be trained: what decides its network, and where it is kept."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_agents.training.settings import (
+    EPISODES_OF_A_SEED,
+    FIRST_TRAINING_SEED,
+    Stage,
+    TrainingSuite,
+)
+from charms_bench.agent import Agent
+from charms_bench.errors import RunFolderError
+from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.registry import make_agent
+from charms_bench.results import write_atomically
+
+Arrays = dict[str, NDArray[Any]]
+"""What a checkpoint holds: plain arrays, read without running anything."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stage whose traffic is known: everything its network depends on."""
+
+    name: str
+    stage: Stage
+    suite: TrainingSuite
+    traffic: str
+    """Name of the agent that drives the others."""
+    traffic_network: Path | None
+    """Its file, where it is another stage's network."""
+    traffic_sha256: str
+    """Hash of its weights; empty where it has none."""
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """Everything that decides the resulting network, for JSON."""
+        return {
+            "stage": self.name,
+            "steps": self.stage.steps,
+            "style": {
+                "svo": self.stage.svo,
+                "weights": {
+                    "name": self.stage.weights,
+                    **self.suite.weights[self.stage.weights].model_dump(),
+                },
+            },
+            "seed": self.suite.seed,
+            "first_episode_seed": self.first_episode_seed,
+            "hyperparameters": self.suite.hyperparameters.model_dump(mode="json"),
+            "curve_steps": self.suite.curve_steps,
+            "scene": self.stage.scene.model_dump(mode="json"),
+            "traffic": {"agent": self.traffic, "weights_sha256": self.traffic_sha256},
+            "charms_bench": version("charms-bench"),
+        }
+
+    @property
+    def key(self) -> str:
+        """Hash of `inputs`."""
+        return hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def first_episode_seed(self) -> int:
+        """The k-th episode has the seed k further."""
+        return FIRST_TRAINING_SEED + self.suite.seed * EPISODES_OF_A_SEED
+
+    @property
+    def style(self) -> str:
+        """In words."""
+        return f"{self.stage.weights}, {self.stage.svo}"
+
+    def make_traffic_agent(self) -> Agent:
+        """The agent that drives the others."""
+        if self.traffic_network is not None:
+            return OnnxPolicy(self.traffic_network)
+        return make_agent(self.traffic)
+
+
+class StageFolder:
+    """Where a stage keeps its checkpoint and, once it is finished, its network."""
+
+    def __init__(self, output: Path, job: Job) -> None:
+        self.path = output / f"{job.name}-{job.key[:12]}"
+        self.network = self.path / f"{job.name}.onnx"
+        self.manifest = self.path / f"{job.name}.json"
+        self.curve_csv = self.path / f"{job.name}.csv"
+        self.curve_png = self.path / f"{job.name}.png"
+        self.checkpoint = self.path / "checkpoint.npz"
+        self.tensorboard = self.path / "tensorboard"
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do; the manifest is written last."""
+        return self.manifest.exists() and self.network.exists()
+
+    def write_checkpoint(self, arrays: Arrays) -> None:
+        """Replaces the checkpoint, so that there is a whole one at any time."""
+
+        def write(partial: Path) -> None:
+            with partial.open("wb") as file:
+                np.savez(file, **arrays)  # type: ignore[arg-type]  # allow_pickle is no array
+
+        write_atomically(self.checkpoint, write)
+
+    def read_checkpoint(self) -> Arrays | None:
+        """The last checkpoint; none before the first.
+
+        Raises:
+            RunFolderError: It cannot be read.
+        """
+        if not self.checkpoint.exists():
+            return None
+        try:
+            with self.checkpoint.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise RunFolderError(
+                f"{self.checkpoint}: is no checkpoint: {error}; delete it to begin this stage anew"
+            ) from error
