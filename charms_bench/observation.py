@@ -49,10 +49,7 @@ def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) ->
             if not 0 <= lane < scene.constants.lanes:
                 continue
             for behind in range(2):
-                if behind:
-                    j = scene.followers[b, i, lane]
-                else:
-                    j = scene.leaders[b, i, lane]
+                j = scene.followers[b, i, lane] if behind else scene.leaders[b, i, lane]
                 if j < 0 or abs(scene.x[b, j] - x) > RANGE_M:
                     continue
                 row = 1 + 2 * side + behind

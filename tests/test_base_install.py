@@ -21,9 +21,7 @@ def without_torch(tmp_path: Path) -> dict[str, str]:
 
 def charms_bench(environment: dict[str, str], *arguments: str) -> str:
     command = [sys.executable, "-m", "charms_bench", *arguments]
-    finished = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=False
-    )
+    finished = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert finished.returncode == 0, finished.stderr
     return finished.stdout
 

@@ -12,6 +12,7 @@ from charms_bench.scene import Floats, Ints, Scene, Vehicles
 from charms_bench.testing import agent_rules, example_scene, traffic_rules
 from charms_bench.traffic import Traffic
 
+RNG = np.random.default_rng(0)
 OURS = [name for name, plugin in plugins(AGENTS).items() if plugin.distribution == "charms-bench"]
 
 
@@ -60,7 +61,7 @@ def scribble(observations: Observations) -> Actions:
             "336 vehicles decide otherwise when alone",
         ),
         (
-            lambda o, rng=np.random.default_rng(0): rng.integers(0, 5, len(o)),
+            lambda o: RNG.integers(0, 5, len(o)),
             "policy_decides_the_same_again",
             "actions changed",
         ),
@@ -110,7 +111,7 @@ def push(scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
             "scene 0 is driven otherwise alone",
         ),
         (
-            lambda s, v, rng=np.random.default_rng(0): (rng.random(v[0].size), s.lane[v]),
+            lambda s, v: (RNG.random(v[0].size), s.lane[v]),
             "model_drives_the_same_again",
             "two calls on the same scene differ",
         ),
