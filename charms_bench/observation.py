@@ -6,8 +6,6 @@ itself: 1, 1, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its nearest n
 neighbour is all zeros. Neighbours follow highway-env's rule, see `Scene.leader`.
 """
 
-import math
-
 import numpy as np
 
 from charms_bench.agent import Observations
@@ -35,29 +33,31 @@ OBSERVATIONS = {"neighbours": neighbours}
 
 @compiled
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
+    x, y, speed, lanes = scene.x, scene.y, scene.speed, scene.constants.lanes
+    direction_x, direction_y = scene.direction_x, scene.direction_y
+    lane, leaders, followers = scene.lane, scene.leaders, scene.followers
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        x, y, speed, heading = scene.x[b, i], scene.y[b, i], scene.speed[b, i], scene.heading[b, i]
-        vx, vy = speed * math.cos(heading), speed * math.sin(heading)
+        vx, vy = speed[b, i] * direction_x[b, i], speed[b, i] * direction_y[b, i]
         observations[m, 0, 0] = 1.0
         observations[m, 0, 1] = 1.0
-        observations[m, 0, 2] = y / Y_SCALE_M
+        observations[m, 0, 2] = y[b, i] / Y_SCALE_M
         observations[m, 0, 3] = vx / SPEED_SCALE_MPS
         observations[m, 0, 4] = vy / SPEED_SCALE_MPS
         for side in range(3):
-            lane = scene.lane[b, i] + side - 1
-            if not 0 <= lane < scene.constants.lanes:
+            on = lane[b, i] + side - 1
+            if not 0 <= on < lanes:
                 continue
             for behind in range(2):
-                j = scene.followers[b, i, lane] if behind else scene.leaders[b, i, lane]
-                if j < 0 or abs(scene.x[b, j] - x) > RANGE_M:
+                j = followers[b, i, on] if behind else leaders[b, i, on]
+                if j < 0 or abs(x[b, j] - x[b, i]) > RANGE_M:
                     continue
                 row = 1 + 2 * side + behind
-                other_vx = scene.speed[b, j] * math.cos(scene.heading[b, j])
-                other_vy = scene.speed[b, j] * math.sin(scene.heading[b, j])
+                other_vx = speed[b, j] * direction_x[b, j]
+                other_vy = speed[b, j] * direction_y[b, j]
                 observations[m, row, 0] = 1.0
-                observations[m, row, 1] = _clipped((scene.x[b, j] - x) / X_SCALE_M)
-                observations[m, row, 2] = _clipped((scene.y[b, j] - y) / Y_SCALE_M)
+                observations[m, row, 1] = _clipped((x[b, j] - x[b, i]) / X_SCALE_M)
+                observations[m, row, 2] = _clipped((y[b, j] - y[b, i]) / Y_SCALE_M)
                 observations[m, row, 3] = _clipped((other_vx - vx) / SPEED_SCALE_MPS)
                 observations[m, row, 4] = _clipped((other_vy - vy) / SPEED_SCALE_MPS)
 

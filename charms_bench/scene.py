@@ -123,6 +123,10 @@ class Scene(NamedTuple):
     """[B, N] centre across the road, m."""
     heading: Floats
     """[B, N] rad."""
+    direction_x: Floats
+    """[B, N] cosine of the heading."""
+    direction_y: Floats
+    """[B, N] sine of the heading."""
     speed: Floats
     """[B, N] along the heading, m/s."""
     acceleration: Floats
@@ -178,6 +182,8 @@ class Scene(NamedTuple):
             x=floats(),
             y=floats(),
             heading=floats(),
+            direction_x=np.ones(shape),
+            direction_y=floats(),
             speed=floats(),
             acceleration=floats(),
             steering=floats(),

@@ -1,9 +1,52 @@
 """The Intelligent Driver Model (Treiber et al. 2000) as highway-env computes it, compiled."""
 
 import math
+from typing import NamedTuple
 
 from charms_bench.compiled import compiled
 from charms_bench.scene import IdmMobilParameters, Scene
+
+
+class Motion(NamedTuple):
+    """What the model sees of a vehicle.
+
+    Numbers, because handing arrays to a compiled function for every vehicle would cost more than
+    the model itself.
+    """
+
+    x: float
+    speed: float
+    direction_x: float
+    direction_y: float
+    wanted_speed: float
+
+
+@compiled
+def motion(b: int, i: int, scene: Scene) -> Motion:
+    """The motion of vehicle i of scene b."""
+    return Motion(
+        scene.x[b, i],
+        scene.speed[b, i],
+        scene.direction_x[b, i],
+        scene.direction_y[b, i],
+        min(max(scene.target_speed[b, i], 0.0), scene.constants.speed_limit),
+    )
+
+
+@compiled
+def motion_ahead(b: int, i: int, scene: Scene) -> Motion:
+    """The motion of a leader; -1, nobody, is infinitely far ahead."""
+    if i < 0:
+        return Motion(math.inf, 0.0, 1.0, 0.0, 0.0)
+    return motion(b, i, scene)
+
+
+@compiled
+def motion_behind(b: int, i: int, scene: Scene) -> Motion:
+    """The motion of a follower; -1, nobody, is infinitely far behind."""
+    if i < 0:
+        return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0)
+    return motion(b, i, scene)
 
 
 @compiled
@@ -22,53 +65,34 @@ def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> fl
 
 
 @compiled
-def idm_acceleration(
-    speed: float,
-    wanted_speed: float,
-    gap: float,
-    closing_speed: float,
-    exponent: float,
-    p: IdmMobilParameters,
-) -> float:
-    """IDM acceleration, m/s2, Treiber et al. 2000 eq. 3 [`IDMVehicle.acceleration`].
-
-    `gap` is centre to centre, and infinite without a leader.
-    """
-    free = p.acceleration * (1 - (max(speed, 0.0) / abs(not_zero(wanted_speed))) ** exponent)
-    crowding = desired_gap(speed, closing_speed, p) / not_zero(gap)
-    return free - p.acceleration * (crowding * crowding)
-
-
-@compiled
-def closing_speed(
-    speed: float, heading: float, leader_speed: float, leader_heading: float
-) -> float:
+def closing_speed(vehicle: Motion, leader: Motion) -> float:
     """Speed at which a vehicle nears its leader, along its own heading, m/s."""
-    if heading == 0.0 and leader_heading == 0.0:
-        return speed - leader_speed
-    cos, sin = math.cos(heading), math.sin(heading)
-    ahead = speed * cos - leader_speed * math.cos(leader_heading)
-    aside = speed * sin - leader_speed * math.sin(leader_heading)
-    return ahead * cos + aside * sin
+    ahead = vehicle.speed * vehicle.direction_x - leader.speed * leader.direction_x
+    aside = vehicle.speed * vehicle.direction_y - leader.speed * leader.direction_y
+    return ahead * vehicle.direction_x + aside * vehicle.direction_y
 
 
 @compiled
-def following(
-    b: int, i: int, leader: int, exponent: float, scene: Scene, p: IdmMobilParameters
-) -> float:
-    """IDM acceleration of vehicle i of scene b behind a leader, m/s2.
+def free_acceleration(vehicle: Motion, exponent: float, p: IdmMobilParameters) -> float:
+    """IDM acceleration on a free road, m/s2, Treiber et al. 2000 eq. 3, first part."""
+    share = max(vehicle.speed, 0.0) / abs(not_zero(vehicle.wanted_speed))
+    return float(p.acceleration * (1 - share**exponent))
 
-    -1 is no vehicle, as in the neighbour tables; no vehicle accelerates by 0. `exponent` is that
-    of the driver who does the reckoning.
+
+@compiled
+def interaction(vehicle: Motion, leader: Motion, p: IdmMobilParameters) -> float:
+    """IDM deceleration behind a leader, m/s2, Treiber et al. 2000 eq. 3, second part."""
+    wanted = desired_gap(vehicle.speed, closing_speed(vehicle, leader), p)
+    crowding = wanted / not_zero(leader.x - vehicle.x)
+    return p.acceleration * (crowding * crowding)
+
+
+@compiled
+def following(vehicle: Motion, leader: Motion, exponent: float, p: IdmMobilParameters) -> float:
+    """IDM acceleration behind a leader, m/s2 [`IDMVehicle.acceleration`].
+
+    Nobody accelerates by 0. `exponent` is that of the driver who does the reckoning.
     """
-    if i < 0:
+    if vehicle.x == -math.inf:
         return 0.0
-    speed = scene.speed[b, i]
-    gap, closing = math.inf, 0.0
-    if leader >= 0:
-        gap = scene.x[b, leader] - scene.x[b, i]
-        closing = closing_speed(
-            speed, scene.heading[b, i], scene.speed[b, leader], scene.heading[b, leader]
-        )
-    wanted = min(max(scene.target_speed[b, i], 0.0), scene.constants.speed_limit)
-    return idm_acceleration(speed, wanted, gap, closing, exponent, p)
+    return free_acceleration(vehicle, exponent, p) - interaction(vehicle, leader, p)

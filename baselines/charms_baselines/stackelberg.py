@@ -5,9 +5,11 @@ IDM acceleration. The leader enters where that answer costs the follower little 
 promises more room and speed.
 """
 
+import math
+
 import numpy as np
 
-from charms_baselines.idm import following
+from charms_baselines.idm import Motion, following, motion, motion_ahead, motion_behind
 from charms_bench.agent import DriverModel
 from charms_bench.compiled import compiled
 from charms_bench.errors import InputError
@@ -89,56 +91,48 @@ def _drive(
     follower_loss: float,
     gain: float,
 ) -> None:
+    lane_of, target_of, crashed = scene.lane, scene.target_lane, scene.crashed
+    leaders, followers = scene.leaders, scene.followers
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        lane, target = scene.lane[b, i], scene.target_lane[b, i]
-        target_lane[m] = target
-        acceleration[m] = 0.0
-        if scene.crashed[b, i]:
+        lane, target = lane_of[b, i], target_of[b, i]
+        acceleration[m], target_lane[m] = 0.0, target
+        if crashed[b, i]:
             continue
+        own = motion(b, i, scene)
+        leader = motion_ahead(b, leaders[b, i, lane], scene)
         if lane == target:
-            best = _utility(b, i, lane, scene) + gain
+            best = _utility(own, leader) + gain
             for side in (lane - 1, lane + 1):
-                if (
-                    0 <= side < scene.constants.lanes
-                    and _utility(b, i, side, scene) > best
-                    and _is_open(b, i, side, exponent, open_distance, follower_loss, scene, p)
+                if not 0 <= side < scene.constants.lanes:
+                    continue
+                side_leader = motion_ahead(b, leaders[b, i, side], scene)
+                side_follower = motion_behind(b, followers[b, i, side], scene)
+                utility = _utility(own, side_leader)
+                if utility > best and (
+                    own.x - side_follower.x > open_distance
+                    or _loss(side_follower, side_leader, own, exponent, p) <= follower_loss
                 ):
-                    best = _utility(b, i, side, scene)
-                    target_lane[m] = side
-        leader = scene.leaders[b, i, lane]
-        wanted = following(b, i, leader, exponent, scene, p)
-        if lane != target_lane[m]:
-            leader = scene.leaders[b, i, target_lane[m]]
-            wanted = min(wanted, following(b, i, leader, exponent, scene, p))
+                    best, target = utility, side
+        wanted = following(own, leader, exponent, p)
+        if lane != target:
+            leader = motion_ahead(b, leaders[b, i, target], scene)
+            wanted = min(wanted, following(own, leader, exponent, p))
         acceleration[m] = min(max(wanted, -braking), p.acceleration)
+        target_lane[m] = target
 
 
 @compiled
-def _utility(b: int, i: int, lane: int, scene: Scene) -> float:
+def _utility(own: Motion, leader: Motion) -> float:
     """Room and speed ahead on a lane: gap / 200 + leader's speed / 66, and 1 when it is empty."""
-    leader = scene.leaders[b, i, lane]
-    if leader < 0:
+    if leader.x == math.inf:
         return 1.0
-    return float((scene.x[b, leader] - scene.x[b, i]) / 200 + scene.speed[b, leader] / 66)
+    return (leader.x - own.x) / 200 + leader.speed / 66
 
 
 @compiled
-def _is_open(
-    b: int,
-    i: int,
-    lane: int,
-    exponent: float,
-    open_distance: float,
-    follower_loss: float,
-    scene: Scene,
-    p: IdmMobilParameters,
-) -> bool:
-    """Whether the follower on the lane is far off or hardly loses by its best response."""
-    follower = scene.followers[b, i, lane]
-    if follower < 0 or scene.x[b, i] - scene.x[b, follower] > open_distance:
-        return True
-    leader = scene.leaders[b, i, lane]
-    before = following(b, follower, leader, exponent, scene, p)
-    after = following(b, follower, i, exponent, scene, p)
-    return bool(before - after <= follower_loss)
+def _loss(
+    follower: Motion, leader: Motion, entering: Motion, exponent: float, p: IdmMobilParameters
+) -> float:
+    """Acceleration that a follower's best response to an entering vehicle costs it, m/s2."""
+    return following(follower, leader, exponent, p) - following(follower, entering, exponent, p)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charms_bench.agent import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions, DriverModel
 from charms_bench.engine import kernels
-from charms_bench.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
 class BatchedEngine:
@@ -16,6 +16,7 @@ class BatchedEngine:
     def __init__(self, settings: SceneSettings, scenes: int) -> None:
         self.scene = Scene.empty(settings, scenes)
         self._settings = settings
+        self._spawn_rule = _spawn_rule(settings)
         self._models: tuple[DriverModel, ...] = ()
         self._model_of = np.full(self.scene.x.shape, -1)
         self._modelled = np.zeros(self.scene.x.shape, dtype=np.bool_)
@@ -31,21 +32,24 @@ class BatchedEngine:
         traffic_models: Ints,
     ) -> None:
         scene, settings, profile = self.scene, self._settings, self._settings.profile
-        traffic_spacing = 1 / settings.density
-        crowding = float(np.exp(-5 / 40 * settings.lanes))
         for row, seed in zip(rows, seeds, strict=True):
-            kernels.spawn(
-                row,
-                scene,
-                np.random.default_rng(int(seed)),
-                settings.ego_slots,
-                profile.ego_speed_mps,
-                profile.ego_spacing or traffic_spacing,
-                traffic_spacing,
-                crowding,
-                profile.spawn_speed_low,
-                profile.spawn_speed_high,
+            rng = np.random.default_rng(int(seed))
+            scene.ego[row] = kernels.draw_scene(
+                rng,
+                self._spawn_rule,
+                scene.x[row],
+                scene.lane[row],
+                scene.speed[row],
+                scene.temperament[row],
             )
+        scene.y[rows] = scene.lane[rows] * profile.lane_width_m
+        scene.target_speed[rows] = scene.speed[rows]
+        scene.target_lane[rows] = scene.lane[rows]
+        period = profile.idm_mobil.lane_change_period_s
+        scene.timer_s[rows] = (scene.x[rows] + scene.y[rows]) * np.pi % period
+        scene.heading[rows] = scene.acceleration[rows] = scene.steering[rows] = 0.0
+        scene.crashed[rows] = scene.impact[rows] = False
+        scene.active[rows] = True
         kernels.locate(scene, rows)
         self._models = tuple(models)
         is_ego = np.arange(settings.vehicles) == scene.ego[rows, None]
@@ -77,7 +81,7 @@ class BatchedEngine:
         width, x = profile.lane_width_m, scene.x[vehicles]
         reachable = (  # [`AbstractLane.is_reachable_from`]
             (np.abs(scene.y[vehicles] - lane * width) <= 2 * width)
-            & (0 <= x)
+            & (x >= 0)
             & (x < profile.road_length_m + profile.vehicle_length_m)
         )
         scene.target_lane[vehicles] = np.where(
@@ -89,7 +93,15 @@ class BatchedEngine:
             self._regroup()
         for model, vehicles in self._groups:
             acceleration, target_lane = model.drive(self.scene, vehicles)
-            kernels.obey(self.scene, vehicles[0], vehicles[1], acceleration, target_lane)
+            kernels.obey(
+                vehicles[0],
+                vehicles[1],
+                acceleration,
+                target_lane,
+                self.scene.crashed,
+                self.scene.acceleration,
+                self.scene.target_lane,
+            )
         kernels.advance(self.scene, self._modelled)
 
     def _regroup(self) -> None:
@@ -103,7 +115,23 @@ class BatchedEngine:
         self, speed: NDArray[np.float64], change: NDArray[np.int64] | int
     ) -> NDArray[np.float64]:
         """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
-        speeds = np.array(self._settings.profile.target_speeds_mps)
-        index = np.round((speed - speeds[0]) / (speeds[-1] - speeds[0]) * (speeds.size - 1))
-        index = index.clip(0, speeds.size - 1).astype(np.int64) + change
-        return speeds[index.clip(0, speeds.size - 1)]
+        speeds = np.array(self._settings.profile.target_speeds_mps, dtype=np.float64)
+        share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
+        index = np.round(share * (speeds.size - 1)).clip(0, speeds.size - 1) + change
+        nearest: Floats = speeds[index.clip(0, speeds.size - 1).astype(np.int64)]
+        return nearest
+
+
+def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
+    """[`HighwayEnv._create_vehicles` and `Vehicle.create_random`]."""
+    profile, spacing = settings.profile, 1 / settings.density
+    return kernels.SpawnRule(
+        lanes=settings.lanes,
+        ego_slots=settings.ego_slots,
+        ego_speed=profile.ego_speed_mps,
+        ego_spacing=profile.ego_spacing or spacing,
+        spacing=spacing,
+        crowding=float(np.exp(-5 / 40 * settings.lanes)),
+        speed_low=profile.spawn_speed_low * profile.speed_limit_mps,
+        speed_high=profile.spawn_speed_high * profile.speed_limit_mps,
+    )

@@ -1,16 +1,32 @@
 """highway-env's road, vehicle and collision rules, compiled.
 
 Each function names the highway-env function it follows. Operations keep highway-env's order, for
-a sum in another order is another number. Private to the engines; `tests/naive.py` holds plain
-versions. Plugins may call `find_neighbours`-filled tables through `Scene` instead.
+a sum in another order is another number. A kernel takes its arrays out of the scene once, and what
+it calls for every vehicle gets numbers: to hand over an array costs an atomic reference count, and
+that more than the physics. Private to the engines; `tests/naive.py` holds plain versions.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from charms_bench.compiled import compiled
 from charms_bench.scene import Bools, Constants, Floats, Ints, Scene
+
+
+class SpawnRule(NamedTuple):
+    """How `draw_scene` spawns; SI units."""
+
+    lanes: int
+    ego_slots: int
+    ego_speed: float
+    ego_spacing: float
+    spacing: float
+    crowding: float
+    """highway-env's factor of all distances, smaller on a road of more lanes."""
+    speed_low: float
+    speed_high: float
 
 
 @compiled
@@ -29,17 +45,18 @@ def not_zero(value: float) -> float:
 @compiled
 def wrap_to_pi(angle: float) -> float:
     """`utils.wrap_to_pi`."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
+    shifted = angle + math.pi
+    if not 0 <= shifted < 2 * math.pi:
+        shifted %= 2 * math.pi
+    return shifted - math.pi
 
 
 @compiled
-def steering_control(
-    y: float, heading: float, speed: float, target_lane: int, c: Constants
-) -> float:
-    """Steering angle towards a lane's centre [`ControlledVehicle.steering_control`]."""
-    lateral = y - target_lane * c.lane_width
-    if lateral == 0.0 and heading == 0.0:
-        return 0.0  # exactly what the rest gives, and where most vehicles are
+def steering_control(lateral: float, heading: float, speed: float, c: Constants) -> float:
+    """Steering angle towards a lane's centre, `lateral` m beside it.
+
+    [`ControlledVehicle.steering_control`]
+    """
     lateral_speed = -(1 / c.tau_lateral) * lateral
     heading_command = math.asin(clip(lateral_speed / not_zero(speed), -1.0, 1.0))
     heading_reference = clip(heading_command, -math.pi / 4, math.pi / 4)
@@ -49,12 +66,12 @@ def steering_control(
 
 
 @compiled
-def closest_lane(y: float, c: Constants) -> int:
+def closest_lane(y: float, lanes: int, lane_width: float) -> int:
     """`RoadNetwork.get_closest_lane_index` on parallel straight lanes: the first nearest."""
     best = 0
     distance = abs(y)
-    for lane in range(1, c.lanes):
-        other = abs(y - lane * c.lane_width)
+    for lane in range(1, lanes):
+        other = abs(y - lane * lane_width)
         if other < distance:
             best = lane
             distance = other
@@ -62,148 +79,137 @@ def closest_lane(y: float, c: Constants) -> int:
 
 
 @compiled
-def move(
-    x: Floats,
-    y: Floats,
-    heading: Floats,
-    speed: Floats,
-    acceleration: Floats,
-    steering: Floats,
-    lane: Ints,
-    crashed: Bools,
-    impact: Bools,
-    impact_x: Floats,
-    impact_y: Floats,
-    c: Constants,
-) -> None:
-    """An Euler step of the bicycle model for a scene [`Vehicle.clip_actions`, `Vehicle.step`]."""
-    for i in range(x.size):
-        v, psi = speed[i], heading[i]
-        if crashed[i]:
-            steering[i] = 0.0
-            acceleration[i] = -1.0 * v
-        if v > c.speed_max:
-            acceleration[i] = min(acceleration[i], 1.0 * (c.speed_max - v))
-        elif v < c.speed_min:
-            acceleration[i] = max(acceleration[i], 1.0 * (c.speed_min - v))
-        if steering[i] == 0.0 and psi == 0.0:
-            x[i] += v * c.dt
-        else:
-            beta = math.atan(1 / 2 * math.tan(steering[i]))
-            x[i] += v * math.cos(psi + beta) * c.dt
-            y[i] += v * math.sin(psi + beta) * c.dt
-            heading[i] = psi + v * math.sin(beta) / (c.length / 2) * c.dt
-            lane[i] = closest_lane(y[i], c)
-        if impact[i]:
-            x[i] += impact_x[i]
-            y[i] += impact_y[i]
-            crashed[i] = True
-            impact[i] = False
-            lane[i] = closest_lane(y[i], c)
-        speed[i] = v + acceleration[i] * c.dt
+def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
+    """Steers and moves all vehicles of some scenes by a step of the bicycle model.
 
-
-@compiled
-def sort_by_x(x: Floats, order: Ints, rank: Ints) -> None:
-    """Restores `order` and `rank`: by x, then by place. Nearly sorted already, so by insertion."""
-    for k in range(1, order.size):
-        i = order[k]
-        m = k
-        while m > 0:
-            j = order[m - 1]
-            if x[j] < x[i] or (x[j] == x[i] and j < i):
-                break
-            order[m] = j
-            m -= 1
-        order[m] = i
-    for k in range(order.size):
-        rank[order[k]] = k
-
-
-@compiled
-def is_on_lane(x: float, y: float, lane: int, margin: float, c: Constants) -> bool:
-    """`AbstractLane.on_lane`."""
-    return (
-        abs(y - lane * c.lane_width) <= c.lane_width / 2 + margin
-        and -c.length <= x < c.road_length + c.length
-    )
-
-
-@compiled
-def lanes_of(x: float, y: float, lane: int, c: Constants) -> tuple[int, int]:
-    """First and last lane on which a vehicle whose closest is `lane` counts as a neighbour.
-
-    A vehicle is on a lane up to 1 m beside it [`Road.neighbour_vehicles`], so it may be on two;
-    beside or beyond the road it is on none, and the first returned exceeds the last.
+    [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`] `modelled` [B, N] marks
+    vehicles whose acceleration a driver model has set; the others follow their target speed.
     """
-    if y == lane * c.lane_width and -c.length <= x < c.road_length + c.length:
-        return lane, lane
-    first, last = c.lanes, -1
-    for other in range(max(lane - 1, 0), min(lane + 2, c.lanes)):
-        if is_on_lane(x, y, other, 1.0, c):
-            first, last = min(first, other), other
-    return first, last
+    c = scene.constants
+    x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
+    direction_x, direction_y, lane = scene.direction_x, scene.direction_y, scene.lane
+    acceleration, steering = scene.acceleration, scene.steering
+    target_speed, target_lane, timer_s = scene.target_speed, scene.target_lane, scene.timer_s
+    crashed, impact = scene.crashed, scene.impact
+    impact_x, impact_y = scene.impact_x, scene.impact_y
+    for b in rows:
+        for i in range(x.shape[1]):
+            v, psi = speed[b, i], heading[b, i]
+            timer_s[b, i] += c.dt
+            wanted = acceleration[b, i]
+            if not modelled[b, i]:
+                wanted = (1 / c.tau_acceleration) * (target_speed[b, i] - v)
+            lateral = y[b, i] - target_lane[b, i] * c.lane_width
+            angle = 0.0
+            if crashed[b, i]:
+                wanted = -1.0 * v
+            elif lateral != 0.0 or psi != 0.0:
+                angle = steering_control(lateral, psi, v, c)
+            if v > c.speed_max:
+                wanted = min(wanted, 1.0 * (c.speed_max - v))
+            elif v < c.speed_min:
+                wanted = max(wanted, 1.0 * (c.speed_min - v))
+            acceleration[b, i] = wanted
+            steering[b, i] = angle
+            if angle == 0.0 and psi == 0.0:  # exactly what the rest gives
+                x[b, i] += v * c.dt
+            else:
+                beta = math.atan(1 / 2 * math.tan(angle))
+                x[b, i] += v * math.cos(psi + beta) * c.dt
+                y[b, i] += v * math.sin(psi + beta) * c.dt
+                psi += v * math.sin(beta) / (c.length / 2) * c.dt
+                heading[b, i] = psi
+                direction_x[b, i], direction_y[b, i] = math.cos(psi), math.sin(psi)
+                lane[b, i] = closest_lane(y[b, i], c.lanes, c.lane_width)
+            if impact[b, i]:
+                x[b, i] += impact_x[b, i]
+                y[b, i] += impact_y[b, i]
+                crashed[b, i] = True
+                impact[b, i] = False
+                lane[b, i] = closest_lane(y[b, i], c.lanes, c.lane_width)
+            speed[b, i] = v + wanted * c.dt
 
 
 @compiled
-def find_neighbours(
-    x: Floats,
-    y: Floats,
-    lane: Ints,
-    order: Ints,
-    leaders: Ints,
-    followers: Ints,
-    nearest: Ints,
-    c: Constants,
-) -> None:
-    """Fills a scene's `leaders` and `followers` [`Road.neighbour_vehicles` for each lane].
+def sort_by_x(scene: Scene, rows: Ints) -> None:
+    """Restores `order` and `rank`: by x, and at one x the last spawned first.
 
-    `nearest` (L,) is working memory. Vehicles at the same x are each other's leader and nobody's
-    follower; among several the last spawned leads and the first spawned follows.
+    Nearly sorted already, so by insertion.
     """
-    vehicles = order.size
-    nearest[:] = -1
-    k = vehicles - 1
-    while k >= 0:
-        first = k
-        while first > 0 and x[order[first - 1]] == x[order[k]]:
-            first -= 1
-        for m in range(first, k + 1):
-            i = order[m]
-            for on in range(c.lanes):
-                leaders[i, on] = nearest[on]
-            for other in range(first, k + 1):
-                j = order[other]
-                if j != i:
-                    low, high = lanes_of(x[j], y[j], lane[j], c)
-                    leaders[i, low : high + 1] = j
-        for m in range(first, k + 1):
-            i = order[m]
-            low, high = lanes_of(x[i], y[i], lane[i], c)
-            for on in range(low, high + 1):
-                nearest[on] = i
-        k = first - 1
-    nearest[:] = -1
-    k = 0
-    while k < vehicles:
-        last = k
-        while last < vehicles - 1 and x[order[last + 1]] == x[order[k]]:
-            last += 1
-        for m in range(k, last + 1):
-            for on in range(c.lanes):
-                followers[order[m], on] = nearest[on]
-        for m in range(last, k - 1, -1):
-            i = order[m]
-            low, high = lanes_of(x[i], y[i], lane[i], c)
-            for on in range(low, high + 1):
-                nearest[on] = i
-        k = last + 1
+    x, order, rank = scene.x, scene.order, scene.rank
+    for b in rows:
+        for k in range(1, order.shape[1]):
+            i = order[b, k]
+            m = k
+            while m > 0:
+                j = order[b, m - 1]
+                if x[b, j] < x[b, i] or (x[b, j] == x[b, i] and j > i):
+                    break
+                order[b, m] = j
+                rank[b, j] = m
+                m -= 1
+            order[b, m] = i
+            rank[b, i] = m
 
 
 @compiled
-def fill_polygon(x: float, y: float, heading: float, c: Constants, corners: Floats) -> None:
+def find_neighbours(scene: Scene, rows: Ints) -> None:
+    """Fills `leaders` and `followers` of some scenes [`Road.neighbour_vehicles` for each lane].
+
+    A vehicle is on a lane up to 1 m beside it, so it may be on two. Vehicles at one x are each
+    other's leader and nobody's follower; among several the last spawned leads and the first
+    spawned follows, which the order of `sort_by_x` gives.
+    """
+    c = scene.constants
+    x, y, order = scene.x, scene.y, scene.order
+    leaders, followers = scene.leaders, scene.followers
+    vehicles = order.shape[1]
+    nearest = np.empty(c.lanes, dtype=np.int64)
+    for b in rows:
+        nearest[:] = -1
+        for k in range(vehicles - 1, -1, -1):
+            i = order[b, k]
+            beside = reach_beside(x[b, i], c)
+            for on in range(c.lanes):
+                leaders[b, i, on] = nearest[on]
+                is_on = abs(y[b, i] - on * c.lane_width) <= beside
+                nearest[on] = i if is_on else nearest[on]
+        nearest[:] = -1
+        for k in range(vehicles):
+            i = order[b, k]
+            beside = reach_beside(x[b, i], c)
+            for on in range(c.lanes):
+                followers[b, i, on] = nearest[on]
+                is_on = abs(y[b, i] - on * c.lane_width) <= beside
+                nearest[on] = i if is_on else nearest[on]
+            if k > 0 and x[b, order[b, k - 1]] == x[b, i]:
+                find_level_neighbours(b, k, scene)
+
+
+@compiled
+def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
+    """Corrects the neighbours of the k-th vehicle, at whose x others were spawned later."""
+    c, x, order = scene.constants, scene.x, scene.order
+    i = order[b, k]
+    scene.followers[b, i] = scene.followers[b, order[b, k - 1]]
+    m = k - 1
+    while m >= 0 and x[b, order[b, m]] == x[b, i]:
+        j = order[b, m]
+        for on in range(c.lanes):
+            if abs(scene.y[b, j] - on * c.lane_width) <= reach_beside(x[b, j], c):
+                scene.leaders[b, i, on] = j
+        m -= 1
+
+
+@compiled
+def reach_beside(x: float, c: Constants) -> float:
+    """How far beside a lane's centre a vehicle at x counts as on it [`AbstractLane.on_lane`]."""
+    return c.lane_width / 2 + 1.0 if -c.length <= x < c.road_length + c.length else -1.0
+
+
+@compiled
+def fill_polygon(x: float, y: float, cos: float, sin: float, c: Constants, corners: Floats) -> None:
     """A vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated first one]."""
-    cos, sin = math.cos(heading), math.sin(heading)
     for corner in range(4):
         ahead = -c.length / 2 if corner < 2 else c.length / 2
         aside = -c.width / 2 if corner in (0, 3) else c.width / 2
@@ -273,61 +279,64 @@ def polygons_intersect(
 
 
 @compiled
-def collide(
-    x: Floats,
-    y: Floats,
-    heading: Floats,
-    speed: Floats,
-    order: Ints,
-    crashed: Bools,
-    impact: Bools,
-    impact_x: Floats,
-    impact_y: Floats,
-    hits: Floats,
-    corners: Floats,
-    c: Constants,
-) -> None:
-    """Collisions of a scene's pairs [`Road.step`, `RoadObject.handle_collisions`].
+def collide(scene: Scene, rows: Ints) -> None:
+    """Collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
 
     Pairs are found along `order` and then applied in highway-env's order, place by place, because
-    a later impact replaces an earlier one. Working memory: `hits` (pairs, 6), `corners` (2, 4, 2).
+    a later impact replaces an earlier one.
     """
+    c = scene.constants
+    x, y, heading, speed, order = scene.x, scene.y, scene.heading, scene.speed, scene.order
+    direction_x, direction_y = scene.direction_x, scene.direction_y
+    vehicles = x.shape[1]
+    hits = np.empty((vehicles * (vehicles - 1) // 2, 6))
+    corners = np.empty((2, 4, 2))
     diagonal = math.sqrt(c.length**2 + c.width**2)
-    fastest = 0.0
-    for i in range(x.size):
-        fastest = max(fastest, abs(speed[i]))
-    reach = diagonal + fastest * c.dt
-    found = 0
-    for k in range(x.size):
-        near = order[k]
-        for m in range(k + 1, x.size):
-            far = order[m]
-            dx, dy = x[far] - x[near], y[far] - y[near]
-            if dx > reach:
-                break
-            if heading[near] == 0.0 and heading[far] == 0.0 and abs(dy) > c.width:
-                continue  # side by side and straight: no axis across the road lets them touch
-            i, j = min(near, far), max(near, far)
-            if math.sqrt(dx * dx + dy * dy) > diagonal + speed[i] * c.dt:
-                continue
-            fill_polygon(x[i], y[i], heading[i], c, corners[0])
-            fill_polygon(x[j], y[j], heading[j], c, corners[1])
-            relative_x = speed[i] * math.cos(heading[i]) * c.dt
-            relative_x -= speed[j] * math.cos(heading[j]) * c.dt
-            relative_y = speed[i] * math.sin(heading[i]) * c.dt
-            relative_y -= speed[j] * math.sin(heading[j]) * c.dt
-            now, soon, part_x, part_y = polygons_intersect(
-                corners[0], corners[1], relative_x, relative_y
-            )
-            if now or soon:
-                hits[found, 0] = i
-                hits[found, 1] = j
-                hits[found, 2] = now
-                hits[found, 3] = soon
-                hits[found, 4] = part_x
-                hits[found, 5] = part_y
-                found += 1
-    for first in range(1, found):  # into the order of places; rarely more than one
+    for b in rows:
+        fastest = 0.0
+        for i in range(vehicles):
+            if abs(speed[b, i]) > fastest:
+                fastest = abs(speed[b, i])
+        reach = diagonal + fastest * c.dt
+        found = 0
+        for k in range(vehicles):
+            near = order[b, k]
+            for m in range(k + 1, vehicles):
+                far = order[b, m]
+                dx, dy = x[b, far] - x[b, near], y[b, far] - y[b, near]
+                if dx > reach:
+                    break
+                if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > c.width:
+                    continue  # side by side and straight: no axis across the road lets them touch
+                i, j = min(near, far), max(near, far)
+                if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:
+                    continue
+                fill_polygon(x[b, i], y[b, i], direction_x[b, i], direction_y[b, i], c, corners[0])
+                fill_polygon(x[b, j], y[b, j], direction_x[b, j], direction_y[b, j], c, corners[1])
+                relative_x = speed[b, i] * direction_x[b, i] * c.dt
+                relative_x -= speed[b, j] * direction_x[b, j] * c.dt
+                relative_y = speed[b, i] * direction_y[b, i] * c.dt
+                relative_y -= speed[b, j] * direction_y[b, j] * c.dt
+                now, soon, part_x, part_y = polygons_intersect(
+                    corners[0], corners[1], relative_x, relative_y
+                )
+                if now or soon:
+                    hits[found, 0] = i
+                    hits[found, 1] = j
+                    hits[found, 2] = now
+                    hits[found, 3] = soon
+                    hits[found, 4] = part_x
+                    hits[found, 5] = part_y
+                    found += 1
+        if found:
+            sort_hits(hits[:found])
+            apply_hits(b, scene, hits[:found])
+
+
+@compiled
+def sort_hits(hits: Floats) -> None:
+    """Brings hits into the order of places, by insertion; there is rarely more than one."""
+    for first in range(1, len(hits)):
         m = first
         while m > 0 and (
             hits[m - 1, 0] > hits[m, 0]
@@ -336,149 +345,92 @@ def collide(
             for column in range(6):
                 hits[m, column], hits[m - 1, column] = hits[m - 1, column], hits[m, column]
             m -= 1
-    for hit in range(found):
-        i, j = int(hits[hit, 0]), int(hits[hit, 1])
-        if hits[hit, 3]:
-            impact[i] = impact[j] = True
-            impact_x[i] = hits[hit, 4] / 2
-            impact_y[i] = hits[hit, 5] / 2
-            impact_x[j] = -hits[hit, 4] / 2
-            impact_y[j] = -hits[hit, 5] / 2
-        if hits[hit, 2]:
-            crashed[i] = crashed[j] = True
 
 
 @compiled
-def obey(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_lane: Ints) -> None:
+def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
+    """Notes the collisions of scene b: (place, place, now, soon, translation) a row."""
+    for hit in range(len(hits)):
+        i, j = int(hits[hit, 0]), int(hits[hit, 1])
+        if hits[hit, 3]:
+            scene.impact[b, i] = scene.impact[b, j] = True
+            scene.impact_x[b, i] = hits[hit, 4] / 2
+            scene.impact_y[b, i] = hits[hit, 5] / 2
+            scene.impact_x[b, j] = -hits[hit, 4] / 2
+            scene.impact_y[b, j] = -hits[hit, 5] / 2
+        if hits[hit, 2]:
+            scene.crashed[b, i] = scene.crashed[b, j] = True
+
+
+@compiled
+def obey(
+    rows: Ints,
+    places: Ints,
+    acceleration: Floats,
+    target_lane: Ints,
+    crashed: Bools,
+    accelerations: Floats,
+    target_lanes: Ints,
+) -> None:
     """Sets what a driver model answered; crashed vehicles no longer obey [`IDMVehicle.act`]."""
     for m in range(rows.size):
-        if not scene.crashed[rows[m], places[m]]:
-            scene.acceleration[rows[m], places[m]] = acceleration[m]
-            scene.target_lane[rows[m], places[m]] = target_lane[m]
+        b, i = rows[m], places[m]
+        if not crashed[b, i]:
+            accelerations[b, i] = acceleration[m]
+            target_lanes[b, i] = target_lane[m]
 
 
 @compiled
 def advance(scene: Scene, modelled: Bools) -> None:
-    """One simulation step of every active scene, after the driver models have acted.
-
-    `modelled` [B, N] marks vehicles whose acceleration a driver model has set; the others follow
-    their target speed [`ControlledVehicle.speed_control`]. All act before any moves.
-    """
-    c = scene.constants
-    vehicles = scene.x.shape[1]
-    nearest = np.empty(c.lanes, dtype=np.int64)
-    hits = np.empty((vehicles * (vehicles - 1) // 2, 6))
-    corners = np.empty((2, 4, 2))
-    for b in range(scene.x.shape[0]):
-        if not scene.active[b]:
-            continue
-        # One scene's rows: taking arrays out of `scene` for every vehicle would cost more than
-        # the physics.
-        x, y, heading, speed = scene.x[b], scene.y[b], scene.heading[b], scene.speed[b]
-        acceleration, steering = scene.acceleration[b], scene.steering[b]
-        target_speed, target_lane = scene.target_speed[b], scene.target_lane[b]
-        crashed, timer_s, obeying = scene.crashed[b], scene.timer_s[b], modelled[b]
-        impact, impact_x, impact_y = scene.impact[b], scene.impact_x[b], scene.impact_y[b]
-        lane, order = scene.lane[b], scene.order[b]
-        for i in range(vehicles):
-            if not obeying[i]:
-                acceleration[i] = (1 / c.tau_acceleration) * (target_speed[i] - speed[i])
-            steering[i] = steering_control(y[i], heading[i], speed[i], target_lane[i], c)
-            timer_s[i] += c.dt
-        move(
-            x,
-            y,
-            heading,
-            speed,
-            acceleration,
-            steering,
-            lane,
-            crashed,
-            impact,
-            impact_x,
-            impact_y,
-            c,
-        )
-        sort_by_x(x, order, scene.rank[b])
-        collide(
-            x,
-            y,
-            heading,
-            speed,
-            order,
-            crashed,
-            impact,
-            impact_x,
-            impact_y,
-            hits,
-            corners,
-            c,
-        )
-        find_neighbours(
-            x, y, lane, order, scene.leaders[b], scene.followers[b], nearest, c
-        )
+    """One simulation step of every active scene, after the driver models have acted."""
+    rows = np.nonzero(scene.active)[0]
+    move(scene, rows, modelled)
+    sort_by_x(scene, rows)
+    collide(scene, rows)
+    find_neighbours(scene, rows)
 
 
 @compiled
 def locate(scene: Scene, rows: Ints) -> None:
-    """Refreshes `lane`, `order`, `rank` and the neighbour tables of some scenes from x and y."""
+    """Refreshes what follows from x, y and heading in some scenes: directions, lanes, tables."""
     c = scene.constants
-    nearest = np.empty(c.lanes, dtype=np.int64)
     for b in rows:
-        x, y, lane, order = scene.x[b], scene.y[b], scene.lane[b], scene.order[b]
-        for i in range(x.size):
-            lane[i] = closest_lane(y[i], c)
-        sort_by_x(x, order, scene.rank[b])
-        find_neighbours(
-            x, y, lane, order, scene.leaders[b], scene.followers[b], nearest, c
-        )
+        for i in range(scene.x.shape[1]):
+            scene.direction_x[b, i] = math.cos(scene.heading[b, i])
+            scene.direction_y[b, i] = math.sin(scene.heading[b, i])
+            scene.lane[b, i] = closest_lane(scene.y[b, i], c.lanes, c.lane_width)
+    sort_by_x(scene, rows)
+    find_neighbours(scene, rows)
 
 
 @compiled
-def spawn(
-    b: int,
-    scene: Scene,
+def draw_scene(
     rng: np.random.Generator,
-    ego_slots: int,
-    ego_speed: float,
-    ego_spacing: float,
-    traffic_spacing: float,
-    crowding: float,
-    speed_low: float,
-    speed_high: float,
-) -> None:
-    """Draws a scene [the chain of `Vehicle.create_random` in `HighwayEnv._create_vehicles`].
+    rule: SpawnRule,
+    x: Floats,
+    lane: Ints,
+    speed: Floats,
+    temperament: Floats,
+) -> int:
+    """Draws a scene's vehicles (N,) and returns the ego's place.
 
-    The ego's temperament is drawn last, so that with one slot the draws are `highway-v0`'s. `crowding` is its factor for the number of lanes.
+    The chain of `Vehicle.create_random` in `HighwayEnv._create_vehicles`; the ego's temperament
+    is drawn last, so that with one slot the draws are `highway-v0`'s.
     """
-    c = scene.constants
-    vehicles = scene.x.shape[1]
-    period = c.idm_mobil.lane_change_period
-    ego = rng.integers(0, ego_slots)
-    scene.ego[b] = ego
+    ego = rng.integers(0, rule.ego_slots)
     furthest = 0.0
-    for i in range(vehicles):
-        lane = rng.integers(0, c.lanes)
+    for i in range(x.size):
+        lane[i] = rng.integers(0, rule.lanes)
         if i == ego:
-            speed, spacing = ego_speed, ego_spacing
+            speed[i], spacing = rule.ego_speed, rule.ego_spacing
         else:
-            speed = rng.uniform(speed_low * c.speed_limit, speed_high * c.speed_limit)
-            spacing = traffic_spacing
-        offset = spacing * (12 + 1.0 * speed) * crowding
-        x = 3 * offset if i == 0 else furthest
-        x += offset * rng.uniform(0.9, 1.1)
-        furthest = max(furthest, x)
+            speed[i] = rng.uniform(rule.speed_low, rule.speed_high)
+            spacing = rule.spacing
+        offset = spacing * (12 + 1.0 * speed[i]) * rule.crowding
+        x[i] = 3 * offset if i == 0 else furthest
+        x[i] += offset * rng.uniform(0.9, 1.1)
+        furthest = max(furthest, x[i])
         if i != ego:
-            scene.temperament[b, i] = rng.random()
-        scene.x[b, i] = x
-        scene.y[b, i] = lane * c.lane_width
-        scene.speed[b, i] = scene.target_speed[b, i] = speed
-        scene.lane[b, i] = scene.target_lane[b, i] = lane
-        scene.timer_s[b, i] = (x + lane * c.lane_width) * math.pi % period
-    scene.temperament[b, ego] = rng.random()
-    scene.heading[b] = 0.0
-    scene.acceleration[b] = 0.0
-    scene.steering[b] = 0.0
-    scene.crashed[b] = False
-    scene.impact[b] = False
-    scene.active[b] = True
+            temperament[i] = rng.random()
+    temperament[ego] = rng.random()
+    return int(ego)
