@@ -76,6 +76,13 @@ class DoubleDQN(DQN):
             values: NDArray[np.float32] = self.q_net.q_net(flat).numpy()
         return values
 
+    def recorded_observations(self) -> NDArray[np.float32]:
+        """What was seen in the last steps: all that the replay buffer holds, (M, 7, 5)."""
+        buffer = self.replay_buffer
+        assert buffer is not None
+        observations: NDArray[np.float32] = buffer.observations[: buffer.size()]
+        return observations.reshape(-1, 7, 5)
+
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[NDArray[Any], NDArray[Any]]:

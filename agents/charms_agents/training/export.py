@@ -1,15 +1,14 @@
-"""A trained network -> one ONNX file that `OnnxPolicy` runs, and the check that it is the same."""
+"""A trained network -> one ONNX file that `OnnxPolicy` runs, once it is found to act the same."""
 
 from pathlib import Path
 
 import numpy as np
 import onnx
-from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch.nn import Linear
+from torch.nn import Sequential
 
-from charms_agents.training.double_dqn import DoubleDQN
-from charms_bench.agent import ACTIONS
+from charms_agents.training.network import layers_of, values_of
+from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
 from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.results import write_atomically
@@ -24,13 +23,47 @@ OBSERVATION = (
 )
 
 
-def export(model: DoubleDQN, path: Path, facts: dict[str, str]) -> None:
-    """Writes the online network; `facts` go into the file's metadata."""
-    layers = [
-        (module.weight.detach().numpy(), module.bias.detach().numpy())
-        for module in model.q_net.q_net
-        if isinstance(module, Linear)
-    ]
+def export(
+    network: Sequential, path: Path, facts: dict[str, str], observations: Observations
+) -> dict[str, int]:
+    """Writes a network, provided that the file acts as it does.
+
+    Args:
+        network: Linear layers with ReLU between them.
+        path: The file.
+        facts: What its metadata say beside observation and actions.
+        observations: (M, 7, 5), on which the actions of both are compared.
+
+    Returns:
+        How many observations were compared, and in how many of them the two chose different
+        actions whose values are equal to float32's precision.
+
+    Raises:
+        ModelError: They chose differently where it matters; nothing is written.
+        RunFolderError: The file cannot be written.
+    """
+    data = _serialised(network, facts)
+    expected = values_of(network, observations)
+    best = expected.argmax(axis=1)
+    checked: dict[str, int] = {}
+
+    def write(partial: Path) -> None:
+        partial.write_bytes(data)
+        found = OnnxPolicy(partial).decide(observations)
+        lost = expected.max(axis=1) - expected[np.arange(found.size), found]
+        if count := int((lost > TIE).sum()):
+            raise ModelError(
+                f"{path}: would act differently from the network in {count} of {found.size} "
+                "observations; onnxruntime and torch disagree on this machine"
+            )
+        checked.update(observations=int(found.size), ties=int((found != best).sum()))
+
+    write_atomically(path, write)
+    return checked
+
+
+def _serialised(network: Sequential, facts: dict[str, str]) -> bytes:
+    layers = layers_of(network)
     nodes, tensors, last = [], [], "flat"
     nodes.append(helper.make_node("Flatten", ["observations"], ["flat"], axis=1))
     for index, (weight, bias) in enumerate(layers):
@@ -53,36 +86,5 @@ def export(model: DoubleDQN, path: Path, facts: dict[str, str]) -> None:
         exported, {"observation": OBSERVATION, "actions": ", ".join(ACTIONS), **facts}
     )
     onnx.checker.check_model(exported, full_check=True)
-    data = exported.SerializeToString(deterministic=True)
-    write_atomically(path, lambda partial: partial.write_bytes(data))
-
-
-def recorded_observations(model: DoubleDQN) -> NDArray[np.float32]:
-    """What the agent saw in its last steps: all its replay buffer holds, (M, 7, 5)."""
-    buffer = model.replay_buffer
-    assert buffer is not None
-    observations: NDArray[np.float32] = buffer.observations[: buffer.size()].reshape(-1, 7, 5)
-    return observations
-
-
-def check_export(model: DoubleDQN, path: Path) -> dict[str, int]:
-    """Compares the file's actions with the network's on everything recorded.
-
-    Returns:
-        How many observations were compared, and in how many of them the two chose different
-        actions whose values are equal to float32's precision.
-
-    Raises:
-        ModelError: They chose differently where it matters.
-    """
-    observations = recorded_observations(model)
-    expected = model.values(observations)
-    best, found = expected.argmax(axis=1), OnnxPolicy(path).decide(observations)
-    lost = expected.max(axis=1) - expected[np.arange(found.size), found]
-    if (lost > TIE).any():
-        count = int((lost > TIE).sum())
-        raise ModelError(
-            f"{path}: acts differently from the trained network in {count} of {found.size} "
-            "observations; onnxruntime and torch disagree on this machine"
-        )
-    return {"observations": int(found.size), "ties": int((found != best).sum())}
+    data: bytes = exported.SerializeToString(deterministic=True)
+    return data

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from charms_agents.training.rewards import Svo, Weights
 from charms_bench.document import Document
 from charms_bench.errors import RegistryError
-from charms_bench.profile import FrozenModel, Positive
+from charms_bench.profile import FrozenModel, NonNegative, Positive
 from charms_bench.registry import AGENTS, find
 from charms_bench.suite import Name as AgentName
 from charms_bench.suite import SuiteScene
@@ -60,6 +60,18 @@ class Hyperparameters(FrozenModel):
                     f"{name} {getattr(self, name)} is no multiple of scenes {self.scenes}"
                 )
         return self
+
+
+class Supervised(FrozenModel):
+    """Of learning from human driving; by default the paper's fine-tuning."""
+
+    learning_rate: Positive = 1e-6
+    batch_size: Count = 128
+    epochs: Count = 8
+    pull: NonNegative = 0.2
+    """Lambda of eq. 11: how strongly weights are pulled to where they started."""
+    label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
+    """Least probability of an action in a label; the divergence of eq. 11 is infinite at 0."""
 
 
 class StageTraffic(FrozenModel):

@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import configure
 
 from charms_agents.training.curve import LearningCurve, Point
 from charms_agents.training.double_dqn import DoubleDQN
-from charms_agents.training.export import check_export, export
+from charms_agents.training.export import export
 from charms_agents.training.job import Arrays, Job, StageFolder
 from charms_agents.training.rewards import StyleReward
 from charms_agents.training.vec_env import EpisodesVecEnv
@@ -209,8 +209,7 @@ def train_stage(
     training = Training(job, folder, report, stop)
     agent = training.train()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{Policy.decision_hz:g}"}
-    export(agent, folder.network, facts)
-    checked = check_export(agent, folder.network)
+    checked = export(agent.q_net.q_net, folder.network, facts, agent.recorded_observations())
     training.curve.write_csv(folder.curve_csv)
     training.curve.write_png(folder.curve_png, f"{job.name} ({job.style})")
     manifest = {

@@ -1,0 +1,86 @@
+"""A policy network: linear layers with ReLU between them, in torch and in ONNX files."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+from onnx import numpy_helper
+from torch.nn import Linear, Module, ReLU, Sequential
+
+from charms_bench.agent import ACTIONS, Observations
+from charms_bench.errors import ModelError
+
+OBSERVED = 35
+"""Numbers in an observation, 7 rows of 5."""
+
+Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+"""The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
+
+
+def untrained(hidden_layers: Sequence[int], seed: int) -> Sequential:
+    """A network with torch's initial weights."""
+    sizes = (OBSERVED, *hidden_layers, len(ACTIONS))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return _alternating([Linear(before, after) for before, after in pairwise(sizes)])
+
+
+def network_of(layers: Layers) -> Sequential:
+    """The network of some layers, whose arrays are copied."""
+    modules = []
+    for weight, bias in layers:
+        module = Linear(weight.shape[1], weight.shape[0])
+        with torch.no_grad():
+            module.weight.copy_(torch.from_numpy(weight.copy()))
+            module.bias.copy_(torch.from_numpy(bias.copy()))
+        modules.append(module)
+    return _alternating(modules)
+
+
+def layers_of(network: Sequential) -> Layers:
+    """The layers of a network."""
+    return [
+        (module.weight.detach().numpy(), module.bias.detach().numpy())
+        for module in network
+        if isinstance(module, Linear)
+    ]
+
+
+def read_network(path: Path) -> Sequential:
+    """The network of a file that `export` wrote.
+
+    Raises:
+        ModelError: It cannot be read, or holds another network.
+    """
+    try:
+        tensors = onnx.load(path, load_external_data=False).graph.initializer
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    except DecodeError as error:
+        raise ModelError(f"{path}: is no ONNX file: {error}") from error
+    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in tensors}
+    names = [(f"weight_{index}", f"bias_{index}") for index in range(len(arrays) // 2)]
+    if set(arrays) != {name for pair in names for name in pair} or not names:
+        raise ModelError(f"{path}: was not written by this pipeline; it holds {list(arrays)}")
+    return network_of([(arrays[weight], arrays[bias]) for weight, bias in names])
+
+
+def values_of(network: Sequential, observations: Observations) -> NDArray[np.float32]:
+    """The network's values (M, 5) of observations (M, 7, 5)."""
+    with torch.no_grad():
+        values: NDArray[np.float32] = network(
+            torch.from_numpy(observations.reshape(-1, OBSERVED))
+        ).numpy()
+    return values
+
+
+def _alternating(layers: Sequence[Linear]) -> Sequential:
+    modules: list[Module] = []
+    for layer in layers:
+        modules += [layer, ReLU()]
+    return Sequential(*modules[:-1])

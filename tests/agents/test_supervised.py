@@ -1,0 +1,169 @@
+"""Learning from human driving: the loss by hand, what is measured, and its determinism."""
+
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
+import math
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+pytest.importorskip("onnx", reason="needs the extra 'train'")
+
+from charms_agents.training.network import layers_of, network_of, untrained
+from charms_agents.training.settings import Supervised
+from charms_agents.training.supervised import (
+    Epoch,
+    Fit,
+    agreement,
+    divergence,
+    log_likelihood,
+    squared_distance,
+)
+
+from charms_bench.human.samples import Samples
+
+THIRD = math.log(3)
+"""Its softmax beside four zeros is 3/7, and theirs 1/7."""
+
+
+def samples(count: int = 40, held_out: int = 10) -> Samples:
+    """Drivers who go faster when the first number of what they see is positive, else slower."""
+    rng = np.random.default_rng(0)
+    observations = rng.normal(size=(count, 7, 5)).astype(np.float32)
+    labels = np.zeros((count, 5), dtype=np.float32)
+    labels[np.arange(count), np.where(observations[:, 0, 0] > 0, 3, 4)] = 1.0
+    kept = np.arange(count) >= count - held_out
+    return Samples(observations, labels, kept, pl.DataFrame(), "0" * 64)
+
+
+def fitted(seed: int = 0, start: int = 0, data: Samples | None = None, **settings: Any) -> Fit:
+    fit = Fit(untrained((8,), start), data or samples(), Supervised(**settings), seed)
+    while not fit.finished:
+        fit.step()
+    return fit
+
+
+def test_the_divergence_is_that_of_the_network_from_the_label() -> None:
+    values = torch.tensor([[THIRD, 0.0, 0.0, 0.0, 0.0]])
+    labels = torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0]])
+    # The label becomes (0.96, 0.01, 0.01, 0.01, 0.01).
+    expected = 3 / 7 * math.log(3 / 7 / 0.96) + 4 / 7 * math.log(1 / 7 / 0.01)
+    assert float(divergence(values, labels, floor=0.01)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_network_that_says_what_the_label_says_does_not_diverge() -> None:
+    labels = torch.tensor([[0.5, 0.2, 0.1, 0.1, 0.1]])
+    floored = labels * 0.9 + 0.02
+    assert float(divergence(floored.log() + 7.0, labels, 0.02)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_pull_is_the_squared_distance_over_all_weights() -> None:
+    now = [torch.tensor([[1.0, 2.0]]), torch.tensor([3.0])]
+    before = [torch.tensor([[0.0, 4.0]]), torch.tensor([0.0])]
+    assert float(squared_distance(now, before)) == 1.0 + 4.0 + 9.0
+
+
+def test_the_likelihood_is_that_of_the_labels() -> None:
+    values = torch.tensor([[THIRD, 0.0, 0.0, 0.0, 0.0]])
+    labels = torch.tensor([[0.25, 0.75, 0.0, 0.0, 0.0]])
+    expected = 0.25 * math.log(3 / 7) + 0.75 * math.log(1 / 7)
+    assert log_likelihood(values, labels) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "label", "agrees"),
+    [
+        ([1.0, 2.0, 0.0, 0.0, 0.0], [0.0, 0.7, 0.0, 0.3, 0.0], 1.0),
+        ([1.0, 2.0, 0.0, 0.0, 0.0], [0.7, 0.3, 0.0, 0.0, 0.0], 0.0),
+        # Two actions are equally probable by the label: either will do.
+        ([0.0, 0.0, 0.0, 2.0, 0.0], [0.5, 0.0, 0.0, 0.5, 0.0], 1.0),
+        # Two actions are worth the same to the network: it takes the first.
+        ([0.0, 2.0, 0.0, 2.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0], 0.0),
+    ],
+)
+def test_agreement_is_taking_a_most_probable_action(
+    values: list[float], label: list[float], agrees: float
+) -> None:
+    assert agreement(torch.tensor([values]), torch.tensor([label])) == agrees
+
+
+def test_the_first_point_of_the_curve_is_before_any_learning() -> None:
+    fit = fitted(epochs=3, learning_rate=0.01)
+    assert [point.epoch for point in fit.curve] == [0, 1, 2, 3]
+    before = Fit(untrained((8,), 0), samples(), Supervised(), 0).curve
+    assert fit.curve[0] == before[0]
+
+
+def test_what_is_learnt_holds_for_held_out_drivers() -> None:
+    fit = fitted(epochs=60, learning_rate=0.01, batch_size=8, pull=0.0, data=samples(400, 100))
+    first, last = fit.curve[0], fit.curve[-1]
+    assert last.loss < first.loss
+    assert last.agreement is not None
+    assert last.log_likelihood is not None
+    assert last.agreement > 0.9
+    assert last.log_likelihood > (first.log_likelihood or 0.0)
+
+
+def test_a_strong_pull_keeps_the_network_where_it_started() -> None:
+    start = layers_of(untrained((8,), 0))
+
+    def moved(pull: float) -> float:
+        layers = layers_of(fitted(epochs=20, learning_rate=0.01, pull=pull).network)
+        pairs = zip(layers, start, strict=True)
+        return float(sum(((w - v) ** 2).sum() + ((b - c) ** 2).sum() for (w, b), (v, c) in pairs))
+
+    assert moved(pull=10.0) < 0.1 * moved(pull=0.0)
+
+
+def test_the_first_step_follows_the_slope_of_the_whole_loss() -> None:
+    # Adam's first step has the size of the learning rate, against the sign of the gradient; where
+    # it starts the pull has none. With all values equal, p = 1/5 and the gradient of the
+    # divergence with respect to a bias is p (log(p / y) - mean of log(p / y)): positive for the
+    # labels' zeros, negative for their one.
+    network = network_of([(np.zeros((5, 35), np.float32), np.zeros(5, np.float32))])
+    data = samples(count=2, held_out=1)
+    data.labels[:] = np.eye(5, dtype=np.float32)[2]
+    fit = Fit(network, data, Supervised(learning_rate=0.001, pull=0.2), 0)
+    fit.step()
+    bias = layers_of(network)[0][1]
+    np.testing.assert_allclose(bias, [-0.001, -0.001, 0.001, -0.001, -0.001], rtol=1e-4)
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
+    settings: dict[str, Any] = {"epochs": 3, "learning_rate": 0.01, "batch_size": 8}
+    first, again, other = (layers_of(fitted(seed, **settings).network) for seed in (1, 1, 2))
+    for (weight, bias), (same_weight, same_bias) in zip(first, again, strict=True):
+        np.testing.assert_array_equal(weight, same_weight)
+        np.testing.assert_array_equal(bias, same_bias)
+    assert (first[0][0] != other[0][0]).any()
+
+
+def test_an_interrupted_fit_goes_on_to_the_same_weights() -> None:
+    settings: dict[str, Any] = {"epochs": 4, "learning_rate": 0.01, "batch_size": 8}
+    whole = fitted(**settings)
+    stopped = Fit(untrained((8,), 0), samples(), Supervised(**settings), 0)
+    stopped.step()
+    stored = {name: array.copy() for name, array in stopped.arrays().items()}
+    resumed = Fit(untrained((8,), 0), samples(), Supervised(**settings), 0)
+    resumed.load_arrays(stored)
+    while not resumed.finished:
+        resumed.step()
+    assert resumed.curve == whole.curve
+    for name, array in whole.arrays().items():
+        np.testing.assert_array_equal(resumed.arrays()[name], array)
+
+
+def test_without_held_out_samples_there_is_only_a_loss() -> None:
+    (point,) = Fit(untrained((8,), 0), samples(held_out=0), Supervised(), 0).curve
+    assert point == Epoch(0, point.loss, None, None)
+
+
+def test_an_untrained_network_depends_on_its_seed_alone() -> None:
+    before = torch.random.get_rng_state()
+    first, again, other = (layers_of(untrained((8,), seed))[0][0] for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+    assert torch.equal(torch.random.get_rng_state(), before)
