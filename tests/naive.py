@@ -1,0 +1,156 @@
+"""Plain versions of the compiled functions, for a single scene; slow and obvious."""
+
+import math
+
+import numpy as np
+
+from charms_bench.scene import Constants, IdmMobilParameters, Scene
+
+Driver = tuple[Scene, IdmMobilParameters, float]
+"""A scene, and the IDM constants and exponent by which its driver reckons."""
+
+
+def closest_lane(y: float, lanes: int, width: float) -> int:
+    return min(range(lanes), key=lambda lane: abs(y - lane * width))
+
+
+def is_on_lane(x: float, y: float, lane: int, c: Constants) -> bool:
+    """`AbstractLane.on_lane` with a margin of 1 m."""
+    beside = abs(y - lane * c.lane_width)
+    return beside <= c.lane_width / 2 + 1 and -c.length <= x < c.road_length + c.length
+
+
+def neighbours(scene: Scene, i: int, lane: int) -> tuple[int, int]:
+    """Leader and follower of vehicle i on a lane, -1 for nobody [`Road.neighbour_vehicles`]."""
+    x, y = scene.x[0], scene.y[0]
+    leader = follower = -1
+    for j in range(x.size):
+        if j == i or not is_on_lane(x[j], y[j], lane, scene.constants):
+            continue
+        if x[i] <= x[j] and (leader < 0 or x[j] <= x[leader]):
+            leader = j
+        if x[j] < x[i] and (follower < 0 or x[j] > x[follower]):
+            follower = j
+    return leader, follower
+
+
+def velocity(scene: Scene, i: int) -> np.ndarray:
+    heading = scene.heading[0, i]
+    return scene.speed[0, i] * np.array([math.cos(heading), math.sin(heading)])
+
+
+def neighbours_observation(scene: Scene, i: int) -> np.ndarray:
+    """The observation `neighbours` of vehicle i, (7, 5)."""
+    rows = np.zeros((7, 5))
+    rows[0] = [1, 1, scene.y[0, i] / 12, *velocity(scene, i) / 66]
+    row = 1
+    for lane in (scene.lane[0, i] - 1, scene.lane[0, i], scene.lane[0, i] + 1):
+        found = neighbours(scene, i, lane) if 0 <= lane < scene.constants.lanes else (-1, -1)
+        for j in found:
+            dx = scene.x[0, j] - scene.x[0, i]
+            if j >= 0 and abs(dx) <= 99:
+                dy = scene.y[0, j] - scene.y[0, i]
+                dv = velocity(scene, j) - velocity(scene, i)
+                rows[row] = [1, *np.clip([dx / 165, dy / 12, *dv / 66], -1, 1)]
+            row += 1
+    return rows
+
+
+def desired_gap(driver: Driver, i: int, j: int) -> float:
+    """[`IDMVehicle.desired_gap`]"""
+    scene, p, _ = driver
+    direction = np.array([math.cos(scene.heading[0, i]), math.sin(scene.heading[0, i])])
+    closing = (velocity(scene, i) - velocity(scene, j)) @ direction
+    speed = scene.speed[0, i]
+    dynamic = speed * closing / (2 * math.sqrt(p.acceleration * p.deceleration))
+    return p.jam_distance + speed * p.time_headway + dynamic
+
+
+def idm_acceleration(driver: Driver, i: int, leader: int) -> float:
+    """IDM acceleration of vehicle i behind a leader; -1 is nobody [`IDMVehicle.acceleration`]."""
+    scene, p, exponent = driver
+    if i < 0:
+        return 0.0
+    wanted = np.clip(scene.target_speed[0, i], 0, scene.constants.speed_limit)
+    acceleration = p.acceleration * (1 - (max(scene.speed[0, i], 0) / wanted) ** exponent)
+    if leader >= 0:
+        gap = scene.x[0, leader] - scene.x[0, i]
+        gap = gap if abs(gap) > 0.01 else math.copysign(0.01, gap)
+        acceleration -= p.acceleration * (desired_gap(driver, i, leader) / gap) ** 2
+    return float(acceleration)
+
+
+def mobil(driver: Driver, i: int, lane: int) -> bool:
+    """Whether MOBIL changes to a lane [`IDMVehicle.mobil`]."""
+    scene, p, _ = driver
+    leader, follower = neighbours(scene, i, scene.lane[0, i])
+    new_leader, new_follower = neighbours(scene, i, lane)
+    imposed = idm_acceleration(driver, new_follower, i)
+    if imposed < -p.imposed_braking:
+        return False
+    own = idm_acceleration(driver, i, new_leader) - idm_acceleration(driver, i, leader)
+    new = imposed - idm_acceleration(driver, new_follower, new_leader)
+    old = idm_acceleration(driver, follower, leader) - idm_acceleration(driver, follower, i)
+    return own + p.politeness * (new + old) >= p.lane_change_gain
+
+
+def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
+    """Accelerations and target lanes of all vehicles [`IDMVehicle.act`]."""
+    c, p = scene.constants, scene.constants.idm_mobil
+    lanes, targets = scene.lane[0], [int(lane) for lane in scene.target_lane[0]]
+    accelerations = []
+    for i in range(len(targets)):
+        if scene.crashed[0, i]:
+            accelerations.append(0.0)
+            continue
+        exponent = p.exponent_low + scene.temperament[0, i] * (p.exponent_high - p.exponent_low)
+        driver = (scene, p, exponent)
+        if lanes[i] != targets[i]:
+            for j in range(len(targets)):
+                distance = scene.x[0, j] - scene.x[0, i]
+                rival = targets[j] == targets[i] != lanes[j]
+                if j != i and rival and 0 < distance < desired_gap(driver, i, j):
+                    targets[i] = int(lanes[i])
+                    break
+        elif scene.timer_s[0, i] > p.lane_change_period and scene.speed[0, i] >= 1:
+            for side in (lanes[i] - 1, lanes[i] + 1):
+                near = abs(scene.y[0, i] - side * c.lane_width) <= 2 * c.lane_width
+                on_length = 0 <= scene.x[0, i] < c.road_length + c.length
+                if 0 <= side < c.lanes and near and on_length and mobil(driver, i, side):
+                    targets[i] = int(side)
+        wanted = [
+            idm_acceleration(driver, i, neighbours(scene, i, lane)[0])
+            for lane in (lanes[i], targets[i])
+        ]
+        limit = p.acceleration_limit
+        accelerations.append(float(np.clip(min(wanted), -limit, limit)))
+    return accelerations, targets
+
+
+def stackelberg(scene: Scene, i: int) -> tuple[float, int]:
+    """Acceleration and target lane of a vehicle by the Stackelberg game, with default options."""
+    p = scene.constants.idm_mobil._replace(acceleration=3.0, deceleration=4.0)
+    driver = (scene, p, 4.0)
+    lane, target = int(scene.lane[0, i]), int(scene.target_lane[0, i])
+    if scene.crashed[0, i]:
+        return 0.0, target
+
+    def utility(on: int) -> float:
+        leader, _ = neighbours(scene, i, on)
+        gap = scene.x[0, leader] - scene.x[0, i]
+        return 1.0 if leader < 0 else gap / 200 + scene.speed[0, leader] / 66
+
+    def is_open(on: int) -> bool:
+        leader, follower = neighbours(scene, i, on)
+        if follower < 0 or scene.x[0, i] - scene.x[0, follower] > 50:
+            return True
+        before = idm_acceleration(driver, follower, leader)
+        return before - idm_acceleration(driver, follower, i) <= 1
+
+    if lane == target:
+        best = utility(lane) + 0.1
+        for side in (lane - 1, lane + 1):
+            if 0 <= side < scene.constants.lanes and utility(side) > best and is_open(side):
+                best, target = utility(side), side
+    wanted = [idm_acceleration(driver, i, neighbours(scene, i, on)[0]) for on in (lane, target)]
+    return float(np.clip(min(wanted), -4.0, 3.0)), target

@@ -1,0 +1,67 @@
+"""Single scenes, written down by a test or drawn by hypothesis."""
+
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from charms_bench.engine.kernels import locate
+from charms_bench.profile import PROFILES
+from charms_bench.scene import Scene, SceneSettings
+
+
+def scene_of(profile: str = "highway-env", lanes: int = 3, **fields: Any) -> Scene:
+    """A scene whose arrays hold `fields`, a number a vehicle; the first vehicle is the ego.
+
+    Vehicles keep to their nearest lane and their speed where the fields say nothing of it.
+    """
+    vehicles = len(fields["x"])
+    settings = SceneSettings(
+        profile=PROFILES[profile], lanes=lanes, traffic_vehicles=vehicles - 1, ego_slots=1
+    )
+    scene = Scene.empty(settings, 1)
+    for name, values in fields.items():
+        getattr(scene, name)[0] = values
+    scene.order[0] = np.random.default_rng(0).permutation(vehicles)
+    scene.rank[0, scene.order[0]] = np.arange(vehicles)
+    locate(scene, np.array([0]))
+    if "target_lane" not in fields:
+        scene.target_lane[:] = scene.lane
+    if "target_speed" not in fields:
+        scene.target_speed[:] = scene.speed
+    scene.active[:] = True
+    return scene
+
+
+def all_vehicles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """All vehicles of a single scene, as driver models are given them."""
+    places = np.arange(scene.x.shape[1])
+    return np.zeros_like(places), places
+
+
+@st.composite
+def scenes(
+    draw: st.DrawFn, most_vehicles: int = 8, profiles: tuple[str, ...] = tuple(PROFILES)
+) -> Scene:
+    """Crowded scenes: vehicles level with each other, on two lanes, beside and before the road."""
+    lanes = draw(st.integers(2, 5))
+    vehicles = draw(st.integers(2, most_vehicles))
+
+    def each(values: st.SearchStrategy[Any]) -> list[Any]:
+        return draw(st.lists(values, min_size=vehicles, max_size=vehicles))
+
+    level = st.sampled_from([-6.0, -5.0, 0.0, 10.0, 25.0, 40.0])
+    centres = st.integers(0, lanes - 1).map(lambda lane: 4.0 * lane)
+    return scene_of(
+        profile=draw(st.sampled_from(profiles)),
+        lanes=lanes,
+        x=each(st.one_of(level, st.floats(-8.0, 120.0))),
+        y=each(st.one_of(centres, st.floats(-4.0, 4.0 * lanes))),
+        heading=each(st.one_of(st.just(0.0), st.floats(-0.5, 0.5))),
+        speed=each(st.floats(0.0, 40.0)),
+        target_speed=each(st.floats(15.0, 35.0)),
+        target_lane=each(st.integers(0, lanes - 1)),
+        timer_s=each(st.sampled_from([0.5, 1.5])),
+        temperament=each(st.floats(0.0, 1.0)),
+        crashed=each(st.sampled_from([False, False, False, True])),
+    )
