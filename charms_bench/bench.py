@@ -22,6 +22,7 @@ from charms_bench.registry import make_agent, make_traffic
 from charms_bench.scene import SceneSettings
 from charms_bench.simulation import RUNNING, Simulation
 
+_SETTINGS = SceneSettings()
 _SCENES = 512
 _SEED = 10**6
 
@@ -41,6 +42,12 @@ class Measurement:
     low: float
     high: float
 
+    @property
+    def ns_per_vehicle_step(self) -> float:
+        """Thread time of one vehicle's simulation step, with its share of everything else."""
+        simulation_steps = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
+        return 1e9 * self.threads / (self.steps_per_s * simulation_steps * self.vehicles)
+
 
 def bench(
     vehicles: int = 21,
@@ -58,9 +65,9 @@ def bench(
         rounds: Measurements of each.
         progress: Told what is being measured.
     """
-    settings = SceneSettings(traffic_vehicles=vehicles - 1)
+    settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
+    crowded = _SETTINGS.model_copy(update={"traffic_vehicles": 199})
     all_threads = os.cpu_count() or 1
-    crowded = SceneSettings(traffic_vehicles=199)
     contestants: list[tuple[str, int, int, Contestant]] = [
         ("batched", 1, vehicles, _batched(settings, traffic, 1)),
         ("batched", all_threads, vehicles, _batched(settings, traffic, all_threads)),

@@ -249,13 +249,19 @@ def bench(
 
     results = measure(vehicles, traffic, seconds, rounds, tell)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    rows = [asdict(r) | {"times_highway_env": r.steps_per_s / base} for r in results]
+    rows = [
+        asdict(r)
+        | {
+            "ns_per_vehicle_step": r.ns_per_vehicle_step,
+            "times_highway_env": r.steps_per_s / base,
+        }
+        for r in results
+    ]
     pool = [r for r in results if r.name == "EnvPool"]
     for row in rows:
         rival = next((r for r in pool if r.threads == row["threads"]), None)
         comparable = rival if rival and row["vehicles"] == rival.vehicles else None
         row["times_envpool"] = row["steps_per_s"] / comparable.steps_per_s if comparable else None
-        row["ns_per_vehicle_step"] = 1e9 / (row["steps_per_s"] * 5 * row["vehicles"])
     if as_json:
         print(json.dumps(rows, indent=2))
         return
