@@ -22,19 +22,19 @@ class OnnxPolicy(Policy):
 
     Args:
         path: The `.onnx` file.
-        decision_hz: Decisions a second.
+        decision_hz: Decisions a second; by default those in the file's metadata, or 3.
 
     Raises:
         ModelError: The file is missing, too large, broken or of another shape.
     """
 
-    def __init__(self, path: str | Path, decision_hz: float = 3.0) -> None:
+    def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
-        self.decision_hz = decision_hz
         data = _read(self.path)
         self._sha256 = sha256(data).hexdigest()
         self._session = _session(self.path, data)
         self._input, self._shape = _input(self.path, self._session)
+        self.decision_hz = decision_hz or _decision_hz(self.path, self._session)
 
     @property
     def weights_sha256(self) -> str:
@@ -82,6 +82,18 @@ def _session(path: Path, data: bytes) -> Any:
     except Exception as error:  # onnxruntime's errors share no public base
         reason = str(error).splitlines()[0]
         raise ModelError(f"{path}: is no model onnxruntime can load: {reason}") from error
+
+
+def _decision_hz(path: Path, session: Any) -> float:
+    """Decisions a second by the file's metadata."""
+    said = session.get_modelmeta().custom_metadata_map.get("decision_hz", "3")
+    try:
+        hz = float(said)
+    except ValueError:
+        hz = 0.0
+    if not 0 < hz <= 1000:
+        raise ModelError(f"{path}: its metadata say decision_hz '{said}'; expected a positive rate")
+    return hz
 
 
 def _input(path: Path, session: Any) -> tuple[str, tuple[int, ...]]:

@@ -4,6 +4,7 @@ Listing reads metadata only. A plugin is imported when it is asked for, so a bro
 else's trouble.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -17,7 +18,8 @@ from charms_bench.traffic import OneAgent, Traffic
 AGENTS = "charms_bench.agents"
 TRAFFIC = "charms_bench.traffic"
 PIPELINES = "charms_bench.pipelines"
-_ROLES = {AGENTS: "agent", TRAFFIC: "traffic", PIPELINES: "pipeline"}
+EXPORTERS = "charms_bench.exporters"
+_ROLES = {AGENTS: "agent", TRAFFIC: "traffic", PIPELINES: "pipeline", EXPORTERS: "exporter"}
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Plugin:
 
     name: str
     role: str
-    """`agent`, `traffic` or `pipeline`."""
+    """`agent`, `traffic`, `pipeline` or `exporter`."""
     distribution: str
     version: str
     entry_point: EntryPoint
@@ -123,9 +125,21 @@ def _load(plugin: Plugin) -> Any:
     try:
         return plugin.entry_point.load()
     except Exception as error:
+        remedy = _remedy(plugin, error) if isinstance(error, ImportError) else ""
         raise RegistryError(
-            f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}"
+            f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}{remedy}"
         ) from error
+
+
+def _remedy(plugin: Plugin, error: ImportError) -> str:
+    """Which extra of its distribution brings the missing library, if one does."""
+    library = (error.name or "").partition(".")[0].replace("_", "-")
+    distribution = plugin.entry_point.dist
+    for requirement in (distribution.requires or []) if distribution and library else []:
+        match = re.match(r"([\w.-]+).*extra == ['\"]([\w.-]+)['\"]", requirement)
+        if match and match[1].replace("_", "-").lower() == library:
+            return f"; pip install '{plugin.distribution}[{match[2]}]'"
+    return ""
 
 
 def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:

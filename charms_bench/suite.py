@@ -58,7 +58,7 @@ class AgentSpec(FrozenModel):
             return make_agent(str(self.name), self.options)
         from charms_bench.onnx_policy import OnnxPolicy
 
-        return OnnxPolicy(folder / self.onnx, self.decision_hz or 3.0)
+        return OnnxPolicy(folder / self.onnx, self.decision_hz)
 
 
 class TrafficSpec(FrozenModel):

@@ -15,13 +15,18 @@ SUITE = Path(__file__).parent.parent / "suites" / "ego.yaml"
 def without_torch(tmp_path: Path) -> dict[str, str]:
     """An environment in which importing a library of the extra `train` fails."""
     for name in ("torch", "stable_baselines3", "onnx", "tensorboard"):
-        (tmp_path / f"{name}.py").write_text(f"raise ImportError('{name} is not installed')\n")
+        missing = f"raise ModuleNotFoundError('{name} is not installed', name='{name}')\n"
+        (tmp_path / f"{name}.py").write_text(missing)
     return {**os.environ, "PYTHONPATH": str(tmp_path)}
 
 
-def charms_bench(environment: dict[str, str], *arguments: str) -> str:
+def called(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "charms_bench", *arguments]
-    finished = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def charms_bench(environment: dict[str, str], *arguments: str) -> str:
+    finished = called(environment, *arguments)
     assert finished.returncode == 0, finished.stderr
     return finished.stdout
 
@@ -38,3 +43,15 @@ def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str]) -
     assert {"idm_mobil", "stackelberg", "level_0", "prior_level_k"} <= set(ours)
     for name in ours:
         charms_bench(without_torch, "check", name)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("run", str(SUITE.parent / "train.yaml")), ("export", "model.zip", "model.onnx")]
+)
+def test_what_needs_torch_says_how_to_install_it(
+    without_torch: dict[str, str], arguments: tuple[str, ...]
+) -> None:
+    finished = called(without_torch, *arguments)
+    assert finished.returncode == 2
+    assert "pip install 'charms-bench[train]'" in finished.stderr
+    assert "Traceback" not in finished.stderr

@@ -119,6 +119,19 @@ def test_a_pipeline_that_is_not_installed_is_named(tmp_path: Path) -> None:
     assert (result.returncode, "no pipeline named 'nobody'" in result.stderr) == (2, True)
 
 
+def test_an_export_to_another_kind_of_file_is_refused(tmp_path: Path) -> None:
+    result = charms_bench("export", tmp_path / "model.zip", tmp_path / "model.pt")
+    assert (result.returncode, "a name that ends in .onnx" in result.stderr) == (2, True)
+
+
+def test_a_checkpoint_that_is_not_there_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="needs the extra 'train'")
+    pytest.importorskip("onnx", reason="needs the extra 'train'")
+    result = charms_bench("export", tmp_path / "model.zip", tmp_path / "model.onnx")
+    assert result.returncode == 2
+    assert "model.zip: cannot be read: No such file" in result.stderr
+
+
 def test_agents_are_listed_with_role_version_and_distribution() -> None:
     rows = json.loads(charms_bench("agents", "--json").stdout)
     expected = {"role": "agent", "version": "1.2.3", "distribution": "outside-plugin"}

@@ -39,6 +39,28 @@ def test_it_survives_pickling_by_its_path(network_file: NetworkFile) -> None:
     assert (again.weights_sha256, again.decision_hz) == (policy.weights_sha256, 5.0)
 
 
+def with_metadata(path: Path, **said: str) -> Path:
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(path)
+    onnx.helper.set_model_props(model, said)
+    onnx.save(model, path)
+    return path
+
+
+def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None:
+    assert OnnxPolicy(network_file()).decision_hz == 3.0
+    path = with_metadata(network_file(), decision_hz="5")
+    assert OnnxPolicy(path).decision_hz == 5.0
+    assert OnnxPolicy(path, decision_hz=1.0).decision_hz == 1.0
+
+
+@pytest.mark.parametrize("said", ["often", "0", "-1", "nan", "inf"])
+def test_a_file_that_says_no_rate_is_refused(network_file: NetworkFile, said: str) -> None:
+    path = with_metadata(network_file(), decision_hz=said)
+    with pytest.raises(ModelError, match=f"its metadata say decision_hz '{said}'"):
+        OnnxPolicy(path)
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"none\.onnx: cannot be read: No such file"):
         OnnxPolicy(tmp_path / "none.onnx")

@@ -1,0 +1,269 @@
+"""Stable-Baselines3 checkpoints become ONNX files; hostile ones do nothing."""
+
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
+import io
+import json
+import os
+import pickle
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
+
+import gymnasium
+from charms_agents.training import sb3_zip
+from charms_agents.training.sb3_zip import export_zip
+
+from charms_bench.errors import ModelError
+from charms_bench.onnx_policy import OnnxPolicy
+
+SUITE = """\
+suite: exported
+episodes: 2
+scene: {duration_s: 2.0, traffic_vehicles: 5, decision_hz: 5}
+egos: [{agent: {onnx: out.onnx}}]
+traffics: [{traffic: idm_mobil}]
+"""
+FACTS = {"decision_hz": "5", "style": "hasty"}
+
+
+class Blank(gymnasium.Env[Any, Any]):
+    """Spaces without anything in them."""
+
+    def __init__(self, shape: tuple[int, ...] = (7, 5), actions: int = 5) -> None:
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, shape, np.float32)
+        self.action_space = gymnasium.spaces.Discrete(actions)
+
+
+def saved(folder: Path, **spaces: Any) -> tuple[Any, Path]:
+    """Somebody's DQN and its checkpoint."""
+    settings = {"net_arch": [16, 8]}
+    model = sb3.DQN("MlpPolicy", Blank(**spaces), buffer_size=10, policy_kwargs=settings, seed=3)
+    path = folder / "model.zip"
+    model.save(path)
+    return model, path
+
+
+def weights(**changes: Any) -> dict[str, Any]:
+    """The state of a DQN with one hidden layer, with some tensors changed; None leaves one out."""
+    tensors = {
+        "q_net.q_net.0.weight": torch.zeros(4, 35),
+        "q_net.q_net.0.bias": torch.zeros(4),
+        "q_net.q_net.2.weight": torch.zeros(5, 4),
+        "q_net.q_net.2.bias": torch.zeros(5),
+    }
+    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
+    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
+
+
+def zipped(folder: Path, policy: object = None, **members: bytes) -> Path:
+    """A checkpoint with some object in its `policy.pth`, or with those bytes."""
+    path = folder / "made.zip"
+    content = policy
+    if not isinstance(content, bytes):
+        buffer = io.BytesIO()
+        torch.save(weights() if policy is None else policy, buffer)
+        content = buffer.getvalue()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("policy.pth", content)
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return path
+
+
+class Hostile:
+    """Leaves a file behind wherever it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.trace),)
+
+
+def refused(path: Path, message: str) -> None:
+    output = path.parent / "out.onnx"
+    with pytest.raises(ModelError, match=message) as caught:
+        export_zip(path, output, FACTS)
+    assert str(caught.value).startswith(str(path))
+    assert not output.exists()
+    assert not list(path.parent.glob(".*.partial"))
+
+
+def test_the_file_acts_as_the_model_that_was_saved(tmp_path: Path) -> None:
+    model, path = saved(tmp_path)
+    made = export_zip(path, tmp_path / "out.onnx", FACTS)
+    observations = np.random.default_rng(0).uniform(-1, 1, (200, 7, 5)).astype(np.float32)
+    expected, _ = model.predict(observations, deterministic=True)
+    found = OnnxPolicy(tmp_path / "out.onnx").decide(observations)
+    np.testing.assert_array_equal(found, expected)
+    assert made["sizes"] == [35, 16, 8, 5]
+    assert made["observations"] == 4 * 16 * 21
+    assert made["ties"] == 0
+
+
+def test_the_file_says_what_it_is_and_where_it_is_from(tmp_path: Path) -> None:
+    _, path = saved(tmp_path)
+    made = export_zip(path, tmp_path / "out.onnx", FACTS)
+    says = {p.key: p.value for p in onnx.load(tmp_path / "out.onnx").metadata_props}
+    assert says["actions"] == "LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER"
+    assert says["observation"].startswith("neighbours: (7, 5) float32")
+    assert (says["decision_hz"], says["style"]) == ("5", "hasty")
+    assert says["activation"] == "ReLU (assumed)"
+    assert says["source"] == "model.zip, a Stable-Baselines3 checkpoint"
+    assert says["source_sha256"] == made["sha256"]
+
+
+def test_a_flat_observation_is_as_good(tmp_path: Path) -> None:
+    _, path = saved(tmp_path, shape=(35,))
+    assert export_zip(path, tmp_path / "out.onnx", FACTS)["sizes"][0] == 35
+
+
+def test_pickled_data_beside_the_weights_is_never_loaded(tmp_path: Path) -> None:
+    trace = tmp_path / "trace"
+    path = zipped(tmp_path, data=pickle.dumps(Hostile(trace)))
+    export_zip(path, tmp_path / "out.onnx", FACTS)
+    assert not trace.exists()
+
+
+def test_a_pickle_in_place_of_tensors_does_not_run(tmp_path: Path) -> None:
+    trace = tmp_path / "trace"
+    refused(zipped(tmp_path, {"q_net.q_net.0.weight": Hostile(trace)}), "other than tensors")
+    refused(zipped(tmp_path, pickle.dumps(Hostile(trace))), "not in torch's format")
+    assert not trace.exists()
+
+
+def test_the_hostile_pickle_of_these_tests_would_run(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(Hostile(tmp_path / "trace")))
+    assert (tmp_path / "trace").exists()
+
+
+def test_what_is_no_zip_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"not a zip" * 100)
+    refused(path, "is no zip")
+    refused(tmp_path / "nowhere.zip", "cannot be read: No such file")
+
+
+def test_a_zip_cut_short_is_named(tmp_path: Path) -> None:
+    _, whole = saved(tmp_path)
+    cut = tmp_path / "cut.zip"
+    cut.write_bytes(whole.read_bytes()[:-200])
+    refused(cut, "is no zip|cannot be unpacked|has no policy.pth")
+
+
+def test_weights_that_are_damaged_are_named(tmp_path: Path) -> None:
+    path = zipped(tmp_path)
+    data = bytearray(path.read_bytes())
+    data[400] ^= 0xFF  # within policy.pth, whose checksum no longer fits
+    path.write_bytes(data)
+    refused(path, "cannot be unpacked")
+
+
+def test_a_zip_without_weights_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "other.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    refused(path, "has no policy.pth; it holds: readme.txt")
+
+
+def test_a_zip_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("policy.pth", bytes(20 * 2**20))
+    refused(path, "policy.pth unpacks to more than 100 times its size")
+
+
+def test_weights_beyond_any_policy_are_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "large.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("policy.pth", bytes(65 * 2**20))
+    refused(path, "policy.pth unpacks to 68,157,440 bytes")
+
+
+def test_a_bomb_within_the_weights_is_not_unpacked(tmp_path: Path) -> None:
+    inner = io.BytesIO()
+    with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data/0", bytes(20 * 2**20))
+    refused(zipped(tmp_path, inner.getvalue()), "policy.pth: archive/data/0 unpacks to more than")
+
+
+def test_a_zip_of_very_many_members_is_refused(tmp_path: Path) -> None:
+    refused(zipped(tmp_path, **{f"m{i}": b"" for i in range(1001)}), "1,002 members")
+
+
+def test_a_view_that_repeats_a_number_is_refused(tmp_path: Path) -> None:
+    repeated = torch.zeros(1).expand(4, 35)
+    refused(zipped(tmp_path, weights(q_net__q_net__0__weight=repeated)), "repeats stored numbers")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"q_net__q_net__0__weight": torch.zeros(4, 25)}, "takes 25 numbers; expected 35, the obs"),
+        ({"q_net__q_net__2__weight": torch.zeros(5, 6)}, "takes 6 numbers; expected 4, as the"),
+        (
+            {"q_net__q_net__2__weight": torch.zeros(3, 4), "q_net__q_net__2__bias": torch.zeros(3)},
+            "values 3 actions; expected 5",
+        ),
+        ({"q_net__q_net__2__bias": torch.zeros(4)}, r"not linear: weight \(5, 4\), bias \(4,\)"),
+        ({"q_net__q_net__2__bias": None}, "not made of linear layers"),
+        ({"q_net__q_net__5__weight": torch.zeros(5, 5)}, r"weights at \[0, 2, 5\]"),
+        ({"q_net__q_net__0__bias": torch.full((4,), torch.nan)}, "not finite"),
+        ({"q_net__q_net__0__bias": torch.zeros(4, dtype=torch.int64)}, "expected torch.float32"),
+        ({"q_net__features_extractor__cnn__0__weight": torch.zeros(2, 3, 8, 8)}, "CnnPolicy"),
+    ],
+)
+def test_networks_of_another_shape_are_named(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    refused(zipped(tmp_path, weights(**changes)), message)
+
+
+def test_another_algorithm_is_named(tmp_path: Path) -> None:
+    model = sb3.PPO("MlpPolicy", Blank(), device="cpu")
+    model.save(tmp_path / "ppo.zip")
+    refused(tmp_path / "ppo.zip", "has no Q-network of a DQN; policy.pth holds: mlp_extractor")
+
+
+def test_something_other_than_tensors_by_name_is_refused(tmp_path: Path) -> None:
+    refused(zipped(tmp_path, [1, 2]), "holds no tensors by name")
+
+
+def test_a_file_that_would_act_differently_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, path = saved(tmp_path)
+    monkeypatch.setattr(OnnxPolicy, "decide", lambda self, seen: np.zeros(len(seen), np.int64))
+    refused_output = tmp_path / "out.onnx"
+    with pytest.raises(ModelError, match="would act differently from the network"):
+        export_zip(path, refused_output, FACTS)
+    assert not refused_output.exists()
+
+
+def test_the_checked_observations_are_those_of_moving_scenes() -> None:
+    seen = sb3_zip._seen(0)
+    assert seen.shape == (16 * 21, 7, 5)
+    assert (seen[:, 0, 0] == 1).all()
+    assert len(np.unique(seen[:, 1:, 0].sum(axis=1))) > 3
+
+
+def test_the_command_line_exports_and_the_file_drives_in_a_suite(tmp_path: Path) -> None:
+    saved(tmp_path)
+    command = [sys.executable, "-m", "charms_bench"]
+    export = [*command, "export", "model.zip", "out.onnx", "--decision-hz", "5", "--json"]
+    done = subprocess.run(export, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["sizes"] == [35, 16, 8, 5]
+    (tmp_path / "suite.yaml").write_text(SUITE)
+    run = [*command, "run", "suite.yaml", "--json"]
+    rows = json.loads(subprocess.run(run, cwd=tmp_path, capture_output=True, check=True).stdout)
+    assert {row["agent"] for row in rows} == {"out.onnx"}
