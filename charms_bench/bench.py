@@ -23,7 +23,7 @@ from charms_bench.scene import SceneSettings
 from charms_bench.simulation import RUNNING, Simulation
 
 _SETTINGS = SceneSettings()
-_SCENES = 512
+_SCENES = 1024
 _SEED = 10**6
 
 Contestant = Callable[[float], tuple[int, float]]
