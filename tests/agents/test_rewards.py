@@ -40,6 +40,14 @@ def test_safety_is_the_time_to_collision_with_the_leader_over_three_seconds(
     assert safety(simulation.scene) == pytest.approx(expected)
 
 
+def test_a_longer_horizon_asks_for_more_time_to_collision() -> None:
+    simulation = simulation_of((500.0, 1, 30.0), (545.0, 1, 20.0))  # 4.5 s
+    assert safety(simulation.scene, 3.0) == 1.0
+    assert safety(simulation.scene, 10.0) == pytest.approx(0.45)
+    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), "egoistic", 10.0)
+    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(0.45)
+
+
 def test_a_lone_ego_is_safe_in_its_lane_and_between_lanes() -> None:
     assert safety(simulation_of((500.0, 1, 30.0)).scene) == 1.0
     assert safety(simulation_of((500.0, 1, 30.0), target_lane=0).scene) == 1.0

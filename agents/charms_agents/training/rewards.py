@@ -26,6 +26,7 @@ SVO_ANGLES_RAD: dict[Svo, float] = {
 """Social value orientation (SVO) as an angle: what one gives oneself and others."""
 
 SAFE_TTC_S = 3.0
+"""The horizon of r_s, eq. 4, by default: a collision further off in time is none."""
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 23.0, 33.0
 FAILURE = -10.0
 """The reward of the decision in which the ego crashes or leaves the road."""
@@ -70,10 +71,16 @@ class StyleReward:
     The own reward is divided by its largest value, and r_o mapped from [-6, 6] to [0, 1], so that
     both have one range. An egoist's is R_1, eq. 6. A crash, or leaving the road, is worth
     `FAILURE` instead.
+
+    Args:
+        weights: a, b and c.
+        svo: Which gives phi.
+        safety_horizon_s: See `safety`.
     """
 
-    def __init__(self, weights: Weights, svo: Svo) -> None:
+    def __init__(self, weights: Weights, svo: Svo, safety_horizon_s: float = SAFE_TTC_S) -> None:
         self._weights = weights
+        self._horizon_s = safety_horizon_s
         self._own = math.cos(SVO_ANGLES_RAD[svo])
         self._others = math.sin(SVO_ANGLES_RAD[svo])
 
@@ -92,7 +99,7 @@ class StyleReward:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self._weights
         own = (
-            weights.safety * safety(scene)
+            weights.safety * safety(scene, self._horizon_s)
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
@@ -103,14 +110,14 @@ class StyleReward:
         return np.where(failed, FAILURE, rewards)
 
 
-def safety(scene: Scene) -> Floats:
-    """r_s (B,), eq. 4: in [0, 1], 1 while no collision is less than 3 s away.
+def safety(scene: Scene, horizon_s: float = SAFE_TTC_S) -> Floats:
+    """r_s (B,), eq. 4: in [0, 1], 1 while no collision is less than `horizon_s` away.
 
     Time to collision with the leader in the lane; during a lane change, half with the leader and
     half with the follower in the target lane. Nobody, or nobody nearing: infinite.
     """
     result = np.empty(scene.ego.size)
-    _safety(scene, result)
+    _safety(scene, horizon_s, result)
     return result
 
 
@@ -147,27 +154,27 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 
 
 @compiled
-def clipped_ttc(scene: Scene, b: int, behind: int, ahead: int) -> float:
-    """Time to collision over `SAFE_TTC_S`, clipped to [0, 1]; -1 is no vehicle."""
+def clipped_ttc(scene: Scene, b: int, behind: int, ahead: int, horizon_s: float) -> float:
+    """Time to collision over `horizon_s`, clipped to [0, 1]; -1 is no vehicle."""
     if behind < 0 or ahead < 0:
         return 1.0
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
     if closing <= 0.0:
         return 1.0
     ttc = (scene.x[b, ahead] - scene.x[b, behind]) / closing
-    return float(min(max(ttc / SAFE_TTC_S, 0.0), 1.0))
+    return float(min(max(ttc / horizon_s, 0.0), 1.0))
 
 
 @compiled
-def _safety(scene: Scene, result: Floats) -> None:
+def _safety(scene: Scene, horizon_s: float, result: Floats) -> None:
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = clipped_ttc(scene, b, ego, scene.leaders[b, ego, target])
+        front = clipped_ttc(scene, b, ego, scene.leaders[b, ego, target], horizon_s)
         if lane == target:
             result[b] = front
         else:
-            rear = clipped_ttc(scene, b, scene.followers[b, ego, target], ego)
+            rear = clipped_ttc(scene, b, scene.followers[b, ego, target], ego, horizon_s)
             result[b] = 0.5 * front + 0.5 * rear
 
 
