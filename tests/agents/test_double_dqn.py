@@ -112,3 +112,67 @@ def test_before_learning_starts_every_action_is_random() -> None:
     agent = double_dqn(scenes=400, learning_starts=1)
     actions, _ = agent._sample_action(1, n_envs=400)
     assert np.bincount(actions, minlength=5).min() > 50
+
+
+def recorded(*rewards: float, ended: int = -1, timeout: bool = False, rows: int = 500) -> DoubleDQN:
+    """An agent whose targets add up three rewards, half as much each; the step `ended` ends."""
+    agent = double_dqn(gamma=0.5, return_steps=3, buffer_size=2 * rows)
+    buffer, nothing = agent.replay_buffer, np.zeros((2, 7, 5), dtype=np.float32)
+    assert buffer is not None
+    for k, reward in enumerate(rewards):
+        done, infos = np.full(2, k == ended), [{"TimeLimit.truncated": timeout and k == ended}] * 2
+        buffer.add(nothing, nothing, np.zeros(2), np.array([reward, 0.0]), done, infos)
+    return agent
+
+
+@pytest.mark.parametrize(
+    ("arguments", "row", "expected"),
+    [
+        # 1 + 2 / 2 + 4 / 4, and an eighth of the value after row 2.
+        ({}, 0, (3.0, 0.125, 2)),
+        # Row 3 is the newest: 4 + 8 / 2, and a quarter of the value after it.
+        ({}, 2, (8.0, 0.25, 3)),
+        ({}, 3, (8.0, 0.5, 3)),
+        # A failure in row 1: 1 + 2 / 2, and nothing comes after it.
+        ({"ended": 1}, 0, (2.0, 0.0, 1)),
+        # The end of the time in row 1: 1 + 2 / 2, and a quarter of the value it ends with.
+        ({"ended": 1, "timeout": True}, 0, (2.0, 0.25, 1)),
+        # What ends in the row before is another episode.
+        ({"ended": 0}, 1, (6.0, 0.125, 3)),
+    ],
+)
+def test_a_return_adds_up_rewards_until_the_episode_or_the_record_ends(
+    arguments: dict[str, Any], row: int, expected: tuple[float, float, int]
+) -> None:
+    agent = recorded(1.0, 2.0, 4.0, 8.0, **arguments)
+    rewards, discounts, last = agent.returns(np.array([row]), np.array([0]))
+    assert (rewards[0], discounts[0], last[0]) == expected
+
+
+def test_a_return_goes_on_at_the_start_of_a_full_buffer() -> None:
+    agent = recorded(1.0, 2.0, 4.0, 8.0, 16.0, rows=4)  # the last one replaced the first
+    rewards, discounts, last = agent.returns(np.array([2, 3]), np.array([0, 0]))
+    np.testing.assert_array_equal(rewards, [4 + 8 / 2 + 16 / 4, 8 + 16 / 2])
+    np.testing.assert_array_equal(discounts, [0.125, 0.25])
+    np.testing.assert_array_equal(last, [0, 0])
+
+
+def test_the_learning_rate_follows_its_schedule() -> None:
+    agent = double_dqn(
+        learning_starts=0, train_freq=(1, "step"), learning_rate=lambda remaining: 8 * remaining
+    )
+    agent.learn(8, log_interval=None)  # type: ignore[arg-type]
+    agent.num_timesteps, agent._current_progress_remaining = 6, 0.25
+    agent.train(gradient_steps=1)
+    assert agent.policy.optimizer.param_groups[0]["lr"] == 2.0
+
+
+def test_a_standardised_networks_values_are_those_of_its_exported_network() -> None:
+    agent = double_dqn(standardised=True)
+    observations = np.random.default_rng(0).normal(size=(50, 7, 5)).astype(np.float32)
+    observations[:, 0, :2] = 1.0
+    with torch.no_grad():
+        exported = agent.network(torch.from_numpy(observations).flatten(1)).numpy()
+        plain = agent.q_net.q_net(torch.from_numpy(observations).flatten(1)).numpy()
+    np.testing.assert_allclose(exported, agent.values(observations), rtol=1e-4, atol=1e-5)
+    assert not np.allclose(plain, exported)

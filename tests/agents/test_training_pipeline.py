@@ -38,6 +38,17 @@ hyperparameters:
   target_update_steps: 20
   hidden_layers: [16]
   scenes: 4
+variants:
+  steady:
+    replay_buffer: 200
+    learning_starts: 60
+    target_update_steps: 20
+    hidden_layers: [16]
+    scenes: 4
+    return_steps: 3
+    target_update_rate: 0.5
+    learning_rate_decay: 0.8
+    standardised: true
 curve_steps: 100
 checkpoint_s: 1.0e-9
 weights:
@@ -45,6 +56,8 @@ weights:
 stages:
   second:
     steps: 200
+    variant: steady
+    safety_horizon_s: 10.0
     weights: plain
     svo: prosocial
     scene: {traffic_vehicles: 3, ego_slots: 2, duration_s: 5.0}

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 import yaml
-from charms_agents.training.settings import FIRST_TRAINING_SEED, load_training
+from charms_agents.training.settings import FIRST_TRAINING_SEED, Hyperparameters, load_training
 
 from charms_bench.errors import SuiteError
 from charms_bench.suite import EVALUATION_SEEDS
@@ -60,6 +60,17 @@ def test_no_training_scene_is_ever_evaluated() -> None:
         (("stages", "level_1", "traffic"), {"agent": "level_O"}, "Did you mean 'level_0'"),
         (("stages", "prior_level_k", "traffic"), {"stage": "level_2"}, "no stage named 'level_2'"),
         (("stages", "level_1", "traffic"), {"stage": "prior_level_k"}, "stages need each other"),
+        (("stages", "level_1", "variant"), "calm", "no variant named 'calm'; this file has: "),
+        (
+            ("stages", "prior_level_k", "traffic"),
+            {"stage": "level_1", "agent": "level_0"},
+            "agent_share is needed with both",
+        ),
+        (
+            ("stages", "prior_level_k", "traffic"),
+            {"stage": "level_1", "agent_share": 0.5},
+            "agent_share is needed with both",
+        ),
         (("weights", "safe", "comfort"), -1.0, "weights.safe.comfort"),
         (("stages", "level_1", "scene", "density"), 0, "stages.level_1.scene.density"),
     ],
@@ -70,3 +81,32 @@ def test_what_is_wrong_is_named_with_its_place(
     file = changed(tmp_path, *path, value=value)
     with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
         load_training(file)
+
+
+@pytest.mark.parametrize(
+    ("remaining", "expected"), [(1.0, 1e-3), (0.5, 1e-3), (0.25, 5e-4), (0.0, 0.0)]
+)
+def test_a_decaying_learning_rate_falls_to_zero_in_the_last_steps(
+    remaining: float, expected: float
+) -> None:
+    h = Hyperparameters(learning_rate=1e-3, learning_rate_decay=0.5)
+    assert h.learning_rate_at(remaining) == pytest.approx(expected)
+
+
+def test_the_learning_rate_of_the_paper_stays() -> None:
+    assert Hyperparameters().learning_rate_at(0.0) == 1e-4
+
+
+def test_an_option_counts_as_an_input_only_where_it_is_used() -> None:
+    assert "return_steps" not in Hyperparameters().inputs
+    assert Hyperparameters(return_steps=3).inputs == {**Hyperparameters().inputs, "return_steps": 3}
+
+
+def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
+    file = changed(tmp_path, "variants", value={"calm": {"learning_rate": 2e-4}})
+    data = yaml.safe_load(file.read_text())
+    data["stages"]["prior_level_k"]["variant"] = "calm"
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    suite = load_training(file)
+    rates = {n: suite.hyperparameters_of(s).learning_rate for n, s in suite.stages.items()}
+    assert rates == {"level_1": 1e-4, "prior_level_k": 2e-4}

@@ -1,19 +1,32 @@
 """Double DQN (van Hasselt et al. 2016) on Stable-Baselines3's DQN."""
 
 import json
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.vec_env import VecEnv
+from torch.nn import Sequential
 from torch.nn.functional import mse_loss
 
 from charms_agents.training.job import Arrays
+from charms_agents.training.standardised import folded, standardise
 
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
+
+
+class Returns(NamedTuple):
+    """What y_t is made of, eq. 3 of the paper, over one step or several."""
+
+    rewards: NDArray[np.float32]
+    """The sum of the steps' discounted rewards."""
+    discounts: NDArray[np.float32]
+    """That of the value after the last step; 0 after a failure."""
+    last: NDArray[Any]
+    """The row of the last step."""
 
 
 class DoubleDQN(DQN):
@@ -27,11 +40,22 @@ class DoubleDQN(DQN):
     Args:
         environment: Its observations are flattened.
         seed: Of the initial weights and of exploration and replay.
+        return_steps: Rewards that y_t adds up before it looks at a value (n-step returns).
+        standardised: Whether the networks take standardised observations.
         arguments: As for `DQN`.
     """
 
-    def __init__(self, environment: VecEnv, seed: int, **arguments: Any) -> None:
+    def __init__(
+        self,
+        environment: VecEnv,
+        seed: int,
+        return_steps: int = 1,
+        standardised: bool = False,
+        **arguments: Any,
+    ) -> None:
         self.rng = np.random.default_rng([seed, 2])
+        self.return_steps = return_steps
+        self.standardised = standardised
         self.loss = float("nan")
         super().__init__("MlpPolicy", environment, seed=seed, **arguments)
 
@@ -41,16 +65,17 @@ class DoubleDQN(DQN):
         assert buffer is not None
         rows = self.rng.integers(buffer.size(), size=shape)
         envs = self.rng.integers(buffer.n_envs, size=shape)
-        observations, next_observations, actions, rewards, dones, timeouts = (
-            torch.from_numpy(getattr(buffer, name)[rows, envs]) for name in _REPLAYED
-        )
-        observations = observations.flatten(2)
-        next_observations = next_observations.flatten(2)
-        # An episode whose time is over would have gone on: its last observation has a value.
-        discounts = self.gamma * (1 - dones * (1 - timeouts))
+        returns = self.returns(rows, envs)
+        observations = self._seen(buffer.observations[rows, envs])
+        next_observations = self._seen(buffer.next_observations[returns.last, envs])
+        actions = torch.from_numpy(buffer.actions[rows, envs])
+        rewards = torch.from_numpy(returns.rewards)
+        discounts = torch.from_numpy(returns.discounts)
         # The networks behind Stable-Baselines3's preprocessing, which only flattens.
         online, target = self.q_net.q_net, self.q_net_target.q_net
         optimizer, parameters = self.policy.optimizer, list(online.parameters())
+        for group in optimizer.param_groups:
+            group["lr"] = self.lr_schedule(self._current_progress_remaining)
         with torch.no_grad():  # the target network stays the same throughout
             next_values = target(next_observations)
         losses = torch.empty(gradient_steps)
@@ -69,12 +94,42 @@ class DoubleDQN(DQN):
         self._n_updates += gradient_steps
         self.loss = float(losses.mean())
 
+    def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> "Returns":
+        """What came of steps of the replay buffer, any shape.
+
+        Adds up the rewards of `return_steps` steps, or of those until the episode ends or until the
+        buffer's newest step.
+        """
+        buffer = self.replay_buffer
+        assert buffer is not None
+        newest = (buffer.pos - 1) % buffer.buffer_size
+        last, rewards = rows, buffer.rewards[rows, envs]
+        discounts = np.full(rows.shape, self.gamma, dtype=np.float32)
+        for _ in range(1, self.return_steps):
+            goes_on = (buffer.dones[last, envs] == 0) & (last != newest)
+            last = np.where(goes_on, (last + 1) % buffer.buffer_size, last)
+            rewards += np.where(goes_on, discounts * buffer.rewards[last, envs], 0)
+            discounts *= np.where(goes_on, np.float32(self.gamma), 1)
+        # An episode whose time is over would have gone on: its last observation has a value.
+        discounts *= 1 - buffer.dones[last, envs] * (1 - buffer.timeouts[last, envs])
+        return Returns(rewards, discounts, last)
+
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """The online network's values (M, 5) of observations (M, 7, 5)."""
         with torch.no_grad():
-            flat = torch.from_numpy(observations.reshape(-1, 35))
-            values: NDArray[np.float32] = self.q_net.q_net(flat).numpy()
+            values: NDArray[np.float32] = self.q_net.q_net(self._seen(observations)).numpy()
         return values
+
+    @property
+    def network(self) -> Sequential:
+        """The online network as one that takes plain observations."""
+        network: Sequential = self.q_net.q_net
+        return folded(network) if self.standardised else network
+
+    def _seen(self, observations: NDArray[np.float32]) -> torch.Tensor:
+        """Observations (..., 7, 5) as the networks take them, (..., 35)."""
+        flat = torch.from_numpy(observations).flatten(-2)
+        return standardise(flat) if self.standardised else flat
 
     def recorded_observations(self) -> NDArray[np.float32]:
         """What was seen in the last steps: all that the replay buffer holds, (M, 7, 5)."""

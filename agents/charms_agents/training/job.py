@@ -11,9 +11,11 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_agents.training.rewards import SAFE_TTC_S
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
     FIRST_TRAINING_SEED,
+    Hyperparameters,
     Stage,
     TrainingSuite,
 )
@@ -22,6 +24,7 @@ from charms_bench.errors import RunFolderError
 from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.registry import make_agent
 from charms_bench.results import write_atomically
+from charms_bench.traffic import Mixture, OneAgent, Traffic
 
 Arrays = dict[str, NDArray[Any]]
 """What a checkpoint holds: plain arrays, read without running anything."""
@@ -40,11 +43,21 @@ class Job:
     """Its file, where it is another stage's network."""
     traffic_sha256: str
     """Hash of its weights; empty where it has none."""
+    mixed_in: str = ""
+    """Name of an agent that drives some of them instead; empty for none."""
+    mixed_in_share: float = 0.0
+    """Probability that a vehicle is driven by that agent."""
+    mixed_in_sha256: str = ""
+
+    @property
+    def hyperparameters(self) -> Hyperparameters:
+        """Of its Double DQN."""
+        return self.suite.hyperparameters_of(self.stage)
 
     @property
     def inputs(self) -> dict[str, Any]:
         """Everything that decides the resulting network, for JSON."""
-        return {
+        inputs: dict[str, Any] = {
             "stage": self.name,
             "steps": self.stage.steps,
             "style": {
@@ -56,12 +69,22 @@ class Job:
             },
             "seed": self.suite.seed,
             "first_episode_seed": self.first_episode_seed,
-            "hyperparameters": self.suite.hyperparameters.model_dump(mode="json"),
+            "hyperparameters": self.hyperparameters.inputs,
             "curve_steps": self.suite.curve_steps,
             "scene": self.stage.scene.model_dump(mode="json"),
             "traffic": {"agent": self.traffic, "weights_sha256": self.traffic_sha256},
             "charms_bench": version("charms-bench"),
         }
+        # Only what departs from the paper, so that what follows it keeps its key.
+        if self.stage.safety_horizon_s != SAFE_TTC_S:
+            inputs["safety_horizon_s"] = self.stage.safety_horizon_s
+        if self.mixed_in:
+            inputs["traffic"]["mixed_in"] = {
+                "agent": self.mixed_in,
+                "weights_sha256": self.mixed_in_sha256,
+                "share": self.mixed_in_share,
+            }
+        return inputs
 
     @property
     def key(self) -> str:
@@ -78,11 +101,20 @@ class Job:
         """In words."""
         return f"{self.stage.weights}, {self.stage.svo}"
 
-    def make_traffic_agent(self) -> Agent:
-        """The agent that drives the others."""
-        if self.traffic_network is not None:
-            return OnnxPolicy(self.traffic_network)
-        return make_agent(self.traffic)
+    def make_traffic(self) -> Traffic:
+        """Who drives which of the others."""
+        if not self.mixed_in:
+            return OneAgent(self.traffic)
+        shares = {self.traffic: 1 - self.mixed_in_share, self.mixed_in: self.mixed_in_share}
+        return Mixture(shares)
+
+    def make_traffic_agents(self) -> dict[str, Agent]:
+        """The agents that drive the others, by name."""
+        network = self.traffic_network
+        agents = {self.traffic: OnnxPolicy(network) if network else make_agent(self.traffic)}
+        if self.mixed_in:
+            agents[self.mixed_in] = make_agent(self.mixed_in)
+        return agents
 
 
 class StageFolder:

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -70,14 +71,24 @@ def run(
 def _job(name: str, suite: TrainingSuite, finished: dict[str, StageFolder]) -> Job:
     """A stage, once those it needs are finished."""
     stage = suite.stages[name]
-    if stage.traffic.stage is not None:
-        network = finished[stage.traffic.stage].network
-        sha256 = hashlib.sha256(network.read_bytes()).hexdigest()
-        return Job(name, stage, suite, stage.traffic.stage, network, sha256)
-    agent = str(stage.traffic.agent)
+    agent, before = stage.traffic.agent, stage.traffic.stage
+    if before is None:
+        return Job(name, stage, suite, str(agent), None, _weights_sha256(str(agent)))
+    network = finished[before].network
+    sha256 = hashlib.sha256(network.read_bytes()).hexdigest()
+    job = Job(name, stage, suite, before, network, sha256)
+    if agent is None:
+        return job
+    share = stage.traffic.agent_share or 0.0
+    return replace(
+        job, mixed_in=agent, mixed_in_share=share, mixed_in_sha256=_weights_sha256(agent)
+    )
+
+
+def _weights_sha256(agent: str) -> str:
+    """Hash of an installed agent's weights; empty where it has none."""
     made = make_agent(agent)
-    sha256 = made.weights_sha256 if isinstance(made, Policy) else ""
-    return Job(name, stage, suite, agent, None, sha256)
+    return made.weights_sha256 if isinstance(made, Policy) else ""
 
 
 @contextmanager

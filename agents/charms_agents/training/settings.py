@@ -2,13 +2,14 @@
 
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from charms_agents.training.rewards import Svo, Weights
+from charms_agents.training.rewards import SAFE_TTC_S, Svo, Weights
 from charms_bench.document import Document
 from charms_bench.errors import RegistryError
+from charms_bench.human.samples import SampleSettings
 from charms_bench.profile import FrozenModel, NonNegative, Positive
 from charms_bench.registry import AGENTS, find
 from charms_bench.suite import Name as AgentName
@@ -45,6 +46,14 @@ class Hyperparameters(FrozenModel):
     hidden_layers: Annotated[tuple[Count, ...], Field(strict=False, max_length=8)] = (256, 256)
     scenes: Annotated[int, Field(ge=1, le=1000)] = 10
     """Episodes played side by side."""
+    return_steps: Count = 1
+    """Rewards that a target adds up before it looks at a value."""
+    target_update_rate: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of the way that the target network goes in an update; 1 is a copy."""
+    learning_rate_decay: Share = 0.0
+    """Share of all steps, the last ones, in which the learning rate falls to 0."""
+    standardised: bool = False
+    """Whether the network takes observations in units of order 1."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "Hyperparameters":
@@ -61,6 +70,25 @@ class Hyperparameters(FrozenModel):
                 )
         return self
 
+    def learning_rate_at(self, remaining: float) -> float:
+        """The learning rate when this share of all steps remains."""
+        if not self.learning_rate_decay:
+            return self.learning_rate
+        return self.learning_rate * min(remaining / self.learning_rate_decay, 1.0)
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """All of them, for JSON; an option that the paper does not have only where it is used."""
+        unused = {name for name in OPTIONS if getattr(self, name) == OPTIONS[name]}
+        return self.model_dump(mode="json", exclude=unused)
+
+
+OPTIONS = {
+    name: Hyperparameters.model_fields[name].default
+    for name in ("return_steps", "target_update_rate", "learning_rate_decay", "standardised")
+}
+"""What the paper's Double DQN does not have, and the value without it."""
+
 
 class Supervised(FrozenModel):
     """Of learning from human driving; by default the paper's fine-tuning."""
@@ -75,15 +103,20 @@ class Supervised(FrozenModel):
 
 
 class StageTraffic(FrozenModel):
-    """Who drives the others: an installed agent, or the network of another stage."""
+    """Who drives the others: an installed agent, the network of another stage, or both."""
 
     agent: AgentName | None = None
     stage: Name | None = None
+    agent_share: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Of both: probability that a vehicle is driven by the agent."""
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> "StageTraffic":
-        if (self.agent is None) == (self.stage is None):
+    def _one_or_both(self) -> "StageTraffic":
+        if self.agent is None and self.stage is None:
             raise ValueError("give the name of an agent, or that of a stage of this file")
+        both = self.agent is not None and self.stage is not None
+        if both != (self.agent_share is not None):
+            raise ValueError("agent_share is needed with both agent and stage, and only then")
         return self
 
 
@@ -96,6 +129,34 @@ class Stage(FrozenModel):
     svo: Svo
     scene: SuiteScene = SuiteScene()
     traffic: StageTraffic
+    variant: Name | None = None
+    """One of the suite's `variants`; by default its `hyperparameters`."""
+    safety_horizon_s: Positive = SAFE_TTC_S
+    """From how many seconds a time to collision is safe, in r_s."""
+
+
+class HumanStage(FrozenModel):
+    """A network that learns from human driving."""
+
+    fine_tunes: Name | None = None
+    """The stage whose network it starts from; by default an untrained one, which imitates."""
+    settings: Supervised | None = None
+    """By default those of the suite."""
+
+
+class Human(FrozenModel):
+    """Recordings of human driving, and what learns from them."""
+
+    recordings: Path = Field(strict=False)
+    """Their folder; a relative path starts at the suite file's."""
+    samples: SampleSettings = SampleSettings()
+    fine_tuning: Supervised = Supervised()
+    imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
+    stages: Annotated[dict[Name, HumanStage], Field(min_length=1)]
+
+    def settings_of(self, stage: HumanStage) -> Supervised:
+        """How a stage learns."""
+        return stage.settings or (self.fine_tuning if stage.fine_tunes else self.imitation)
 
 
 class TrainingSuite(FrozenModel):
@@ -105,26 +166,42 @@ class TrainingSuite(FrozenModel):
     title: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
     hyperparameters: Hyperparameters = Hyperparameters()
+    variants: dict[Name, Hyperparameters] = Field(default={})
+    """Other hyperparameters that a stage can name."""
     curve_steps: Count = 10_000
     """Steps between two points of the learning curve."""
     checkpoint_s: Positive = 60.0
     """Seconds between two checkpoints."""
     weights: dict[Name, Weights]
     stages: Annotated[dict[Name, Stage], Field(min_length=1)]
+    """Those of reinforcement learning; `like` takes what is not given from another stage."""
+    human: Human | None = None
+
+    def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
+        """Those that a stage names."""
+        return self.hyperparameters if stage.variant is None else self.variants[stage.variant]
+
+    @property
+    def human_stages(self) -> dict[str, HumanStage]:
+        """The stages that learn from human driving."""
+        return self.human.stages if self.human else {}
+
+    @property
+    def needs(self) -> dict[str, tuple[str, ...]]:
+        """All stages, and the one whose network each of them needs, if any."""
+        needed = {name: stage.traffic.stage for name, stage in self.stages.items()}
+        needed |= {name: stage.fine_tunes for name, stage in self.human_stages.items()}
+        return {name: (before,) if before else () for name, before in needed.items()}
 
     @property
     def order(self) -> tuple[str, ...]:
         """The stages' names, each after those it needs."""
-        needs = {
-            name: [stage.traffic.stage] if stage.traffic.stage else []
-            for name, stage in self.stages.items()
-        }
-        return tuple(TopologicalSorter(needs).static_order())
+        return tuple(TopologicalSorter(self.needs).static_order())
 
     def needed_for(self, name: str) -> tuple[str, ...]:
         """A stage's name, after those of all stages it needs."""
-        before = self.stages[name].traffic.stage
-        return (*(self.needed_for(before) if before else ()), name)
+        before = [each for needed in self.needs[name] for each in self.needed_for(needed)]
+        return (*before, name)
 
 
 def load_training(path: Path) -> TrainingSuite:
@@ -134,9 +211,14 @@ def load_training(path: Path) -> TrainingSuite:
         SuiteError: Something in it is wrong, or names what does not exist.
     """
     document = Document(path)
+    _resolve_likeness(document)
     suite = document.validate(TrainingSuite)
     for name, stage in suite.stages.items():
-        at, scenes = ("stages", name), suite.hyperparameters.scenes
+        at = ("stages", name)
+        if stage.variant is not None and stage.variant not in suite.variants:
+            there = f"this file has: {', '.join(suite.variants) or 'none'}"
+            raise document.error((*at, "variant"), f"no variant named '{stage.variant}'; {there}")
+        scenes = suite.hyperparameters_of(stage).scenes
         for steps, where in ((stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))):
             if steps % scenes:
                 raise document.error(where, f"{steps} is no multiple of scenes {scenes}")
@@ -152,9 +234,32 @@ def load_training(path: Path) -> TrainingSuite:
                 find(AGENTS, stage.traffic.agent)
             except RegistryError as error:
                 raise document.error((*at, "traffic", "agent"), str(error)) from error
+    for name, human in suite.human_stages.items():
+        at = ("human", "stages", name)
+        if name in suite.stages:
+            raise document.error(at, f"another stage is called '{name}'")
+        if human.fine_tunes is not None and human.fine_tunes not in suite.stages:
+            there = f"this file has: {', '.join(suite.stages)}"
+            what = f"no stage named '{human.fine_tunes}' under stages; {there}"
+            raise document.error((*at, "fine_tunes"), what)
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
         what = f"stages need each other: {' <- '.join(error.args[1])}"
         raise document.error(("stages",), what) from error
     return suite
+
+
+def _resolve_likeness(document: Document) -> None:
+    """Gives every stage that is `like` another what it does not say itself."""
+    stages = document.data.get("stages")
+    if not isinstance(stages, dict):
+        return
+    for name, stage in stages.items():
+        if not isinstance(stage, dict) or "like" not in stage:
+            continue
+        model = stages.get(stage["like"]) if isinstance(stage["like"], str) else None
+        if not isinstance(model, dict) or "like" in model:
+            what = f"no stage named '{stage['like']}' that is not itself like another"
+            raise document.error(("stages", name, "like"), what)
+        stages[name] = model | {key: value for key, value in stage.items() if key != "like"}

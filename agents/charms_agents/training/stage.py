@@ -24,7 +24,6 @@ from charms_agents.training.vec_env import EpisodesVecEnv
 from charms_bench.agent import Policy
 from charms_bench.errors import RunFolderError
 from charms_bench.results import write_atomically
-from charms_bench.traffic import OneAgent
 from charms_bench.vector_env import EpisodesState, HighwayVectorEnv
 
 _VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
@@ -142,25 +141,27 @@ class Training(BaseCallback):
                 f"{self._folder.checkpoint}: cannot be continued: {error}; "
                 "delete it to begin this stage anew"
             ) from error
-        scenes = self._job.suite.hyperparameters.scenes
+        scenes = self._job.hyperparameters.scenes
         self._agent._last_episode_starts = np.zeros(scenes, dtype=np.bool_)
 
 
 def make_model(job: Job) -> DoubleDQN:
     """The untrained network of a stage, in its environment."""
-    h, suite = job.suite.hyperparameters, job.suite
+    h, suite, stage = job.hyperparameters, job.suite, job.stage
     episodes = HighwayVectorEnv(
-        job.stage.scene,
+        stage.scene,
         h.scenes,
-        OneAgent(job.traffic),
-        {job.traffic: job.make_traffic_agent()},
-        StyleReward(suite.weights[job.stage.weights], job.stage.svo),
+        job.make_traffic(),
+        job.make_traffic_agents(),
+        StyleReward(suite.weights[stage.weights], stage.svo, stage.safety_horizon_s),
         job.first_episode_seed,
     )
     return DoubleDQN(
         EpisodesVecEnv(episodes),
         suite.seed,
-        learning_rate=h.learning_rate,
+        h.return_steps,
+        h.standardised,
+        learning_rate=h.learning_rate_at,
         buffer_size=h.replay_buffer,
         learning_starts=h.learning_starts,
         batch_size=h.batch_size,
@@ -168,6 +169,7 @@ def make_model(job: Job) -> DoubleDQN:
         train_freq=(1, "step"),  # of all scenes together: `scenes` steps
         gradient_steps=h.scenes // h.steps_per_gradient_step,
         target_update_interval=h.target_update_steps,
+        tau=h.target_update_rate,
         exploration_initial_eps=h.exploration_initial,
         exploration_final_eps=h.exploration_final,
         exploration_fraction=h.exploration_share,
@@ -209,7 +211,7 @@ def train_stage(
     training = Training(job, folder, report, stop)
     agent = training.train()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{Policy.decision_hz:g}"}
-    checked = export(agent.q_net.q_net, folder.network, facts, agent.recorded_observations())
+    checked = export(agent.network, folder.network, facts, agent.recorded_observations())
     training.curve.write_csv(folder.curve_csv)
     training.curve.write_png(folder.curve_png, f"{job.name} ({job.style})")
     manifest = {

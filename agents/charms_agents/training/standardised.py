@@ -1,0 +1,54 @@
+"""Observations in units in which what differs between them is of order 1.
+
+A policy sees speeds over 66 m/s, so two vehicles that near each other at 5 m/s differ by 0.08,
+and a network needs long to make much of it. In standardised observations it is 0.8.
+"""
+
+from copy import deepcopy
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.nn import Linear, Sequential
+
+from charms_bench.observation import EGO, SPEED_SCALE_MPS, X_SCALE_M, Y_SCALE_M
+
+ROWS, COLUMNS = 7, 5
+PRESENCE, X, Y, VX, VY = range(COLUMNS)
+DISTANCE_M, LANE_M, SPEED_MPS, LATERAL_MPS = 40.0, 4.0, 6.0, 3.0
+"""What counts as 1 along the road, across it, and for the speeds along and across it."""
+EGO_Y_M, EGO_SPEED_MPS = 4.0, 28.0
+"""What counts as 0 in the ego's own row: the middle one of three lanes, a usual speed."""
+
+
+def _units() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Factors (35,) and offsets (35,): standardised = observed * factor + offset."""
+    factors = np.ones((ROWS, COLUMNS), dtype=np.float32)
+    factors[:, X] = X_SCALE_M / DISTANCE_M
+    factors[:, Y] = Y_SCALE_M / LANE_M
+    factors[:, VX] = SPEED_SCALE_MPS / SPEED_MPS
+    factors[:, VY] = SPEED_SCALE_MPS / LATERAL_MPS
+    factors[EGO, [PRESENCE, X]] = 0.0  # which are always 1
+    offsets = np.zeros((ROWS, COLUMNS), dtype=np.float32)
+    offsets[EGO, Y] = -EGO_Y_M / LANE_M
+    offsets[EGO, VX] = -EGO_SPEED_MPS / SPEED_MPS
+    return factors.ravel(), offsets.ravel()
+
+
+FACTORS, OFFSETS = (torch.from_numpy(array) for array in _units())
+
+
+def standardise(observations: torch.Tensor) -> torch.Tensor:
+    """Observations (..., 35), standardised."""
+    return observations * FACTORS + OFFSETS
+
+
+def folded(network: Sequential) -> Sequential:
+    """A network for plain observations from one for standardised ones, with the same values."""
+    result = deepcopy(network)
+    first = result[0]
+    assert isinstance(first, Linear)
+    with torch.no_grad():
+        first.bias.add_(first.weight @ OFFSETS)
+        first.weight.mul_(FACTORS)
+    return result

@@ -1,0 +1,35 @@
+"""Standardised observations, by hand."""
+
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from charms_agents.training.standardised import standardise
+from handmade_scene import simulation_of
+
+from charms_bench.observation import neighbours
+
+
+def seen(*vehicles: tuple[float, int, float]) -> np.ndarray:
+    """What the first vehicle (x, lane, speed) sees, standardised."""
+    scene = simulation_of(*vehicles).scene
+    observations = torch.from_numpy(neighbours(scene, (np.array([0]), np.array([0]))))
+    rows: np.ndarray = standardise(observations.flatten(1)).numpy().reshape(7, 5)
+    return rows
+
+
+def test_an_ego_in_the_middle_at_28_mps_sees_itself_as_zeros() -> None:
+    np.testing.assert_allclose(seen((500.0, 1, 28.0)), 0.0, atol=1e-6)
+
+
+def test_the_ego_sees_its_lane_and_its_speed() -> None:
+    np.testing.assert_allclose(seen((500.0, 2, 31.0))[0], [0, 0, 1, 3 / 6, 0], atol=1e-5)
+
+
+def test_a_neighbour_is_seen_in_lanes_and_in_tens_of_metres() -> None:
+    rows = seen((500.0, 1, 28.0), (520.0, 0, 25.0))  # left front: 20 m ahead, 3 m/s slower
+    np.testing.assert_allclose(rows[1], [1, 20 / 40, -1, -3 / 6, 0], atol=1e-5)
+    np.testing.assert_allclose(rows[2:], 0.0, atol=1e-6)
