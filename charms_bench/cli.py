@@ -65,6 +65,9 @@ def run(
     only: Annotated[
         str | None, typer.Option(help="One stage of a training suite, with what it needs.")
     ] = None,
+    recordings: Annotated[
+        Path | None, typer.Option(help="Human driving to train on, instead of the suite's folder.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run a suite, or go on with it: what is finished is never run again."""
@@ -75,10 +78,12 @@ def run(
         refused = {"--episodes": episodes, "--seed": seed}
         for option in (name for name, value in refused.items() if value is not None):
             raise InputError(f"{option} is for evaluations; {suite} is a training")
-        _run_pipeline(document, output or Path("runs") / suite.stem, workers, only)
+        folder = output or Path("runs") / suite.stem
+        _run_pipeline(document, folder, workers, only, recordings)
         return
-    if only is not None:
-        raise InputError(f"--only is for trainings; {suite} is an evaluation")
+    for option, given in {"--only": only, "--recordings": recordings}.items():
+        if given is not None:
+            raise InputError(f"{option} is for trainings; {suite} is an evaluation")
 
     from charms_bench import runner
     from charms_bench.report.tables import build_table, render_terminal, write_tables
@@ -105,7 +110,9 @@ def run(
         out.print(f"All metrics: {_plain(str(rest))}", highlight=False, soft_wrap=True)
 
 
-def _run_pipeline(document: Any, output: Path, workers: int | None, only: str | None) -> None:
+def _run_pipeline(
+    document: Any, output: Path, workers: int | None, only: str | None, recordings: Path | None
+) -> None:
     from charms_bench.registry import PIPELINES, load
 
     name = document.data["pipeline"]
@@ -113,7 +120,7 @@ def _run_pipeline(document: Any, output: Path, workers: int | None, only: str | 
         raise document.error(("pipeline",), f"expected a name, found {name!r}")
     pipeline = load(PIPELINES, name)
     with _interruptible(f"checkpoints are in {output}"):
-        pipeline(document.path, output, workers, only)
+        pipeline(document.path, output, workers, only, recordings)
 
 
 @app.command()

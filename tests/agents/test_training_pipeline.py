@@ -8,9 +8,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training import pipeline
-from charms_agents.training.curve import Point
-from rich.console import Console
+from charms_agents.training.progress import Tell
 
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.onnx_policy import OnnxPolicy
@@ -185,11 +183,11 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(
     suite: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     @contextmanager
-    def interrupting(*_: Any) -> Iterator[Callable[[int, Point | None], None]]:
-        yield lambda steps, _: signal.raise_signal(signal.SIGINT) if steps == 200 else None
+    def interrupting(*_: Any) -> Iterator[Tell]:
+        yield lambda _, done, *__: signal.raise_signal(signal.SIGINT) if done == 200 else None
 
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline, "_progress", interrupting)
+        patched.setattr(pipeline, "progress", interrupting)
         with pytest.raises(KeyboardInterrupt):
             pipeline.run(suite, tmp_path, only="first")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -214,27 +212,3 @@ def test_a_broken_checkpoint_is_named(
 def test_a_stage_that_is_not_there_is_named(suite: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no stage named 'third'; it has: second, first"):
         pipeline.run(suite, tmp_path, only="third")
-
-
-POINT = Point(200, 10, 30.0, 50.0, 0.2, 0.0, 1.0, 0.05)
-
-
-def test_without_a_terminal_every_tenth_of_the_steps_is_a_line(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pipeline._progress(Console(force_terminal=False), "first", 1000) as report:
-        report(50, POINT)
-        report(200, None)
-        report(200, POINT)
-        report(250, POINT)
-    said = capsys.readouterr().err
-    assert said == "first: 200 of 1,000 steps, return 30.0, 20% crashed\n"
-
-
-def test_on_a_terminal_a_bar_moves() -> None:
-    screen = StringIO()
-    console = Console(file=screen, force_terminal=True, width=120)
-    with pipeline._progress(console, "first", 1000) as report:
-        report(200, POINT)
-    assert "200/1000" in screen.getvalue()
-    assert "return 30.0, 20% crashed" in screen.getvalue()

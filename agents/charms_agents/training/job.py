@@ -5,7 +5,7 @@ import json
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 from zipfile import BadZipFile
 
 import numpy as np
@@ -28,6 +28,19 @@ from charms_bench.traffic import Mixture, OneAgent, Traffic
 
 Arrays = dict[str, NDArray[Any]]
 """What a checkpoint holds: plain arrays, read without running anything."""
+
+
+class Keyed(Protocol):
+    """A stage, by everything that decides its network."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def inputs(self) -> dict[str, Any]: ...
+
+    @property
+    def key(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -120,7 +133,7 @@ class Job:
 class StageFolder:
     """Where a stage keeps its checkpoint and, once it is finished, its network."""
 
-    def __init__(self, output: Path, job: Job) -> None:
+    def __init__(self, output: Path, job: Keyed) -> None:
         self.path = output / f"{job.name}-{job.key[:12]}"
         self.network = self.path / f"{job.name}.onnx"
         self.manifest = self.path / f"{job.name}.json"

@@ -72,10 +72,9 @@ def read_network(path: Path) -> Sequential:
 
 def values_of(network: Sequential, observations: Observations) -> NDArray[np.float32]:
     """The network's values (M, 5) of observations (M, 7, 5)."""
+    flat = torch.tensor(observations.reshape(-1, OBSERVED))  # a copy: theirs may be read-only
     with torch.no_grad():
-        values: NDArray[np.float32] = network(
-            torch.from_numpy(observations.reshape(-1, OBSERVED))
-        ).numpy()
+        values: NDArray[np.float32] = network(flat).numpy()
     return values
 
 

@@ -1,74 +1,116 @@
 """The pipeline `charms`: a training suite -> networks, stage by stage."""
 
 import hashlib
+import os
 import signal
-import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
-from charms_agents.training.curve import Point
+from charms_agents.training.curves import write_curves
+from charms_agents.training.human_stage import HumanData, HumanJob
 from charms_agents.training.job import Job, StageFolder
-from charms_agents.training.settings import TrainingSuite, load_training
-from charms_agents.training.stage import Interrupted, train_stage
+from charms_agents.training.progress import progress
+from charms_agents.training.schedule import AnyJob, run_stages
+from charms_agents.training.settings import Human, TrainingSuite, load_training
+from charms_agents.training.stage import Interrupted
 from charms_bench.agent import Policy
+from charms_bench.document import Document
 from charms_bench.errors import InputError
+from charms_bench.human.highd import find_trios
+from charms_bench.human.samples import fingerprint
 from charms_bench.registry import make_agent
 
 
 def run(
-    suite_file: Path, output: Path, workers: int | None = None, only: str | None = None
+    suite_file: Path,
+    output: Path,
+    workers: int | None = None,
+    only: str | None = None,
+    recordings: Path | None = None,
 ) -> None:
     """Trains the stages of a suite, or goes on with them; a finished one is never trained again.
 
     Args:
         suite_file: The training suite.
-        output: The run folder; every stage has its own in it, named after its inputs.
-        workers: Unused: every stage so far waits for the one before.
+        output: The run folder; every stage has its own in it, named after its inputs, and
+            `curves.csv` and `curves.png` are of all of them.
+        workers: Most stages at a time; by default one a core.
         only: The stage to train, with what it needs; by default all.
+        recordings: The folder of human driving, instead of the suite's.
 
     Raises:
         KeyboardInterrupt: The training was interrupted; `output` holds a checkpoint.
-        InputError: The suite or the run folder cannot be used.
+        InputError: The suite, the recordings or the run folder cannot be used.
     """
     suite = load_training(suite_file)
     suite_sha256 = hashlib.sha256(suite_file.read_bytes()).hexdigest()
-    if only is not None and only not in suite.stages:
-        raise InputError(
-            f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.stages)}"
-        )
+    if only is not None and only not in suite.needs:
+        raise InputError(f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.needs)}")
     names = suite.order if only is None else suite.needed_for(only)
     console = Console(stderr=True)
-    finished: dict[str, StageFolder] = {}
-    with _stop_on_ctrl_c() as stop:
-        for name in names:
-            job = _job(name, suite, finished)
-            folder = StageFolder(output, job)
-            if folder.finished:
-                console.print(f"{name}: finished before, in {folder.path}", highlight=False)
-            else:
-                with _progress(console, name, job.stage.steps) as report:
-                    try:
-                        train_stage(job, output, suite_sha256, report, stop)
-                    except Interrupted:
-                        raise KeyboardInterrupt from None
-                console.print(f"{name}: finished, in {folder.path}", highlight=False)
-            finished[name] = folder
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    data = None
+    if suite.human is not None and set(names) & set(suite.human.stages):
+        data = _human_data(suite_file, suite.human, output, recordings)
+
+    def make_job(name: str, finished: Mapping[str, StageFolder]) -> AnyJob:
+        if name in suite.human_stages:
+            assert data is not None
+            return _human_job(name, suite, data, finished)
+        return _job(name, suite, finished)
+
+    needs = {name: suite.needs[name] for name in names}
+    with _stop_on_ctrl_c() as stop, progress(console) as tell:
+        try:
+            folders = run_stages(
+                needs, make_job, output, suite_sha256, workers or os.cpu_count() or 1,
+                tell, say, stop,
+            )  # fmt: skip
+        except Interrupted:
+            raise KeyboardInterrupt from None
+    write_curves(output, suite, folders)
 
 
-def _job(name: str, suite: TrainingSuite, finished: dict[str, StageFolder]) -> Job:
+def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:
+    """Where the samples are from; they are in the cache afterwards."""
+    folder = recordings or suite_file.parent / human.recordings
+    if not folder.is_dir():
+        what = f"no folder '{folder}'; put recordings in highD's format there, or name theirs"
+        if recordings is not None:
+            raise InputError(f"--recordings: {what}")
+        raise Document(suite_file).error(("human", "recordings"), f"{what} with --recordings")
+    key = fingerprint(find_trios(folder), human.samples)
+    data = HumanData(folder, output / "samples", human.samples, key)
+    data.load()
+    return data
+
+
+def _human_job(
+    name: str, suite: TrainingSuite, data: HumanData, finished: Mapping[str, StageFolder]
+) -> HumanJob:
+    """A stage that learns from human driving, once the one it starts from is finished."""
+    assert suite.human is not None
+    stage = suite.human.stages[name]
+    job = HumanJob(name, suite.human.settings_of(stage), suite, data)
+    if stage.fine_tunes is None:
+        return job
+    network = finished[stage.fine_tunes].network
+    sha256 = hashlib.sha256(network.read_bytes()).hexdigest()
+    style = suite.stages[stage.fine_tunes]
+    words = f"{style.weights}, {style.svo}, fine-tuned on human driving"
+    return replace(job, before=stage.fine_tunes, network=network, sha256=sha256, style=words)
+
+
+def _job(name: str, suite: TrainingSuite, finished: Mapping[str, StageFolder]) -> Job:
     """A stage, once those it needs are finished."""
     stage = suite.stages[name]
     agent, before = stage.traffic.agent, stage.traffic.stage
@@ -108,43 +150,3 @@ def _stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
         yield wished.is_set
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _progress(
-    console: Console, name: str, total: int
-) -> Iterator[Callable[[int, Point | None], None]]:
-    """A bar on a terminal; a line at every tenth of the steps elsewhere."""
-    if not console.is_terminal:
-        tenth = 0
-
-        def say(steps: int, point: Point | None) -> None:
-            nonlocal tenth
-            if point is not None and steps * 10 // total > tenth:
-                tenth = steps * 10 // total
-                print(f"{name}: {steps:,} of {total:,} steps{_words(point)}", file=sys.stderr)
-
-        yield say
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[point]}"),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(name, total=total, point="")
-
-        def move(steps: int, point: Point | None) -> None:
-            progress.update(task, completed=steps)
-            if point is not None:
-                progress.update(task, point=_words(point).removeprefix(", "))
-
-        yield move
-
-
-def _words(point: Point) -> str:
-    if point.return_mean is None or point.crashed_share is None:
-        return ""
-    return f", return {point.return_mean:.1f}, {point.crashed_share:.0%} crashed"

@@ -235,13 +235,13 @@ def load_training(path: Path) -> TrainingSuite:
             except RegistryError as error:
                 raise document.error((*at, "traffic", "agent"), str(error)) from error
     for name, human in suite.human_stages.items():
-        at = ("human", "stages", name)
+        place = ("human", "stages", name)
         if name in suite.stages:
-            raise document.error(at, f"another stage is called '{name}'")
+            raise document.error(place, f"another stage is called '{name}'")
         if human.fine_tunes is not None and human.fine_tunes not in suite.stages:
             there = f"this file has: {', '.join(suite.stages)}"
             what = f"no stage named '{human.fine_tunes}' under stages; {there}"
-            raise document.error((*at, "fine_tunes"), what)
+            raise document.error((*place, "fine_tunes"), what)
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
@@ -255,10 +255,11 @@ def _resolve_likeness(document: Document) -> None:
     stages = document.data.get("stages")
     if not isinstance(stages, dict):
         return
-    for name, stage in stages.items():
+    said = dict(stages)
+    for name, stage in said.items():
         if not isinstance(stage, dict) or "like" not in stage:
             continue
-        model = stages.get(stage["like"]) if isinstance(stage["like"], str) else None
+        model = said.get(stage["like"]) if isinstance(stage["like"], str) else None
         if not isinstance(model, dict) or "like" in model:
             what = f"no stage named '{stage['like']}' that is not itself like another"
             raise document.error(("stages", name, "like"), what)

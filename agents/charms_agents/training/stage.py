@@ -1,12 +1,9 @@
 """Training one network: from settings to a finished folder, through checkpoints."""
 
-import hashlib
 import json
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +16,12 @@ from charms_agents.training.curve import LearningCurve, Point
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.export import export
 from charms_agents.training.job import Arrays, Job, StageFolder
+from charms_agents.training.manifest import write_manifest
 from charms_agents.training.rewards import StyleReward
 from charms_agents.training.vec_env import EpisodesVecEnv
 from charms_bench.agent import Policy
 from charms_bench.errors import RunFolderError
-from charms_bench.results import write_atomically
 from charms_bench.vector_env import EpisodesState, HighwayVectorEnv
-
-_VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
 
 
 class Interrupted(Exception):
@@ -214,24 +209,14 @@ def train_stage(
     checked = export(agent.network, folder.network, facts, agent.recorded_observations())
     training.curve.write_csv(folder.curve_csv)
     training.curve.write_png(folder.curve_png, f"{job.name} ({job.style})")
-    manifest = {
-        **job.inputs,
-        "key": job.key,
-        "suite_sha256": suite_sha256,
-        "onnx_sha256": hashlib.sha256(folder.network.read_bytes()).hexdigest(),
+    results = {
         "export_check": checked,
         "gradient_steps": agent._n_updates,
         "curve": _summary(training.curve),
         "wall_s": round(training.wall_s, 1),
         "steps_per_s": round(job.stage.steps / training.wall_s, 1),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in _VERSIONS},
-        },
-        "machine": {"system": platform.system(), "processor": platform.machine()},
     }
-    text = json.dumps(manifest, indent=2) + "\n"
-    write_atomically(folder.manifest, lambda path: path.write_text(text, encoding="utf-8"))
+    write_manifest(folder, job, suite_sha256, results)
     return folder
 
 

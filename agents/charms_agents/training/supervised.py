@@ -169,3 +169,20 @@ def write_csv(path: Path, curve: list[Epoch]) -> None:
             rows.writerows(asdict(point) for point in curve)
 
     write_atomically(path, write)
+
+
+def write_png(path: Path, curve: list[Epoch], title: str) -> None:
+    """Loss and held-out agreement over epochs."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    epochs = [point.epoch for point in curve]
+    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, sharex=True)
+    above.plot(epochs, [point.loss for point in curve], color="C0")
+    above.set(title=title, ylabel="loss")
+    agreed = [float("nan") if p.agreement is None else p.agreement for p in curve]
+    below.plot(epochs, agreed, color="C2")
+    below.set(xlabel="epochs", ylabel="held-out agreement", ylim=(0, 1))
+    write_atomically(path, lambda partial: figure.savefig(partial, format="png", dpi=120))

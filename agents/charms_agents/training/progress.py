@@ -1,0 +1,58 @@
+"""One view of all stages under way."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+Tell = Callable[[str, int, int, str], None]
+"""Told of a stage, what is done of how much, and in words how it goes."""
+
+
+@contextmanager
+def progress(console: Console) -> Iterator[Tell]:
+    """A bar a stage on a terminal; a line at every tenth of a stage elsewhere."""
+    if not console.is_terminal:
+        yield _lines()
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[words]}"),
+    )
+    with Progress(*columns, console=console) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def move(stage: str, done: int, total: int, words: str) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total, words="")
+            bars.update(tasks[stage], completed=done)
+            if words:
+                bars.update(tasks[stage], words=words)
+            if done >= total:
+                bars.remove_task(tasks.pop(stage))
+
+        yield move
+
+
+def _lines() -> Tell:
+    tenths: dict[str, int] = {}
+
+    def say(stage: str, done: int, total: int, words: str) -> None:
+        tenth = done * 10 // total
+        if words and tenth > tenths.get(stage, 0):
+            tenths[stage] = tenth
+            print(f"{stage}: {done:,} of {total:,}, {words}", file=sys.stderr)
+
+    return say
