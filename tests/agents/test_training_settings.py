@@ -110,3 +110,16 @@ def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
     suite = load_training(file)
     rates = {n: suite.hyperparameters_of(s).learning_rate for n, s in suite.stages.items()}
     assert rates == {"level_1": 1e-4, "prior_level_k": 2e-4}
+
+
+def test_the_papers_suite_has_eight_styles_fine_tuned_as_in_its_table() -> None:
+    suite = load_training(SUITE.with_name("train-paper.yaml"))
+    assert suite.human is not None
+    assert suite.variants == {}
+    styles = {(s.weights, s.svo) for n, s in suite.stages.items() if n != "level_1"}
+    assert len(styles) == 8
+    tuned = [s for s in suite.human_stages.values() if s.fine_tunes]
+    assert len({s.fine_tunes for s in tuned}) == 8
+    for stage in tuned:
+        ft = suite.human.settings_of(stage)
+        assert (ft.learning_rate, ft.batch_size, ft.epochs, ft.pull) == (1e-6, 128, 8, 0.2)
