@@ -86,6 +86,7 @@ def run(
             raise InputError(f"{option} is for trainings; {suite} is an evaluation")
 
     from charms_bench import runner
+    from charms_bench.report.pairs import write_pairs
     from charms_bench.report.tables import build_table, render_terminal, write_tables
     from charms_bench.suite import suite_of
 
@@ -98,8 +99,11 @@ def run(
         finished = runner.run(
             loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count)
         )
-    table = build_table(finished.cells(), loaded.scene, loaded.seed)
+    cells = finished.cells()
+    table = build_table(cells, loaded.scene, loaded.seed)
     write_tables(folder / "tables", loaded.suite, table)
+    if loaded.pairs:
+        write_pairs(folder / "tables", loaded.suite, cells, loaded.scene, loaded.seed)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
     else:
@@ -108,6 +112,9 @@ def run(
         out.print(render_terminal(table, loaded.columns, out.width))
         rest = folder / "tables" / f"{loaded.suite}.md"
         out.print(f"All metrics: {_plain(str(rest))}", highlight=False, soft_wrap=True)
+        if loaded.pairs:
+            pairs = rest.with_name(f"{loaded.suite}-pairs.md")
+            out.print(f"Pair by pair: {_plain(str(pairs))}", highlight=False, soft_wrap=True)
 
 
 def _run_pipeline(

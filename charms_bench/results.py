@@ -16,6 +16,8 @@ from charms_bench.errors import RunFolderError
 from charms_bench.suite import Suite
 
 MANIFEST = "manifest.json"
+_UNDECIDING = {"title", "columns", "pairs", "episodes"}
+"""Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
 
 
@@ -66,7 +68,7 @@ class RunFolder:
             RunFolderError: It holds another run, or cannot be read or written.
         """
         manifest = self.path / MANIFEST
-        fields = json.loads(suite.model_dump_json(exclude={"title", "columns", "episodes"}))
+        fields = json.loads(suite.model_dump_json(exclude=_UNDECIDING))
         ours = {"suite": fields, "engine": engine}
         if manifest.exists():
             theirs = self.manifest()
@@ -86,7 +88,7 @@ class RunFolder:
             "charms_bench": __version__,
             "title": suite.title,
             "episodes": suite.episodes,
-            "suite": json.loads(suite.model_dump_json(exclude={"title", "columns", "episodes"})),
+            "suite": json.loads(suite.model_dump_json(exclude=_UNDECIDING)),
             "suite_sha256": suite.fingerprint(),
             "engine": engine,
             "agents": agents,

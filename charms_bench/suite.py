@@ -161,6 +161,8 @@ class Suite(FrozenModel):
     traffics: Annotated[tuple[TrafficEntry, ...], Field(min_length=1, strict=False)]
     columns: Annotated[tuple[str, ...], Field(strict=False)] = ()
     """Metrics of the printed table; none: all that the paper reports."""
+    pairs: bool = False
+    """Whether tables also say how far the egos are apart, pair by pair."""
     folder: Path = Field(default=Path(), exclude=True, strict=False)
     """Where relative paths start: the suite file's folder."""
 
@@ -178,6 +180,8 @@ class Suite(FrozenModel):
             for title in titles:
                 if titles.count(title) > 1:
                     raise ValueError(f"two {what} are called '{title}'; give them labels")
+        if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
+            raise ValueError("pairs compares two egos or more in one traffic")
         return self
 
     @property
@@ -189,7 +193,7 @@ class Suite(FrozenModel):
 
     def fingerprint(self) -> str:
         """Hash of everything that decides its results but the number of episodes."""
-        fields = self.model_dump(mode="json", exclude={"episodes", "title", "columns"})
+        fields = self.model_dump(mode="json", exclude={"episodes", "title", "columns", "pairs"})
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,0 +1,185 @@
+"""How far the egos of a run are apart: pair by pair, and to somebody who guesses who drove.
+
+All egos meet the same episodes, so differences are paired: one set of resampled episodes serves
+both. A p-value is that of the difference over its standard error among resamples, two-sided
+normal, and is corrected over all pairs and metrics (Holm 1979).
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+from scipy import stats
+
+from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
+from charms_bench.report.tables import CellRows
+from charms_bench.results import write_atomically
+from charms_bench.scene import Floats, SceneSettings
+from charms_bench.stats import CONFIDENCE, resample, wilson
+
+COMPARED = ("speed_mean", "dhw_mean", "harsh_acc_rate", "lane_changes_per_km")
+"""Speed, headway, harshness and lane changes; by the first metric set that has the name."""
+SUMMARY = (*COMPARED, "speed_std", "acc_std", "acc_mean", "dhw_std")
+"""What an episode is known by to who guesses its driver."""
+FOLDS = 10
+
+Difference = dict[str, str | float | bool | None]
+
+
+def differences(cells: Sequence[CellRows], settings: SceneSettings, seed: int) -> list[Difference]:
+    """For each pair of egos and each metric: first minus second.
+
+    Returns:
+        Rows of first, second, metric, difference, low, high (95 %), p (after Holm) and
+        whether it is separated from 0 by that; None where the metric is not defined.
+    """
+    metrics = _metrics(COMPARED)
+    sums = [sums_by_episode(metrics, cell.episodes, cell.steps, settings) for cell in cells]
+    weights = resample(np.random.default_rng(seed), len(cells[0].episodes))
+    rows: list[Difference] = []
+    raw = []
+    for i, j in combinations(range(len(cells)), 2):
+        for metric, ours, theirs in zip(metrics, sums[i], sums[j], strict=True):
+            value = float(metric.value(ours.sum(axis=0)) - metric.value(theirs.sum(axis=0)))
+            resampled = metric.value(weights @ ours) - metric.value(weights @ theirs)
+            low, high, p = _interval(value, resampled[~np.isnan(resampled)])
+            raw.append(p)
+            rows.append(
+                {
+                    "first": cells[i].agent,
+                    "second": cells[j].agent,
+                    "metric": metric.name,
+                    "difference": _defined(value),
+                    "low": _defined(low),
+                    "high": _defined(high),
+                }
+            )
+    for row, p in zip(rows, holm(np.array(raw)), strict=True):
+        row |= {"p": float(p), "separated": bool(p < 1 - CONFIDENCE)}
+    return rows
+
+
+def _interval(value: float, resampled: Floats) -> tuple[float, float, float]:
+    """Percentiles of the resampled differences, and the p-value."""
+    if np.isnan(value) or not resampled.size:
+        return np.nan, np.nan, 1.0
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(resampled, [tail, 1 - tail])
+    error = resampled.std()
+    if error <= 1e-12 * max(abs(value), 1.0):  # the same difference in every episode, or none
+        return float(low), float(high), float(abs(value) <= 1e-12)
+    return float(low), float(high), float(2 * stats.norm.sf(abs(value) / error))
+
+
+def holm(p: Floats) -> Floats:
+    """P-values corrected for their number, Holm 1979."""
+    order = np.argsort(p)
+    scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
+    corrected = np.empty_like(p)
+    corrected[order] = np.minimum(scaled, 1.0)
+    return corrected
+
+
+def guessed(cells: Sequence[CellRows], settings: SceneSettings, seed: int) -> tuple[int, int]:
+    """In how many episodes, of how many, the ego is guessed right from the episode's summary.
+
+    The guess is the ego with the nearest mean summary, each number in units of its standard
+    deviation. Means are of other episodes than the guessed one: ten folds by the episodes' seeds.
+    """
+    metrics = _metrics(SUMMARY)
+    features = np.stack(
+        [
+            np.stack(
+                [
+                    metric.value(each)
+                    for metric, each in zip(
+                        metrics,
+                        sums_by_episode(metrics, cell.episodes, cell.steps, settings),
+                        strict=True,
+                    )
+                ],
+                axis=1,
+            )
+            for cell in cells
+        ]
+    )
+    egos, episodes, _ = features.shape
+    fold = np.random.default_rng(seed).permutation(episodes) % min(FOLDS, episodes)
+    right = 0
+    for k in np.unique(fold):
+        right += _right(features[:, fold != k], features[:, fold == k])
+    return right, egos * episodes
+
+
+def _right(known: Floats, asked: Floats) -> int:
+    flat = known.reshape(-1, known.shape[-1])
+    defined = ~np.isnan(flat)
+    count = np.maximum(defined.sum(axis=0), 1)
+    mean = np.where(defined, flat, 0.0).sum(axis=0) / count
+    spread = np.sqrt((np.where(defined, flat - mean, 0.0) ** 2).sum(axis=0) / count)
+    spread[spread == 0] = 1.0
+
+    def scaled(values: Floats) -> Floats:
+        """What is not defined in an episode says nothing: it is put at the mean."""
+        result: Floats = np.nan_to_num((values - mean) / spread)
+        return result
+
+    centres = scaled(known).mean(axis=1)
+    distance = ((scaled(asked)[:, :, None] - centres) ** 2).sum(axis=-1)
+    guess: NDArray[np.intp] = distance.argmin(axis=-1)
+    return int((guess == np.arange(len(known))[:, None]).sum())
+
+
+def write_pairs(
+    folder: Path, name: str, cells: Sequence[CellRows], settings: SceneSettings, seed: int
+) -> None:
+    """Writes `<name>-pairs.csv` and, for reading, `<name>-pairs.md` into a folder."""
+    rows = differences(cells, settings, seed)
+    write_atomically(folder / f"{name}-pairs.csv", pl.DataFrame(rows).write_csv)
+    text = _markdown(rows, *guessed(cells, settings, seed), len(cells))
+    write_atomically(folder / f"{name}-pairs.md", lambda path: path.write_bytes(text.encode()))
+
+
+def _markdown(rows: Sequence[Difference], right: int, asked: int, egos: int) -> str:
+    pairs: dict[tuple[object, ...], list[Difference]] = {}
+    for row in rows:
+        pairs.setdefault((row["first"], row["second"]), []).append(row)
+    apart = sum(any(row["separated"] for row in found) for found in pairs.values())
+    low, high = wilson(right, asked)
+    guess = (
+        f"From the summary of one episode its ego is guessed right in {right / asked:.1%} of "
+        f"{asked:,} cases [{low:.1%}, {high:.1%}]; by chance it would be {1 / egos:.1%}."
+    )
+    lines = [
+        f"{apart} of {len(pairs)} pairs are apart in some metric (Holm-corrected p < 0.05, bold).",
+        "",
+        guess,
+        "",
+        "Differences, first minus second, with 95 % intervals.",
+        "",
+        "| first | second | " + " | ".join(COMPARED) + " |",
+        "|---|---|" + "---:|" * len(COMPARED),
+    ]
+    for (first, second), found in pairs.items():
+        cells = " | ".join(map(_cell, found))
+        lines.append(f"| {first} | {second} | {cells} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(row: Difference) -> str:
+    if row["difference"] is None:
+        return "–"
+    text = f"{row['difference']:+.3g} [{row['low']:.3g}, {row['high']:.3g}]"
+    return f"**{text}**" if row["separated"] else text
+
+
+def _metrics(names: Sequence[str]) -> list[Metric]:
+    known = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+    return [next(metric for metric in known if metric.name == name) for name in names]
+
+
+def _defined(value: float) -> float | None:
+    return None if np.isnan(value) else value

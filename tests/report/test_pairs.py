@@ -1,0 +1,132 @@
+"""How far egos are apart: planted differences are found, and nothing else is."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from charms_bench.errors import SuiteError
+from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.report.pairs import COMPARED, differences, guessed, holm, write_pairs
+from charms_bench.report.tables import CellRows
+from charms_bench.scene import SceneSettings
+from charms_bench.suite import load_suite
+
+SCENE = SceneSettings()
+EPISODES = 60
+STEPS = 5
+DIFFICULTY = np.random.default_rng(0).normal(0.0, 2.0, EPISODES)
+"""What an episode adds to everybody's speed."""
+
+
+def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -> CellRows:
+    """An ego at about 25 m/s and 30 m behind its leader, in episodes that all egos share."""
+    rng = np.random.default_rng(noise)
+    steps = [
+        {
+            "episode": e,
+            "step": k + 1,
+            "speed": 25.0 + DIFFICULTY[e] + faster + rng.normal(0.0, 0.2),
+            "acceleration": rng.normal(0.0, 0.5),
+            "lane": 0,
+            "leader_distance": 30.0 - closer + rng.normal(0.0, 2.0),
+            "leader_speed": 25.0,
+        }
+        for e in range(EPISODES)
+        for k in range(STEPS)
+    ]
+    head = {"ending": "time", "steps": STEPS, "duration_s": STEPS / 3, "distance_m": 40.0}
+    heads = [{"episode": e, **head} for e in range(EPISODES)]
+    return CellRows(
+        agent=agent,
+        traffic="idm",
+        episodes=pl.DataFrame(heads, schema=EPISODE_SCHEMA),
+        steps=pl.DataFrame(steps, schema=STEP_SCHEMA),
+    )
+
+
+def by_metric(one: CellRows, other: CellRows) -> dict[object, dict[str, object]]:
+    return {row["metric"]: dict(row) for row in differences([one, other], SCENE, seed=0)}
+
+
+def test_a_planted_difference_is_found_with_its_sign_and_size() -> None:
+    found = by_metric(cell("slow", noise=1), cell("fast", faster=0.5, noise=2))
+    assert found["speed_mean"]["difference"] == pytest.approx(-0.5, abs=0.1)
+    assert found["speed_mean"]["low"] < -0.5 < found["speed_mean"]["high"]  # type: ignore[operator]
+    assert found["speed_mean"]["separated"]
+    assert not found["dhw_mean"]["separated"]
+
+
+def test_what_episodes_have_in_common_does_not_blur_a_difference() -> None:
+    # Speeds vary by 2 m/s from episode to episode: unpaired, 0.2 m/s would be lost among
+    # 60 episodes, whose means differ by 2 * sqrt(2 / 60) = 0.37 m/s.
+    found = by_metric(cell("slow", noise=1), cell("fast", faster=0.2, noise=2))
+    assert found["speed_mean"]["separated"]
+
+
+def test_egos_that_drive_alike_are_not_apart() -> None:
+    found = by_metric(cell("one", noise=1), cell("other", noise=2))
+    assert not any(row["separated"] for row in found.values())
+    assert found["lane_changes_per_km"]["difference"] == 0.0
+    assert found["lane_changes_per_km"]["p"] == 1.0
+
+
+def test_every_pair_is_compared_by_every_metric() -> None:
+    cells = [cell(name, noise=k) for k, name in enumerate("abcd")]
+    rows = differences(cells, SCENE, seed=0)
+    assert len(rows) == 6 * len(COMPARED)
+    assert {(row["first"], row["second"]) for row in rows} == {
+        ("a", "b"), ("a", "c"), ("a", "d"), ("b", "c"), ("b", "d"), ("c", "d")
+    }  # fmt: skip
+
+
+def test_holm_corrects_as_in_his_paper() -> None:
+    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04 -> 0.06.
+    corrected = holm(np.array([0.03, 0.01, 0.04, 0.02]))
+    np.testing.assert_allclose(corrected, [0.06, 0.04, 0.06, 0.06])
+    np.testing.assert_allclose(holm(np.array([0.9, 0.8])), [1.0, 1.0])
+
+
+def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None:
+    apart = [cell("slow", noise=1), cell("close", closer=15.0, noise=2)]
+    right, asked = guessed(apart, SCENE, seed=0)
+    assert asked == 2 * EPISODES
+    assert right / asked > 0.95
+    right, asked = guessed([cell("one", noise=1), cell("other", noise=2)], SCENE, seed=0)
+    assert 0.3 < right / asked < 0.7
+
+
+def test_the_tables_say_how_many_pairs_are_apart(tmp_path: Path) -> None:
+    cells = [cell("one", noise=1), cell("other", noise=2), cell("fast", faster=3.0, noise=3)]
+    write_pairs(tmp_path, "styles", cells, SCENE, seed=0)
+    text = (tmp_path / "styles-pairs.md").read_text()
+    assert text.startswith("2 of 3 pairs are apart in some metric")
+    assert "by chance it would be 33.3%" in text
+    assert pl.read_csv(tmp_path / "styles-pairs.csv").height == 3 * len(COMPARED)
+
+
+SUITE = """\
+suite: small
+episodes: 12
+scene: {duration_s: 3.0, traffic_vehicles: 5}
+egos: [{agent: idm_mobil}, {agent: stackelberg}]
+traffics: [{traffic: idm_mobil}]
+pairs: true
+"""
+
+
+def test_a_suite_asks_for_pairs(tmp_path: Path) -> None:
+    (tmp_path / "suite.yaml").write_text(SUITE)
+    command = [sys.executable, "-m", "charms_bench", "run", "suite.yaml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "small-pairs.md" in done.stdout
+    assert "1 pairs are apart" in (tmp_path / "runs/small/tables/small-pairs.md").read_text()
+
+
+def test_pairs_need_two_egos_in_one_traffic(tmp_path: Path) -> None:
+    (tmp_path / "suite.yaml").write_text(SUITE.replace(", {agent: stackelberg}", ""))
+    with pytest.raises(SuiteError, match="pairs compares two egos or more in one traffic"):
+        load_suite(tmp_path / "suite.yaml")
