@@ -183,6 +183,8 @@ def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A background job starts with Ctrl-C ignored, and so would what it starts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not list(output.glob("episodes/*.parquet")):
         time.sleep(0.05)

@@ -186,11 +186,12 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(
     def interrupting(*_: Any) -> Iterator[Tell]:
         yield lambda _, done, *__: signal.raise_signal(signal.SIGINT) if done == 200 else None
 
+    before = signal.getsignal(signal.SIGINT)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline, "progress", interrupting)
         with pytest.raises(KeyboardInterrupt):
             pipeline.run(suite, tmp_path, only="first")
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
     stored = read(only(tmp_path, "first-*/checkpoint.npz"))
     assert json.loads(str(stored["numbers"]))["counters"]["num_timesteps"] == 200
     pipeline.run(suite, tmp_path)
