@@ -129,7 +129,7 @@ def local_workers(count: int, engine: EngineName) -> ProcessPoolExecutor:
     if engine == "highway-env":
         use_exact_maths()
     return ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
+        count, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
     )
 
 
@@ -220,7 +220,7 @@ def _made(spec: str, folder: Path) -> Agent:
     return AgentSpec.model_validate_json(spec).make(folder)
 
 
-def _start_worker() -> None:
+def start_worker() -> None:
     """Leaves Ctrl-C to the parent, and ends the worker when the parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -1,9 +1,6 @@
 """Runs stages in the order of what they need, side by side where there are workers for it."""
 
 import multiprocessing
-import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -20,6 +17,7 @@ from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
 from charms_agents.training.supervised import Epoch
 from charms_bench.errors import RunFolderError
+from charms_bench.runner import start_worker
 
 AnyJob = Job | HumanJob
 Needs = Mapping[str, Sequence[str]]
@@ -170,18 +168,10 @@ def _pass_on(told: Any, tell: Tell) -> None:
 
 
 def _start_worker(told: Any, stopping: Any) -> None:
-    """Leaves Ctrl-C to the parent, and ends the worker when the parent is gone."""
+    """Gives the worker its ways to talk to the parent."""
     global _told, _stopping
     _told, _stopping = told, stopping
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def follow() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+    start_worker()
 
 
 def _train_in_worker(job: AnyJob, output: Path, suite_sha256: str) -> StageFolder:
