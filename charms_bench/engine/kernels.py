@@ -3,7 +3,7 @@
 Each function names the highway-env function it follows. Operations keep highway-env's order, for
 a sum in another order is another number. A kernel takes its arrays out of the scene once, and what
 it calls for every vehicle gets numbers: to hand over an array costs an atomic reference count, and
-that more than the physics. Private to the engines; `tests/naive.py` holds plain versions.
+that more than the physics. Private to the harness; `tests/naive.py` holds plain versions.
 """
 
 import math
