@@ -1,0 +1,32 @@
+"""The command line, a module a group of commands.
+
+Heavy imports stay inside commands, so that `--help` is quick.
+"""
+
+import os
+import sys
+
+from charms_bench.cli.terminal import app, err, plain
+from charms_bench.errors import CharmsBenchError
+
+# In the order of `--help`.
+# isort: off
+from charms_bench.cli import run  # noqa: F401
+from charms_bench.cli import plugins  # noqa: F401
+from charms_bench.cli import engines  # noqa: F401
+from charms_bench.cli import data  # noqa: F401
+from charms_bench.cli import export  # noqa: F401
+
+# isort: on
+
+
+def main() -> None:
+    """Runs the command line; a user's mistake is a message and exit code 2."""
+    try:
+        app()
+    except CharmsBenchError as error:
+        err.print(f"[bold red]error:[/] {plain(str(error))}", soft_wrap=True, highlight=False)
+        sys.exit(2)
+    except BrokenPipeError:  # whoever reads has seen enough, `charms-bench ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

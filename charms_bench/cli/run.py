@@ -1,0 +1,103 @@
+"""`run`: suites of both kinds."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from charms_bench.cli.terminal import (
+    Json,
+    SuiteFile,
+    Workers,
+    app,
+    interruptible,
+    out,
+    plain,
+    progress,
+)
+from charms_bench.errors import InputError
+
+
+@app.command()
+def run(
+    suite: SuiteFile,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes of every cell, instead of the suite's.")
+    ] = None,
+    workers: Workers = None,
+    engine: Annotated[
+        Literal["batched", "highway-env"], typer.Option(help="highway-env is the slow reference.")
+    ] = "batched",
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="First episode's seed, instead of the suite's.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="The run folder; by default runs/SUITE.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(help="One stage of a training suite, with what it needs.")
+    ] = None,
+    recordings: Annotated[
+        Path | None, typer.Option(help="Human driving to train on, instead of the suite's folder.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a suite, or go on with it: what is finished is never run again."""
+    from charms_bench.document import Document
+
+    document = Document(suite)
+    if "pipeline" in document.data:
+        refused = {"--episodes": episodes, "--seed": seed}
+        for option in (name for name, value in refused.items() if value is not None):
+            raise InputError(f"{option} is for evaluations; {suite} is a training")
+        folder = output or Path("runs") / suite.stem
+        _run_pipeline(document, folder, workers, only, recordings)
+        return
+    for option, given in {"--only": only, "--recordings": recordings}.items():
+        if given is not None:
+            raise InputError(f"{option} is for trainings; {suite} is an evaluation")
+
+    from charms_bench import runner
+    from charms_bench.report.pairs import write_pairs
+    from charms_bench.report.tables import build_table, render_terminal, write_tables
+    from charms_bench.suite import suite_of
+
+    loaded = suite_of(document)
+    changes = {"episodes": episodes, "seed": seed}
+    loaded = loaded.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    folder = output or Path("runs") / loaded.suite
+    total = loaded.episodes * len(loaded.cells)
+    with interruptible(f"finished shards are in {folder}"), progress("episodes", total) as bar:
+        finished = runner.run(
+            loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count)
+        )
+    cells = finished.cells()
+    table = build_table(cells, loaded.scene, loaded.seed)
+    write_tables(folder / "tables", loaded.suite, table)
+    if loaded.pairs:
+        write_pairs(folder / "tables", loaded.suite, cells, loaded.scene, loaded.seed)
+    if as_json:
+        print(json.dumps(table.to_dicts(), indent=2))
+    else:
+        if loaded.title:
+            out.print(plain(loaded.title), highlight=False)
+        out.print(render_terminal(table, loaded.columns, out.width))
+        rest = folder / "tables" / f"{loaded.suite}.md"
+        out.print(f"All metrics: {plain(str(rest))}", highlight=False, soft_wrap=True)
+        if loaded.pairs:
+            pairs = rest.with_name(f"{loaded.suite}-pairs.md")
+            out.print(f"Pair by pair: {plain(str(pairs))}", highlight=False, soft_wrap=True)
+
+
+def _run_pipeline(
+    document: Any, output: Path, workers: int | None, only: str | None, recordings: Path | None
+) -> None:
+    from charms_bench.registry import PIPELINES, load
+
+    name = document.data["pipeline"]
+    if not isinstance(name, str):
+        raise document.error(("pipeline",), f"expected a name, found {name!r}")
+    pipeline = load(PIPELINES, name)
+    with interruptible(f"checkpoints are in {output}"):
+        pipeline(document.path, output, workers, only, recordings)

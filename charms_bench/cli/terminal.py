@@ -1,0 +1,101 @@
+"""What all commands share: the app, its two streams, options, progress."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+app = typer.Typer(
+    name="charms-bench",
+    help="Benchmark driving behaviour on highway-env's motorway, compiled.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+out = Console()
+err = Console(stderr=True)
+
+Json = Annotated[bool, typer.Option("--json", help="Print nothing but JSON on standard output.")]
+Workers = Annotated[
+    int | None, typer.Option(min=1, max=1024, help="Processes; by default one a core.")
+]
+SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE", help="The suite's YAML file.")]
+
+
+@contextmanager
+def interruptible(what_is_left: str) -> Iterator[None]:
+    """Turns Ctrl-C into a sentence about what is left, and exit code 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        err.print(
+            f"interrupted; {plain(what_is_left)}, and the same command goes on from there",
+            highlight=False,
+        )
+        raise typer.Exit(130) from None
+
+
+@contextmanager
+def progress(unit: str, total: int) -> Iterator[Callable[[str, int], None]]:
+    """A bar with rate and remaining time on a terminal; a line every tenth elsewhere."""
+    if not err.is_terminal:
+        yield _lines(unit, total)
+        return
+    with _bar(unit) as progress:
+        task = progress.add_task("", total=total)
+        yield lambda what, count: progress.update(task, description=plain(what), advance=count)
+
+
+def _lines(unit: str, total: int) -> Callable[[str, int], None]:
+    done = 0
+
+    def tell(what: str, count: int) -> None:
+        nonlocal done
+        before, done = done, done + count
+        if before * 10 // total < done * 10 // total:
+            err.print(f"{done:,} of {total:,} {unit}", highlight=False)
+
+    return tell
+
+
+def _bar(unit: str) -> "Progress":
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.speed:,.0f}/s" if task.speed else "")
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=err,
+        transient=True,
+    )
+
+
+def plain(text: str) -> str:
+    """Text as it is: what users wrote is never markup."""
+    from rich.markup import escape
+
+    return escape(text)
