@@ -3,7 +3,9 @@
 import json
 import os
 import platform
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +18,7 @@ from charms_bench.errors import RunFolderError
 from charms_bench.suite import Suite
 
 MANIFEST = "manifest.json"
-_UNDECIDING = {"title", "columns", "pairs", "episodes"}
+_UNDECIDING = ("title", "columns", "pairs", "episodes")
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
 
@@ -68,7 +70,7 @@ class RunFolder:
             RunFolderError: It holds another run, or cannot be read or written.
         """
         manifest = self.path / MANIFEST
-        fields = json.loads(suite.model_dump_json(exclude=_UNDECIDING))
+        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
         ours = {"suite": fields, "engine": engine}
         if manifest.exists():
             theirs = self.manifest()
@@ -86,9 +88,8 @@ class RunFolder:
         """Writes what was run, with what, on what."""
         manifest = {
             "charms_bench": __version__,
-            "title": suite.title,
-            "episodes": suite.episodes,
-            "suite": json.loads(suite.model_dump_json(exclude=_UNDECIDING)),
+            **json.loads(suite.model_dump_json(include=set(_UNDECIDING))),
+            "suite": json.loads(suite.model_dump_json(exclude=set(_UNDECIDING))),
             "suite_sha256": suite.fingerprint(),
             "engine": engine,
             "agents": agents,
@@ -120,6 +121,37 @@ class RunFolder:
             raise RunFolderError(f"{path}: expected a JSON object")
         return manifest
 
+    def suite(self) -> Suite:
+        """The suite whose rows it holds; relative paths in it start nowhere.
+
+        Raises:
+            RunFolderError: There is no manifest, or it is damaged.
+        """
+        manifest = self.manifest()
+        try:
+            undeciding = {name: manifest[name] for name in _UNDECIDING}
+            return Suite.model_validate({**manifest["suite"], **undeciding})
+        except (KeyError, TypeError, ValueError) as error:
+            reason = str(error).replace("\n", " ")
+            raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
+
+    def shards(self) -> tuple[Shard, ...]:
+        """The finished shards in it, by cell and seed; their `key` is only its beginning.
+
+        Raises:
+            RunFolderError: A file has another name than shards have.
+        """
+        found = []
+        for path in sorted((self.path / "episodes").glob("*.parquet")):
+            match = re.fullmatch(r"(\d{3,})-(\d{9,})-([0-9a-f]{16})", path.stem)
+            if match is None:
+                raise RunFolderError(f"{path}: is no shard of a run; delete it")
+            cell, first_seed, key = match.groups()
+            with _reading(path):
+                episodes = pl.scan_parquet(path).select(pl.len()).collect().item()
+            found.append(Shard(int(cell), int(first_seed), episodes, key))
+        return tuple(found)
+
     def has(self, shard: Shard) -> bool:
         """Whether the shard is finished: its episodes are written last."""
         return self._file("episodes", shard).exists() and self._file("steps", shard).exists()
@@ -138,13 +170,8 @@ class RunFolder:
         frames = []
         for shard in shards:
             path = self._file(kind, shard)
-            try:
+            with _reading(path):
                 frames.append(pl.read_parquet(path))
-            except (OSError, pl.exceptions.PolarsError) as error:
-                reason = str(error).splitlines()[0]
-                raise RunFolderError(
-                    f"{path}: cannot be read: {reason}; delete it and run again"
-                ) from error
         return pl.concat(frames)
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
@@ -157,6 +184,18 @@ class RunFolder:
 
     def _file(self, kind: str, shard: Shard) -> Path:
         return self.path / kind / f"{shard.name}.parquet"
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Says of which file it is that polars cannot read it."""
+    try:
+        yield
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = str(error).splitlines()[0]
+        raise RunFolderError(
+            f"{path}: cannot be read: {reason}; delete it and run again"
+        ) from error
 
 
 def _differences(theirs: Any, ours: Any, at: str = "") -> list[str]:

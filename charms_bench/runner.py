@@ -56,6 +56,25 @@ class Run:
         ]
 
 
+def open_run(path: Path) -> Run:
+    """A finished run, from its folder alone.
+
+    Raises:
+        RunFolderError: It holds no run, one that is not finished, or one that is damaged.
+    """
+    folder = RunFolder(path)
+    suite = folder.suite()
+    shards = folder.shards()
+    for index, cell in enumerate(suite.cells):
+        there = sum(shard.episodes for shard in shards if shard.cell == index)
+        if there != suite.episodes:
+            raise RunFolderError(
+                f"{path}: holds {there:,} of {suite.episodes:,} episodes of {cell.ego.title} in "
+                f"{cell.traffic.title}; go on with `charms-bench run`"
+            )
+    return Run(suite, folder, shards)
+
+
 def plan(suite: Suite, engine: EngineName) -> tuple[tuple[Shard, ...], dict[str, Any]]:
     """The shards of a suite, and what is to be known of the agents that take part."""
     if suite.seed + suite.episodes > EVALUATION_SEEDS:

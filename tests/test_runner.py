@@ -1,6 +1,7 @@
 """Runs: the same rows whatever the workers, the order or the interruptions."""
 
 import hashlib
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from charms_bench import runner
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
-from charms_bench.runner import plan, run
+from charms_bench.runner import open_run, plan, run
 from charms_bench.suite import Suite
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
@@ -63,6 +64,24 @@ def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
         path for path in before if path.name == lost.name
     }
     assert len(first.shards) * 2 == len(after)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_run_is_read_from_a_copy_of_its_folder_alone(tmp_path: Path) -> None:
+    ran = run(suite(columns=("speed_mean",)), tmp_path / "here", workers=1)
+    opened = open_run(Path(shutil.move(tmp_path / "here", tmp_path / "there")))
+    assert opened.suite == ran.suite
+    here = [shard.name for shard in ran.shards]
+    assert [shard.name for shard in opened.shards] == here
+    assert [cell.agent for cell in opened.cells()] == ["idm_mobil", "outside_policy"]
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_run_that_is_not_finished_says_how_much_is_missing(tmp_path: Path) -> None:
+    run(suite(), tmp_path, workers=1)
+    max((tmp_path / "episodes").iterdir()).unlink()
+    with pytest.raises(RunFolderError, match="20 of 25 episodes of outside_policy"):
+        open_run(tmp_path)
 
 
 @pytest.mark.usefixtures("small_shards")
