@@ -71,7 +71,7 @@ class HumanJob:
             "starts_from": start if self.before else {"hidden_layers": layers},
             "style": self.style,
             "seed": self.suite.seed,
-            "supervised": self.settings.model_dump(mode="json"),
+            "supervised": self.settings.inputs,
             "samples": {
                 "fingerprint": self.data.fingerprint,
                 "settings": self.data.settings.model_dump(mode="json"),

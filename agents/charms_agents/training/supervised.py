@@ -34,7 +34,7 @@ class Epoch:
     loss: float
     """L_total, eq. 11, over all training samples."""
     log_likelihood: float | None
-    """Of the labels of held-out samples, mean: sum of y log softmax(Q), natural."""
+    """Of the labels of held-out samples, mean: sum of y log softmax(Q / temperature), natural."""
     agreement: float | None
     """Share of held-out samples in which the action of the highest value is the label's most
     probable one, or one of them where several are."""
@@ -84,10 +84,15 @@ class Fit:
 
     def _loss(self, observations: Tensor, labels: Tensor) -> Tensor:
         """L_total, eq. 11."""
-        kl = divergence(self.network(observations), labels, self._settings.label_floor)
+        kl = divergence(self._logits(observations), labels, self._settings.label_floor)
         if not self._settings.pull:
             return kl
         return kl + self._settings.pull * squared_distance(self._parameters, self._pretrained)
+
+    def _logits(self, observations: Tensor) -> Tensor:
+        """Whose softmax eq. 11 compares with the labels."""
+        logits: Tensor = self.network(observations) / self._settings.temperature
+        return logits
 
     def _measured(self, epoch: int) -> Epoch:
         with torch.no_grad():
@@ -95,8 +100,8 @@ class Fit:
             observations, labels = self._held_out
             if not len(labels):
                 return Epoch(epoch, loss, None, None)
-            values = self.network(observations)
-            return Epoch(epoch, loss, log_likelihood(values, labels), agreement(values, labels))
+            logits = self._logits(observations)
+            return Epoch(epoch, loss, log_likelihood(logits, labels), agreement(logits, labels))
 
     def arrays(self) -> Arrays:
         """Everything that further training depends on, as plain arrays."""
@@ -124,13 +129,13 @@ class Fit:
         self.curve = [Epoch(**point) for point in json.loads(str(arrays["curve"]))]
 
 
-def divergence(values: Tensor, labels: Tensor, floor: float) -> Tensor:
-    """KL(softmax(Q) || y), the first term of eq. 11, mean over rows.
+def divergence(logits: Tensor, labels: Tensor, floor: float) -> Tensor:
+    """KL(softmax(logits) || y), the first term of eq. 11, mean over rows.
 
     It is infinite where a label is 0, so every label is mixed with the uniform distribution until
     none of its probabilities is below `floor`: y (1 - 5 floor) + floor.
     """
-    log_p = log_softmax(values, dim=1)
+    log_p = log_softmax(logits, dim=1)
     floored = labels * (1 - len(ACTIONS) * floor) + floor
     return (log_p.exp() * (log_p - floored.log())).sum(dim=1).mean()
 
@@ -145,9 +150,9 @@ def squared_distance(parameters: Sequence[Tensor], pretrained: Sequence[Tensor])
     ).sum()
 
 
-def log_likelihood(values: Tensor, labels: Tensor) -> float:
-    """Mean of sum y log softmax(Q): of the drivers' actions, where a label is what was done."""
-    return float((labels * log_softmax(values, dim=1)).sum(dim=1).mean())
+def log_likelihood(logits: Tensor, labels: Tensor) -> float:
+    """Mean of sum y log softmax: of the drivers' actions, where a label is what was done."""
+    return float((labels * log_softmax(logits, dim=1)).sum(dim=1).mean())
 
 
 def agreement(values: Tensor, labels: Tensor) -> float:
