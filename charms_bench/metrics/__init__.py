@@ -30,17 +30,19 @@ from charms_bench.metrics.collisions import (
 from charms_bench.metrics.headway import (
     DHW_MEAN,
     DHW_STD,
-    TIME_HEADWAY_BELOW_1S,
+    SHORT_HEADWAY_S,
     TIME_HEADWAY_MEAN,
+    time_headway_below,
 )
 from charms_bench.metrics.interaction import INTERACTION_DENSITY
 from charms_bench.metrics.lane_changes import (
-    IMPOSED_BRAKING_ABOVE_2,
     IMPOSED_BRAKING_MEAN,
     LANE_CHANGES_PER_KM,
+    SAFE_BRAKING_MPS2,
+    imposed_braking_above,
 )
 from charms_bench.metrics.metric import Metric, MetricSet
-from charms_bench.metrics.required_braking import DRAC_ABOVE_3_35, DRAC_MAX
+from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2, DRAC_MAX, drac_above
 from charms_bench.metrics.rows import join_rows
 from charms_bench.metrics.speed import (
     PAPER_SPEED_MEAN,
@@ -50,17 +52,19 @@ from charms_bench.metrics.speed import (
 )
 from charms_bench.metrics.steering import PAPER_YAW_STD
 from charms_bench.metrics.time_to_collision import (
-    CONFLICT_EPISODES,
+    CONFLICT_TTC_S,
     PAPER_TTC_BELOW_3S,
     PAPER_TTC_BELOW_3S_CLOSING,
-    TET,
-    TIT,
-    TTC_BELOW_3S,
     TTC_MIN,
+    TTC_THRESHOLD_S,
+    conflict_episodes,
+    time_exposed,
+    time_integrated,
+    ttc_below,
 )
 from charms_bench.scene import Floats, SceneSettings
 
-__all__ = ["METRIC_SETS", "PAPER", "STANDARD", "Metric", "MetricSet", "sums_by_episode"]
+__all__ = ["METRIC_SETS", "PAPER", "STANDARD", "Metric", "MetricSet", "standard", "sums_by_episode"]
 
 PAPER = MetricSet(
     name="paper",
@@ -80,35 +84,56 @@ PAPER = MetricSet(
         INTERACTION_DENSITY,
     ),
 )
-STANDARD = MetricSet(
-    name="standard",
-    version=1,
-    metrics=(
-        CRASHED_EPISODES,
-        CRASHES_PER_1000KM,
-        REAR_END_PER_1000KM,
-        SIDE_PER_1000KM,
-        OFF_ROAD_PER_1000KM,
-        CONFLICT_EPISODES,
-        TTC_MIN,
-        TTC_BELOW_3S,
-        TET,
-        TIT,
-        DRAC_MAX,
-        DRAC_ABOVE_3_35,
-        TIME_HEADWAY_MEAN,
-        TIME_HEADWAY_BELOW_1S,
-        SPEED_MEAN,
-        ACC_STD,
-        JERK_RMS,
-        LANE_CHANGES_PER_KM,
-        IMPOSED_BRAKING_MEAN,
-        IMPOSED_BRAKING_ABOVE_2,
-        TRAFFIC_CRASHED,
-        TRAFFIC_CRASHES_PER_1000KM,
-        TRAFFIC_SPEED_MEAN,
-    ),
-)
+
+
+def standard(
+    ttc_s: float = TTC_THRESHOLD_S,
+    conflict_ttc_s: float = CONFLICT_TTC_S,
+    drac_mps2: float = DRAC_LIMIT_MPS2,
+    headway_s: float = SHORT_HEADWAY_S,
+    imposed_mps2: float = SAFE_BRAKING_MPS2,
+) -> MetricSet:
+    """The set `standard`, with other thresholds if need be.
+
+    Args:
+        ttc_s: Below which a TTC counts as exposure.
+        conflict_ttc_s: Below which it is a conflict.
+        drac_mps2: Above which a driver cannot be counted on to brake hard enough.
+        headway_s: Below which a time headway is short.
+        imposed_mps2: Above which a lane change makes the new follower brake too hard.
+    """
+    return MetricSet(
+        name="standard",
+        version=1,
+        metrics=(
+            CRASHED_EPISODES,
+            CRASHES_PER_1000KM,
+            REAR_END_PER_1000KM,
+            SIDE_PER_1000KM,
+            OFF_ROAD_PER_1000KM,
+            conflict_episodes(conflict_ttc_s),
+            TTC_MIN,
+            ttc_below(ttc_s),
+            time_exposed(ttc_s),
+            time_integrated(ttc_s),
+            DRAC_MAX,
+            drac_above(drac_mps2),
+            TIME_HEADWAY_MEAN,
+            time_headway_below(headway_s),
+            SPEED_MEAN,
+            ACC_STD,
+            JERK_RMS,
+            LANE_CHANGES_PER_KM,
+            IMPOSED_BRAKING_MEAN,
+            imposed_braking_above(imposed_mps2),
+            TRAFFIC_CRASHED,
+            TRAFFIC_CRASHES_PER_1000KM,
+            TRAFFIC_SPEED_MEAN,
+        ),
+    )
+
+
+STANDARD = standard()
 METRIC_SETS = (PAPER, STANDARD)
 
 

@@ -7,7 +7,14 @@ free of the leader (Vogel 2003, Accident Analysis and Prevention 35).
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, moments, ratio, standard_deviation, total
+from charms_bench.metrics.metric import (
+    Metric,
+    in_name,
+    moments,
+    ratio,
+    standard_deviation,
+    total,
+)
 
 FREE_HEADWAY_S = 6.0
 SHORT_HEADWAY_S = 1.0
@@ -41,12 +48,19 @@ TIME_HEADWAY_MEAN = Metric(
     sums=(FOLLOWING.sum(), total(HEADWAY, FOLLOWING)),
     value=ratio,
 )
-TIME_HEADWAY_BELOW_1S = Metric(
-    name="time_headway_below_1s",
-    unit="",
-    description="share of time with a time headway below 1 s",
-    rests_on="steps",
-    sums=(pl.col("driving").sum(), (HEADWAY < SHORT_HEADWAY_S).sum()),
-    value=ratio,
-    interval="share",
-)
+
+
+def time_headway_below(threshold_s: float) -> Metric:
+    """The share of time in which the ego is nearer in time to its leader."""
+    return Metric(
+        name=f"time_headway_below_{in_name(threshold_s)}s",
+        unit="",
+        description=f"share of time with a time headway below {threshold_s:g} s",
+        rests_on="steps",
+        sums=(pl.col("driving").sum(), HEADWAY.lt(threshold_s).sum()),
+        value=ratio,
+        interval="share",
+    )
+
+
+TIME_HEADWAY_BELOW_1S = time_headway_below(SHORT_HEADWAY_S)

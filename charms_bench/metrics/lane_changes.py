@@ -7,7 +7,7 @@ is 2 m/s2.
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, ratio
+from charms_bench.metrics.metric import Metric, in_name, ratio
 
 SAFE_BRAKING_MPS2 = 2.0
 
@@ -30,13 +30,20 @@ IMPOSED_BRAKING_MEAN = Metric(
     sums=(IMPOSED.count(), IMPOSED.sum()),
     value=ratio,
 )
-IMPOSED_BRAKING_ABOVE_2 = Metric(
-    name="imposed_braking_above_2",
-    unit="",
-    description="share of lane changes within 2 s of which the new follower brakes by more "
-    "than 2 m/s²",
-    rests_on="lane changes with a follower",
-    sums=(IMPOSED.count(), (IMPOSED > SAFE_BRAKING_MPS2).sum()),
-    value=ratio,
-    interval="share",
-)
+
+
+def imposed_braking_above(limit_mps2: float) -> Metric:
+    """The share of lane changes that make the new follower brake harder than the limit."""
+    return Metric(
+        name=f"imposed_braking_above_{in_name(limit_mps2)}",
+        unit="",
+        description="share of lane changes within 2 s of which the new follower brakes by more "
+        f"than {limit_mps2:g} m/s²",
+        rests_on="lane changes with a follower",
+        sums=(IMPOSED.count(), IMPOSED.gt(limit_mps2).sum()),
+        value=ratio,
+        interval="share",
+    )
+
+
+IMPOSED_BRAKING_ABOVE_2 = imposed_braking_above(SAFE_BRAKING_MPS2)

@@ -48,11 +48,18 @@ class MetricSet:
     name: str
     version: int
     metrics: tuple[Metric, ...]
+    options: str = ""
+    """With what it was made, if not as its author meant it, such as `ttc_s=2`."""
 
     @property
     def label(self) -> str:
-        """The name in tables, such as `paper-1`."""
-        return f"{self.name}-{self.version}"
+        """The name in tables, such as `paper-1` or `standard-1(ttc_s=2)`."""
+        return f"{self.name}-{self.version}" + (f"({self.options})" if self.options else "")
+
+
+def in_name(threshold: float) -> str:
+    """A threshold as part of a metric's name: 3.35 is `3_35`."""
+    return f"{threshold:g}".replace(".", "_")
 
 
 def total(expression: pl.Expr, where: pl.Expr) -> pl.Expr:

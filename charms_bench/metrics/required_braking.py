@@ -6,7 +6,7 @@ DRAC is the closing speed squared over twice the bumper gap (Cooper & Ferguson 1
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, ratio
+from charms_bench.metrics.metric import Metric, in_name, ratio
 
 DRAC_LIMIT_MPS2 = 3.35
 DRAC_CAP_MPS2 = 9.81
@@ -23,12 +23,19 @@ DRAC_MAX = Metric(
     sums=(DRAC.is_not_null().any(), DRAC.max().clip(upper_bound=DRAC_CAP_MPS2)),
     value=ratio,
 )
-DRAC_ABOVE_3_35 = Metric(
-    name="drac_above_3_35",
-    unit="",
-    description="share of time with a DRAC above 3.35 m/s²",
-    rests_on="steps",
-    sums=(pl.col("driving").sum(), (DRAC > DRAC_LIMIT_MPS2).sum()),
-    value=ratio,
-    interval="share",
-)
+
+
+def drac_above(limit_mps2: float) -> Metric:
+    """The share of time in which more braking than the limit would be required."""
+    return Metric(
+        name=f"drac_above_{in_name(limit_mps2)}",
+        unit="",
+        description=f"share of time with a DRAC above {limit_mps2:g} m/s²",
+        rests_on="steps",
+        sums=(pl.col("driving").sum(), DRAC.gt(limit_mps2).sum()),
+        value=ratio,
+        interval="share",
+    )
+
+
+DRAC_ABOVE_3_35 = drac_above(DRAC_LIMIT_MPS2)

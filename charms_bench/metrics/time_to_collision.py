@@ -7,7 +7,7 @@ Surrogate Safety Assessment Model) for the 1.5 s below which a TTC is a conflict
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, ratio, total
+from charms_bench.metrics.metric import Metric, in_name, ratio, total
 
 TTC_THRESHOLD_S = 3.0
 """Also the horizon of the paper's safety reward."""
@@ -26,7 +26,6 @@ PAPER_TTC = (
 DRIVING = pl.col("driving")
 TTC = pl.col("ttc_s")
 HAS_TTC = TTC.is_not_null().any()
-EXPOSED = TTC < TTC_THRESHOLD_S
 
 PAPER_TTC_BELOW_3S = Metric(
     name="ttc_below_3s",
@@ -47,15 +46,6 @@ PAPER_TTC_BELOW_3S_CLOSING = Metric(
     value=ratio,
     interval="share",
 )
-TTC_BELOW_3S = Metric(
-    name="ttc_below_3s",
-    unit="",
-    description="share of time with a bumper-to-bumper TTC below 3 s",
-    rests_on="steps",
-    sums=(DRIVING.sum(), EXPOSED.sum()),
-    value=ratio,
-    interval="share",
-)
 TTC_MIN = Metric(
     name="ttc_min",
     unit="s",
@@ -65,29 +55,65 @@ TTC_MIN = Metric(
     sums=(HAS_TTC, TTC.min().clip(upper_bound=TTC_CAP_S)),
     value=ratio,
 )
-CONFLICT_EPISODES = Metric(
-    name="conflict_episodes",
-    unit="",
-    description="share of episodes in which the bumper-to-bumper TTC falls below 1.5 s",
-    rests_on="episodes",
-    sums=(pl.lit(1), (TTC < CONFLICT_TTC_S).any()),
-    value=ratio,
-    interval="wilson",
-)
-TET = Metric(
-    name="tet",
-    unit="s",
-    description="time exposed TTC: time in an episode with a TTC below 3 s, mean",
-    rests_on="episodes",
-    sums=(pl.lit(1), total(pl.col("interval_s"), EXPOSED)),
-    value=ratio,
-)
-TIT = Metric(
-    name="tit",
-    unit="s²",
-    description="time integrated TTC: 3 s less TTC, over the time in an episode in which that "
-    "is positive, mean",
-    rests_on="episodes",
-    sums=(pl.lit(1), total((TTC_THRESHOLD_S - TTC) * pl.col("interval_s"), EXPOSED)),
-    value=ratio,
-)
+
+
+def ttc_below(threshold_s: float) -> Metric:
+    """The share of time in which the ego is nearer to its leader than a TTC."""
+    return Metric(
+        name=f"ttc_below_{in_name(threshold_s)}s",
+        unit="",
+        description=f"share of time with a bumper-to-bumper TTC below {threshold_s:g} s",
+        rests_on="steps",
+        sums=(DRIVING.sum(), TTC.lt(threshold_s).sum()),
+        value=ratio,
+        interval="share",
+    )
+
+
+def conflict_episodes(threshold_s: float) -> Metric:
+    """The share of episodes with a conflict, which is a TTC below the threshold."""
+    return Metric(
+        name="conflict_episodes",
+        unit="",
+        description="share of episodes in which the bumper-to-bumper TTC falls below "
+        f"{threshold_s:g} s",
+        rests_on="episodes",
+        sums=(pl.lit(1), TTC.lt(threshold_s).any()),
+        value=ratio,
+        interval="wilson",
+    )
+
+
+def time_exposed(threshold_s: float) -> Metric:
+    """TET, Minderhoud & Bovy 2001."""
+    return Metric(
+        name="tet",
+        unit="s",
+        description=f"time exposed TTC: time in an episode with a TTC below {threshold_s:g} s, "
+        "mean",
+        rests_on="episodes",
+        sums=(pl.lit(1), total(pl.col("interval_s"), TTC.lt(threshold_s))),
+        value=ratio,
+    )
+
+
+def time_integrated(threshold_s: float) -> Metric:
+    """TIT, Minderhoud & Bovy 2001."""
+    return Metric(
+        name="tit",
+        unit="s²",
+        description=f"time integrated TTC: {threshold_s:g} s less TTC, over the time in an "
+        "episode in which that is positive, mean",
+        rests_on="episodes",
+        sums=(
+            pl.lit(1),
+            total((threshold_s - TTC) * pl.col("interval_s"), TTC.lt(threshold_s)),
+        ),
+        value=ratio,
+    )
+
+
+TTC_BELOW_3S = ttc_below(TTC_THRESHOLD_S)
+CONFLICT_EPISODES = conflict_episodes(CONFLICT_TTC_S)
+TET = time_exposed(TTC_THRESHOLD_S)
+TIT = time_integrated(TTC_THRESHOLD_S)
