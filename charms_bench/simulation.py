@@ -82,6 +82,12 @@ class Simulation:
         return self._engine
 
     @property
+    def drivers(self) -> NDArray[np.str_]:
+        """[B, N] the name of each vehicle's agent, empty for an ego driven from outside."""
+        drivers: NDArray[np.str_] = np.array([*self._names, ""])[self._agent_of]
+        return drivers
+
+    @property
     def ego_vehicles(self) -> Vehicles:
         """The egos of all scenes (B,)."""
         return np.arange(self.seeds.size), self.scene.ego

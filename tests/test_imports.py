@@ -21,7 +21,7 @@ LAYERS = (
     {"recording", "results", "testing", "vector_env"},
     {"report", "human"},
     {"runner"},
-    {"verify", "bench"},
+    {"verify", "bench", "replay"},
     {"cli"},
     {"__main__"},
 )
