@@ -22,7 +22,7 @@ LAYERS = (
     {"report", "human"},
     {"runner"},
     {"verify", "bench", "replay"},
-    {"happenings"},
+    {"happenings", "animation"},
     {"edge_cases"},
     {"cli"},
     {"__main__"},
