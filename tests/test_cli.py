@@ -161,6 +161,31 @@ def test_check_of_an_unknown_name_is_a_mistake() -> None:
     assert (result.returncode, "no agent named 'nobody'" in result.stderr) == (2, True)
 
 
+def test_a_traffic_says_whom_it_gives_vehicles(tmp_path: Path) -> None:
+    figure = tmp_path / "pch.svg"
+    result = charms_bench("traffic", "pch", "--tau=0", "--beta", "0.25", "--figure", figure)
+    assert result.returncode == 0, result.stderr
+    assert re.search(r"charms-efficient-competitive\s+25\.\d%", result.stdout)
+    assert re.search(r"charms-safe-competitive\s+7[45]\.\d%", result.stdout)
+    assert figure.read_text().startswith("<?xml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--tau", "-1"], "tau must be 0 or more, got -1"),
+        (["--tau"], "expected options as --name value, got --tau"),
+        (["--gamma", "1"], "unexpected keyword argument 'gamma'"),
+        (["--tau", "["], "--tau: [ cannot be read"),
+    ],
+)
+def test_what_a_traffic_cannot_be_asked_is_one_message(arguments: list[str], message: str) -> None:
+    result = charms_bench("traffic", "pch", *arguments)
+    assert result.returncode == 2
+    assert message in " ".join(result.stderr.split())
+    assert "Traceback" not in result.stderr
+
+
 def test_verify_compares_a_suites_cells(suite_file: Path) -> None:
     result = charms_bench("verify", "--suite", suite_file, "--episodes", 2)
     assert result.returncode == 0, result.stdout + result.stderr

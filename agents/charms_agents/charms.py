@@ -1,4 +1,4 @@
-"""The agents of CHARMS and imitation: packaged networks, which learnt from human driving."""
+"""The agents of the paper that are networks, from the files in this package."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,9 +7,21 @@ from importlib.resources import files
 from charms_bench.errors import ModelError
 from charms_bench.onnx_policy import OnnxPolicy
 
+SVOS = ("competitive", "egoistic", "prosocial", "altruistic")
+"""Social value orientations, by how much they care for others."""
+STYLES = {
+    "charms" if (priority, svo) == ("efficient", "egoistic") else f"charms-{priority}-{svo}": (
+        priority,
+        svo,
+    )
+    for priority in ("efficient", "safe")
+    for svo in SVOS
+}
+"""What each agent of CHARMS puts first, and its orientation; `charms` is the paper's row."""
+
 
 def packaged(network: str) -> OnnxPolicy:
-    """The packaged network of that name.
+    """The network of that name.
 
     Raises:
         ModelError: It is not in this installation, or cannot be used.
@@ -25,13 +37,14 @@ def packaged(network: str) -> OnnxPolicy:
 
 Factory = Callable[[], OnnxPolicy]
 
-imitation: Factory = partial(packaged, "imitation")
 efficient_competitive: Factory = partial(packaged, "charms_efficient_competitive")
 efficient_egoistic: Factory = partial(packaged, "charms_efficient_egoistic")
-"""The paper's row "CHARMS"."""
 efficient_prosocial: Factory = partial(packaged, "charms_efficient_prosocial")
 efficient_altruistic: Factory = partial(packaged, "charms_efficient_altruistic")
 safe_competitive: Factory = partial(packaged, "charms_safe_competitive")
 safe_egoistic: Factory = partial(packaged, "charms_safe_egoistic")
 safe_prosocial: Factory = partial(packaged, "charms_safe_prosocial")
 safe_altruistic: Factory = partial(packaged, "charms_safe_altruistic")
+imitation: Factory = partial(packaged, "imitation")
+prior_level_k: Factory = partial(packaged, "prior_level_k")
+prior_level_k_safe: Factory = partial(packaged, "prior_level_k_safe")

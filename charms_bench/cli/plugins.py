@@ -1,11 +1,13 @@
-"""`agents` and `check`: what is installed, and whether it keeps the contract."""
+"""`agents`, `traffic`, `check`: what is installed, whom it gives vehicles, what it breaks."""
 
 import json
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from charms_bench.cli.terminal import Json, app, out, plain
+from charms_bench.errors import InputError
 
 
 @app.command()
@@ -26,6 +28,61 @@ def agents(as_json: Json = False) -> None:
     for plugin in found:
         table.add_row(plugin.name, plugin.role, plugin.version, plugin.distribution)
     out.print(table)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def traffic(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(help="A traffic; its own options follow, as --tau 1.5.")],
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw the shares into this .png, .pdf or .svg.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Say which agents a traffic gives the vehicles to, and how often."""
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+
+    from charms_bench.figures import check_figure
+    from charms_bench.registry import make_traffic
+    from charms_bench.report.shares import SAMPLED, draw, shares
+
+    if figure is not None:
+        check_figure(figure)
+    options = _options(context.args)
+    found = shares(make_traffic(name, options))
+    if figure is not None:
+        words = ", ".join(f"{key} {value}" for key, value in options.items())
+        draw(found, f"{name} {words}".strip(), figure)
+    if as_json:
+        print(json.dumps({"traffic": name, "options": options, "shares": found}, indent=2))
+        return
+    table = Table("agent", box=None)
+    table.add_column("share", justify="right")
+    table.add_column("")
+    largest = max(found.values())
+    for agent, share in found.items():
+        table.add_row(plain(agent), f"{share:.1%}", ProgressBar(largest, share, width=30))
+    out.print(table)
+    out.print(f"Counted among {SAMPLED:,} vehicles.", highlight=False)
+    if figure is not None:
+        out.print(f"Figure: {plain(str(figure))}", highlight=False, soft_wrap=True)
+
+
+def _options(words: list[str]) -> dict[str, Any]:
+    """What `--name value --other value` says, values as YAML reads them."""
+    import yaml
+
+    options = {}
+    pairs = [word for each in words for word in (each.split("=", 1) if "--" in each else [each])]
+    if len(pairs) % 2 or any(not word.startswith("--") for word in pairs[::2]):
+        raise InputError(f"expected options as --name value, got {' '.join(words)}")
+    for option, value in zip(pairs[::2], pairs[1::2], strict=True):
+        try:
+            options[option.removeprefix("--").replace("-", "_")] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise InputError(f"{option}: {value} cannot be read: {error}") from error
+    return options
 
 
 @app.command()

@@ -11,6 +11,7 @@ import polars as pl
 from charms_bench.agent import Observations
 from charms_bench.engine.kernels import locate
 from charms_bench.errors import DataError
+from charms_bench.following import FOLLOWING_RANGE_M
 from charms_bench.human.highd import LANE_WIDTH_M, Recording
 from charms_bench.observation import RANGE_M, neighbours
 from charms_bench.profile import CHARMS
@@ -20,8 +21,6 @@ LANES = 3
 """Lanes of the simulation."""
 VEHICLES_LIMIT = 501
 """Vehicles of a carriageway at one time, as many as a scene may have."""
-FOLLOWING_RANGE_M = 50.0
-"""A driver follows the leader within this distance, centre to centre."""
 _CHUNK = 200_000
 """Vehicles in memory as scenes at a time, so about 50 MB."""
 

@@ -5,17 +5,13 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 from charms_bench.agent import ACTIONS
-from charms_bench.errors import InputError
+from charms_bench.figures import BLUE, GREY, panels, save
+from charms_bench.following import FOLLOWING_RANGE_M
 from charms_bench.human.samples import REASONS, Collected
-from charms_bench.human.situations import FOLLOWING_RANGE_M
-from charms_bench.results import write_atomically
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-FIGURE_ENDINGS = (".pdf", ".png", ".svg")
-_BLUE, _GREY = "#2b6ca3", "#b9c2cb"
 
 
 def survey(collected: Collected) -> dict[str, Any]:
@@ -70,30 +66,16 @@ def _shares(labels: np.ndarray[Any, Any]) -> dict[str, float]:
     return dict(zip(ACTIONS, labels.mean(axis=0, dtype=np.float64).tolist(), strict=True))
 
 
-def check_figure(path: Path) -> None:
-    """Refuses a figure that could not be drawn.
-
-    Raises:
-        InputError: The file's ending is not a format's.
-    """
-    if path.suffix.lower() not in FIGURE_ENDINGS:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(FIGURE_ENDINGS)}")
-
-
 def draw(collected: Collected, path: Path) -> None:
     """Draws speeds, distances while following, and the labels' shares.
 
     Raises:
         InputError: The file's ending is not a format's, or it cannot be written.
     """
-    check_figure(path)
     found = survey(collected)
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    speeds, distances, labels = figure.subplots(1, 3)
-    for axes in (speeds, distances, labels):
-        axes.spines[["top", "right"]].set_visible(False)
+    figure, (speeds, distances, labels) = panels(3, 3.7, 3.6)
     speed = collected.decisions["speed"].to_numpy()
-    speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=_BLUE)
+    speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=BLUE)
     speeds.axvline(found["speed_mean_mps"], color="black", linewidth=1)
     speeds.set(
         title=f"Speed, mean {found['speed_mean_mps']:.1f} m/s",
@@ -101,19 +83,18 @@ def draw(collected: Collected, path: Path) -> None:
         ylabel="vehicles at a decision",
     )
     following = collected.decisions["leader_distance"].drop_nulls().to_numpy()
-    distances.hist(following, bins=40, range=(0, FOLLOWING_RANGE_M), color=_BLUE)
+    distances.hist(following, bins=40, range=(0, FOLLOWING_RANGE_M), color=BLUE)
     distances.set(
         title="Headway while following",
         xlabel=f"m to a leader within {FOLLOWING_RANGE_M:g} m, centre to centre",
     )
     before, after = found["label_shares"].values()
     places = np.arange(len(ACTIONS))
-    labels.barh(places - 0.2, before.values(), 0.38, color=_GREY, label="all rows")
-    labels.barh(places + 0.2, after.values(), 0.38, color=_BLUE, label="IDLE undersampled")
+    labels.barh(places - 0.2, before.values(), 0.38, color=GREY, label="all rows")
+    labels.barh(places + 0.2, after.values(), 0.38, color=BLUE, label="IDLE undersampled")
     labels.set_yticks(places, [action.replace("_", " ").lower() for action in ACTIONS])
     labels.invert_yaxis()
     labels.xaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
     labels.set(title="Labels")
     labels.legend(frameon=False, fontsize=9)
-    ending = path.suffix.lower().removeprefix(".")
-    write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))
+    save(figure, path)

@@ -1,0 +1,45 @@
+"""What all figures share: a plain look, and a file written whole."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from charms_bench.errors import InputError
+from charms_bench.results import write_atomically
+
+ENDINGS = (".pdf", ".png", ".svg")
+BLUE, GREY = "#2b6ca3", "#b9c2cb"
+
+
+def check_figure(path: Path) -> None:
+    """Refuses a figure that could not be drawn.
+
+    Raises:
+        InputError: The file's ending is not a format's.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
+
+
+def panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[Any]]:
+    """A figure of axes side by side, each of this size in inches."""
+    figure = Figure(figsize=(width * count, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    (row,) = figure.subplots(1, count, squeeze=False)
+    for axes in row:
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, list(row)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a figure in the format of the file's ending.
+
+    Raises:
+        InputError: The ending is not a format's, or the file cannot be written.
+    """
+    check_figure(path)
+    ending = path.suffix.lower().removeprefix(".")
+    write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))
