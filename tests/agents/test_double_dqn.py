@@ -23,7 +23,7 @@ from charms_bench.vector_env import HighwayVectorEnv
 
 def double_dqn(scenes: int = 2, **arguments: Any) -> DoubleDQN:
     settings = SceneSettings(traffic_vehicles=1, ego_slots=1)
-    reward = StyleReward(Weights(safety=1.0, efficiency=1.0, comfort=1.0), "egoistic")
+    reward = StyleReward(Weights(safety=1.0, efficiency=1.0, comfort=1.0), 0.0)
     episodes = HighwayVectorEnv(settings, scenes, OneAgent("idle"), {"idle": Idle()}, reward)
     arguments = {"buffer_size": 1000, "policy_kwargs": {"net_arch": [8]}, **arguments}
     return DoubleDQN(EpisodesVecEnv(episodes), 0, device="cpu", **arguments)

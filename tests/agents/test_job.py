@@ -1,8 +1,10 @@
 """What a stage's network depends on, and who drives around its ego."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from charms_agents.training.job import Job
 from charms_agents.training.settings import load_training
 
@@ -36,3 +38,13 @@ def test_who_is_mixed_in_decides_the_network_too() -> None:
     assert "mixed_in" not in plain.inputs["traffic"]
     assert mixed.inputs["traffic"]["mixed_in"]["share"] == 0.25
     assert plain.key != mixed.key
+
+
+@pytest.mark.parametrize("option", [{"safe_headway_m": 50.0}, {"svo_angle_rad": 1.2}])
+def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, float]) -> None:
+    plain = job_of()
+    changed = replace(plain, stage=plain.stage.model_copy(update=option))
+    (name,) = option
+    assert name not in str(plain.inputs)
+    assert name in str(changed.inputs)
+    assert plain.key != changed.key

@@ -44,8 +44,31 @@ def test_a_longer_horizon_asks_for_more_time_to_collision() -> None:
     simulation = simulation_of((500.0, 1, 30.0), (545.0, 1, 20.0))  # 4.5 s
     assert safety(simulation.scene, 3.0) == 1.0
     assert safety(simulation.scene, 10.0) == pytest.approx(0.45)
-    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), "egoistic", 10.0)
+    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, 10.0)
     assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "leader_mps", "expected"),
+    [
+        (20.0, 31.0, 0.4),  # pulls away, but is 20 m of 50 m ahead
+        (60.0, 31.0, 1.0),
+        (30.0, 20.0, 0.3),  # 3 s of 10 s away: less than 30 m of 50 m
+        (10.0, 28.0, 0.2),  # 5 s of 10 s away, but 10 m of 50 m
+    ],
+)
+def test_a_safe_headway_makes_a_short_one_unsafe(
+    gap_m: float, leader_mps: float, expected: float
+) -> None:
+    simulation = simulation_of((500.0, 1, 30.0), (500.0 + gap_m, 1, leader_mps))
+    assert safety(simulation.scene, 10.0, 50.0) == pytest.approx(expected)
+    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, 10.0, 50.0)
+    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(expected)
+
+
+def test_a_safe_headway_looks_behind_in_a_lane_change() -> None:
+    simulation = simulation_of((500.0, 1, 30.0), (490.0, 0, 25.0), target_lane=0)
+    assert safety(simulation.scene, 3.0, 50.0) == pytest.approx(0.5 * 1.0 + 0.5 * 0.2)
 
 
 def test_a_lone_ego_is_safe_in_its_lane_and_between_lanes() -> None:
@@ -79,7 +102,7 @@ def test_only_the_speed_along_the_road_counts_as_efficient() -> None:
 
 def reward_of(simulation: Simulation, svo: Svo, weights: Weights = SAFE) -> float:
     """The reward of an ego that goes on as before, in a scene that does not change."""
-    reward = StyleReward(weights, svo)
+    reward = StyleReward(weights, SVO_ANGLES_RAD[svo])
     return float(reward(simulation, reward.prepare(simulation, IDLING))[0])
 
 
@@ -113,7 +136,7 @@ def gain(
     before: Simulation, *vehicles: tuple[float, int, float], target_lane: int | None = None
 ) -> float:
     """r_o of a decision that leads from one scene to another."""
-    prepared = StyleReward(SAFE, "prosocial").prepare(before, IDLING)
+    prepared = StyleReward(SAFE, SVO_ANGLES_RAD["prosocial"]).prepare(before, IDLING)
     place(before.scene, *vehicles, target_lane=target_lane)
     return float(others(before.scene, prepared)[0])
 
@@ -179,7 +202,7 @@ def test_the_orientation_weighs_own_reward_against_that_of_others(
 ) -> None:
     simulation = simulation_of((586.0, 1, 33.0), (500.0, 1, 33.0))
     simulation.action[0, 0] = IDLE
-    reward = StyleReward(SAFE, svo)
+    reward = StyleReward(SAFE, SVO_ANGLES_RAD[svo])
     prepared = reward.prepare(simulation, IDLING)
     simulation.scene.target_lane[0, 0] = 0  # frees the one behind: 0.75
     found = float(reward(simulation, prepared)[0])

@@ -23,7 +23,7 @@ WEIGHTS = Weights(safety=1.0, efficiency=1.0, comfort=0.0)
 
 def environment(scenes: int, duration_s: float = 1.0) -> EpisodesVecEnv:
     settings = SceneSettings(traffic_vehicles=2, ego_slots=1, duration_s=duration_s)
-    reward = StyleReward(WEIGHTS, "egoistic")
+    reward = StyleReward(WEIGHTS, 0.0)
     agents = {"idle": Idle()}
     return EpisodesVecEnv(HighwayVectorEnv(settings, scenes, OneAgent("idle"), agents, reward))
 

@@ -91,6 +91,10 @@ class Job:
         # Only what departs from the paper, so that what follows it keeps its key.
         if self.stage.safety_horizon_s != SAFE_TTC_S:
             inputs["safety_horizon_s"] = self.stage.safety_horizon_s
+        if self.stage.safe_headway_m:
+            inputs["safe_headway_m"] = self.stage.safe_headway_m
+        if self.stage.svo_angle_rad is not None:
+            inputs["style"]["svo_angle_rad"] = self.stage.svo_angle_rad
         if self.mixed_in:
             inputs["traffic"]["mixed_in"] = {
                 "agent": self.mixed_in,

@@ -74,15 +74,21 @@ class StyleReward:
 
     Args:
         weights: a, b and c.
-        svo: Which gives phi.
+        angle_rad: phi, such as one of `SVO_ANGLES_RAD`.
         safety_horizon_s: See `safety`.
+        safe_headway_m: See `safety`.
     """
 
-    def __init__(self, weights: Weights, svo: Svo, safety_horizon_s: float = SAFE_TTC_S) -> None:
+    def __init__(
+        self,
+        weights: Weights,
+        angle_rad: float,
+        safety_horizon_s: float = SAFE_TTC_S,
+        safe_headway_m: float = 0.0,
+    ) -> None:
         self._weights = weights
-        self._horizon_s = safety_horizon_s
-        self._own = math.cos(SVO_ANGLES_RAD[svo])
-        self._others = math.sin(SVO_ANGLES_RAD[svo])
+        self._horizon_s, self._headway_m = safety_horizon_s, safe_headway_m
+        self._own, self._others = math.cos(angle_rad), math.sin(angle_rad)
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
         """The scenes before the egos' actions (B,) are carried out."""
@@ -99,7 +105,7 @@ class StyleReward:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self._weights
         own = (
-            weights.safety * safety(scene, self._horizon_s)
+            weights.safety * safety(scene, self._horizon_s, self._headway_m)
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
@@ -110,14 +116,15 @@ class StyleReward:
         return np.where(failed, FAILURE, rewards)
 
 
-def safety(scene: Scene, horizon_s: float = SAFE_TTC_S) -> Floats:
+def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
     """r_s (B,), eq. 4: in [0, 1], 1 while no collision is less than `horizon_s` away.
 
     Time to collision with the leader in the lane; during a lane change, half with the leader and
-    half with the follower in the target lane. Nobody, or nobody nearing: infinite.
+    half with the follower in the target lane. Nobody, or nobody nearing: infinite. With a
+    `headway_m`, which eq. 4 does not have, neither is safer than its distance as a share of that.
     """
     result = np.empty(scene.ego.size)
-    _safety(scene, horizon_s, result)
+    _safety(scene, horizon_s, headway_m, result)
     return result
 
 
@@ -154,27 +161,35 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 
 
 @compiled
-def clipped_ttc(scene: Scene, b: int, behind: int, ahead: int, horizon_s: float) -> float:
-    """Time to collision over `horizon_s`, clipped to [0, 1]; -1 is no vehicle."""
+def _safe(
+    scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, headway_m: float
+) -> float:
+    """Time to collision over `horizon_s`, or distance over `headway_m` if that is less.
+
+    Clipped to [0, 1]; -1 is no vehicle.
+    """
     if behind < 0 or ahead < 0:
         return 1.0
+    safe = 1.0
+    distance = scene.x[b, ahead] - scene.x[b, behind]
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
-    if closing <= 0.0:
-        return 1.0
-    ttc = (scene.x[b, ahead] - scene.x[b, behind]) / closing
-    return float(min(max(ttc / horizon_s, 0.0), 1.0))
+    if closing > 0.0:
+        safe = distance / closing / horizon_s
+    if headway_m > 0.0:
+        safe = min(safe, distance / headway_m)
+    return float(min(max(safe, 0.0), 1.0))
 
 
 @compiled
-def _safety(scene: Scene, horizon_s: float, result: Floats) -> None:
+def _safety(scene: Scene, horizon_s: float, headway_m: float, result: Floats) -> None:
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = clipped_ttc(scene, b, ego, scene.leaders[b, ego, target], horizon_s)
+        front = _safe(scene, b, ego, scene.leaders[b, ego, target], horizon_s, headway_m)
         if lane == target:
             result[b] = front
         else:
-            rear = clipped_ttc(scene, b, scene.followers[b, ego, target], ego, horizon_s)
+            rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
             result[b] = 0.5 * front + 0.5 * rear
 
 

@@ -1,12 +1,13 @@
 """Training suites: what is trained, from YAML."""
 
+import math
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from charms_agents.training.rewards import SAFE_TTC_S, Svo, Weights
+from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
 from charms_bench.document import Document
 from charms_bench.errors import RegistryError
 from charms_bench.human.samples import SampleSettings
@@ -135,12 +136,21 @@ class Stage(FrozenModel):
     weights: Name
     """One of the suite's `weights`."""
     svo: Svo
+    svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
+    """phi of eq. 8, instead of the one that `svo` names."""
     scene: SuiteScene = SuiteScene()
     traffic: StageTraffic
     variant: Name | None = None
     """One of the suite's `variants`; by default its `hyperparameters`."""
     safety_horizon_s: Positive = SAFE_TTC_S
     """From how many seconds a time to collision is safe, in r_s."""
+    safe_headway_m: NonNegative = 0.0
+    """From how many metres a headway is safe, in r_s; the paper's r_s does not look at it: 0."""
+
+    @property
+    def angle_rad(self) -> float:
+        """phi of eq. 8."""
+        return SVO_ANGLES_RAD[self.svo] if self.svo_angle_rad is None else self.svo_angle_rad
 
 
 class HumanStage(FrozenModel):

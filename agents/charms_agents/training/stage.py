@@ -148,7 +148,12 @@ def make_model(job: Job) -> DoubleDQN:
         h.scenes,
         job.make_traffic(),
         job.make_traffic_agents(),
-        StyleReward(suite.weights[stage.weights], stage.svo, stage.safety_horizon_s),
+        StyleReward(
+            suite.weights[stage.weights],
+            stage.angle_rad,
+            stage.safety_horizon_s,
+            stage.safe_headway_m,
+        ),
         job.first_episode_seed,
     )
     return DoubleDQN(
