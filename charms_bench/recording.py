@@ -1,4 +1,4 @@
-"""What is kept of an episode: a row a decision of the ego, and a row an episode.
+"""What is kept of an episode: a row a decision of the ego, a row an episode, and counts of all.
 
 Every metric is computed from these rows, so a new one needs no new simulation. A quantity that
 does not exist at a moment (the leader's, without a leader) is null.
@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.following import FollowingCounts
 from charms_bench.scene import Bools, Ints
 from charms_bench.simulation import ENDINGS, Simulation
 
@@ -60,6 +61,7 @@ class Recording:
         self._lost = np.zeros(self._start.shape, dtype=np.bool_)
         self._frames: list[pl.DataFrame] = []
         self._was_running = simulation.scene.active.copy()
+        self._following = FollowingCounts(simulation.scene)
 
     def note(self) -> None:
         """Adds the rows of the step that has just ended."""
@@ -67,6 +69,7 @@ class Recording:
         rows = np.nonzero(self._was_running)[0]
         self._was_running = scene.active.copy()
         self._lost[rows] |= (scene.crashed | scene.off_road)[rows]
+        self._following.note(scene, rows)
         egos = (rows, scene.ego[rows])
         lane = scene.lane[egos]
         leader, has_leader = scene.leader(egos, lane)
@@ -121,6 +124,10 @@ class Recording:
             "traffic_distance_m": np.where(others, driven, 0.0).sum(axis=1),
         }
         return pl.DataFrame(columns).cast(EPISODE_SCHEMA).sort("episode")
+
+    def counts(self) -> pl.DataFrame:
+        """What all vehicles did while they followed; see `following.COUNT_SCHEMA`."""
+        return self._following.table(self._simulation.seeds)
 
 
 def _where(present: Bools, values: NDArray[np.float64] | Ints) -> pl.Series:

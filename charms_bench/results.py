@@ -4,7 +4,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,6 +18,8 @@ from charms_bench.errors import RunFolderError
 from charms_bench.suite import Suite
 
 MANIFEST = "manifest.json"
+KINDS = ("steps", "counts", "episodes")
+"""The kinds of rows of a shard, as `Recording` has them, each in a folder of its own."""
 _UNDECIDING = ("title", "columns", "pairs", "episodes")
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
@@ -153,16 +155,16 @@ class RunFolder:
         return tuple(found)
 
     def has(self, shard: Shard) -> bool:
-        """Whether the shard is finished: its episodes are written last."""
-        return self._file("episodes", shard).exists() and self._file("steps", shard).exists()
+        """Whether the shard is finished."""
+        return all(self._file(kind, shard).exists() for kind in KINDS)
 
-    def write(self, shard: Shard, episodes: pl.DataFrame, steps: pl.DataFrame) -> None:
-        """Writes a finished shard."""
-        write_atomically(self._file("steps", shard), steps.write_parquet)
-        write_atomically(self._file("episodes", shard), episodes.write_parquet)
+    def write(self, shard: Shard, rows: Mapping[str, pl.DataFrame]) -> None:
+        """Writes a finished shard: its rows of each of `KINDS`."""
+        for kind in KINDS:
+            write_atomically(self._file(kind, shard), rows[kind].write_parquet)
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
-        """The rows, `episodes` or `steps`, of some shards.
+        """The rows, one of `KINDS`, of some shards.
 
         Raises:
             RunFolderError: A file is missing or damaged.
@@ -177,7 +179,7 @@ class RunFolder:
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Removes shards of the folder that are no longer part of the run."""
         names = {f"{shard.name}.parquet" for shard in shards}
-        for kind in ("episodes", "steps"):
+        for kind in KINDS:
             for path in sorted((self.path / kind).glob("*.parquet")):
                 if path.name not in names:
                     path.unlink()

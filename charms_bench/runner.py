@@ -179,7 +179,12 @@ def run_shard(suite: Suite, shard: Shard, engine: EngineName, output: Path) -> S
     while simulation.scene.active.any():
         simulation.step()
         recording.note()
-    RunFolder(output).write(shard, recording.episodes(), recording.steps())
+    rows = {
+        "steps": recording.steps(),
+        "counts": recording.counts(),
+        "episodes": recording.episodes(),
+    }
+    RunFolder(output).write(shard, rows)
     return shard
 
 

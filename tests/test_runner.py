@@ -49,7 +49,7 @@ def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> Non
     run(suite(), tmp_path / "one", workers=1)
     run(suite(), tmp_path / "two", workers=2)
     assert files(tmp_path / "one") == files(tmp_path / "two")
-    assert len(files(tmp_path / "one")) == 1 + 2 * 2 * 3  # manifest; 2 cells of 3 shards, 2 kinds
+    assert len(files(tmp_path / "one")) == 1 + 2 * 3 * 3  # manifest; 2 cells of 3 shards, 3 kinds
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -63,7 +63,7 @@ def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
     assert {path for path in before if before[path] != after[path]} <= {
         path for path in before if path.name == lost.name
     }
-    assert len(first.shards) * 2 == len(after)
+    assert len(first.shards) * 3 == len(after)
 
 
 @pytest.mark.usefixtures("small_shards")
