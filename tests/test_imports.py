@@ -18,7 +18,7 @@ LAYERS = (
     {"agent", "traffic"},
     {"registry", "observation", "document", "engine", "metrics", "onnx_policy"},
     {"suite", "stats", "simulation", "criticality"},
-    {"recording", "results", "testing", "vector_env"},
+    {"recording", "results", "testing", "vector_env", "paired"},
     {"report", "human"},
     {"runner"},
     {"verify", "bench", "replay"},

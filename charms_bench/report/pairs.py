@@ -1,8 +1,7 @@
 """How far the egos of a run are apart: pair by pair, and to somebody who guesses who drove.
 
-All egos meet the same episodes, so differences are paired: one set of resampled episodes serves
-both. A p-value is that of the difference over its standard error among resamples, two-sided
-normal, and is corrected over all pairs and metrics (Holm 1979).
+All egos meet the same episodes, so differences are paired (`paired`); p-values are corrected over
+all pairs and metrics (Holm 1979).
 """
 
 from collections.abc import Sequence
@@ -12,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
-from scipy import stats
 
+from charms_bench import paired
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
 from charms_bench.report.tables import CellRows
 from charms_bench.results import write_atomically
@@ -42,45 +41,22 @@ def differences(cells: Sequence[CellRows], settings: SceneSettings, seed: int) -
     rows: list[Difference] = []
     raw = []
     for i, j in combinations(range(len(cells)), 2):
-        for metric, ours, theirs in zip(metrics, sums[i], sums[j], strict=True):
-            value = float(metric.value(ours.sum(axis=0)) - metric.value(theirs.sum(axis=0)))
-            resampled = metric.value(weights @ ours) - metric.value(weights @ theirs)
-            low, high, p = _interval(value, resampled[~np.isnan(resampled)])
-            raw.append(p)
+        found = paired.differences(metrics, sums[i], sums[j], weights)
+        for metric, difference in zip(metrics, found, strict=True):
+            raw.append(difference.p)
             rows.append(
                 {
                     "first": cells[i].agent,
                     "second": cells[j].agent,
                     "metric": metric.name,
-                    "difference": _defined(value),
-                    "low": _defined(low),
-                    "high": _defined(high),
+                    "difference": _defined(difference.value),
+                    "low": _defined(difference.low),
+                    "high": _defined(difference.high),
                 }
             )
-    for row, p in zip(rows, holm(np.array(raw)), strict=True):
+    for row, p in zip(rows, paired.holm(np.array(raw)), strict=True):
         row |= {"p": float(p), "separated": bool(p < 1 - CONFIDENCE)}
     return rows
-
-
-def _interval(value: float, resampled: Floats) -> tuple[float, float, float]:
-    """Percentiles of the resampled differences, and the p-value."""
-    if np.isnan(value) or not resampled.size:
-        return np.nan, np.nan, 1.0
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(resampled, [tail, 1 - tail])
-    error = resampled.std()
-    if error <= 1e-12 * max(abs(value), 1.0):  # the same difference in every episode, or none
-        return float(low), float(high), float(abs(value) <= 1e-12)
-    return float(low), float(high), float(2 * stats.norm.sf(abs(value) / error))
-
-
-def holm(p: Floats) -> Floats:
-    """P-values corrected for their number, Holm 1979."""
-    order = np.argsort(p)
-    scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
-    corrected = np.empty_like(p)
-    corrected[order] = np.minimum(scaled, 1.0)
-    return corrected
 
 
 def guessed(cells: Sequence[CellRows], settings: SceneSettings, seed: int) -> tuple[int, int]:
@@ -172,7 +148,9 @@ def _markdown(rows: Sequence[Difference], right: int, asked: int, egos: int) -> 
 def _cell(row: Difference) -> str:
     if row["difference"] is None:
         return "–"
-    text = f"{row['difference']:+.3g} [{row['low']:.3g}, {row['high']:.3g}]"
+    text = f"{row['difference']:+.3g}"
+    if row["low"] is not None:
+        text += f" [{row['low']:.3g}, {row['high']:.3g}]"
     return f"**{text}**" if row["separated"] else text
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from charms_bench.errors import SuiteError
 from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.report.pairs import COMPARED, differences, guessed, holm, write_pairs
+from charms_bench.report.pairs import COMPARED, differences, guessed, write_pairs
 from charms_bench.report.tables import CellRows
 from charms_bench.scene import SceneSettings
 from charms_bench.suite import load_suite
@@ -81,13 +81,6 @@ def test_every_pair_is_compared_by_every_metric() -> None:
     assert {(row["first"], row["second"]) for row in rows} == {
         ("a", "b"), ("a", "c"), ("a", "d"), ("b", "c"), ("b", "d"), ("c", "d")
     }  # fmt: skip
-
-
-def test_holm_corrects_as_in_his_paper() -> None:
-    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04 -> 0.06.
-    corrected = holm(np.array([0.03, 0.01, 0.04, 0.02]))
-    np.testing.assert_allclose(corrected, [0.06, 0.04, 0.06, 0.06])
-    np.testing.assert_allclose(holm(np.array([0.9, 0.8])), [1.0, 1.0])
 
 
 def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None:
