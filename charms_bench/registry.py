@@ -19,7 +19,14 @@ AGENTS = "charms_bench.agents"
 TRAFFIC = "charms_bench.traffic"
 PIPELINES = "charms_bench.pipelines"
 EXPORTERS = "charms_bench.exporters"
-_ROLES = {AGENTS: "agent", TRAFFIC: "traffic", PIPELINES: "pipeline", EXPORTERS: "exporter"}
+METRICS = "charms_bench.metrics"
+_ROLES = {
+    AGENTS: "agent",
+    TRAFFIC: "traffic",
+    PIPELINES: "pipeline",
+    EXPORTERS: "exporter",
+    METRICS: "metric set",
+}
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,7 @@ class Plugin:
 
     name: str
     role: str
-    """`agent`, `traffic`, `pipeline` or `exporter`."""
+    """`agent`, `traffic`, `pipeline`, `exporter` or `metric set`."""
     distribution: str
     version: str
     entry_point: EntryPoint

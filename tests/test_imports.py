@@ -19,7 +19,7 @@ LAYERS = (
     {"registry", "observation", "document", "engine", "metrics", "onnx_policy"},
     {"suite", "stats", "simulation", "criticality"},
     {"recording", "results", "testing", "vector_env", "paired"},
-    {"report", "human"},
+    {"report", "human", "metric_sets"},
     {"runner"},
     {"verify", "bench", "replay"},
     {"happenings", "animation"},

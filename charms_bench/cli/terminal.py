@@ -26,6 +26,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print nothing but JSON on st
 Workers = Annotated[
     int | None, typer.Option(min=1, max=1024, help="Processes; by default one a core.")
 ]
+MetricSets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME[:OPTION=VALUE,...]",
+        help="A metric set, as standard:ttc_s=2; may be given again. By default paper and "
+        "standard.",
+    ),
+]
 SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE", help="The suite's YAML file.")]
 
 

@@ -13,7 +13,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from charms_bench.metrics import METRIC_SETS, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
 from charms_bench.results import write_atomically
 from charms_bench.scene import SceneSettings
 from charms_bench.stats import estimate
@@ -50,17 +50,22 @@ class CellRows:
     """What the paper reports, by metric of the set `paper`."""
 
 
-def build_table(cells: Iterable[CellRows], settings: SceneSettings, seed: int) -> pl.DataFrame:
+def build_table(
+    cells: Iterable[CellRows],
+    settings: SceneSettings,
+    seed: int,
+    metric_sets: Sequence[MetricSet] = METRIC_SETS,
+) -> pl.DataFrame:
     """The long table of a run, by cell, metric set and metric (`LONG_SCHEMA`).
 
     Args:
         cells: In the order of the table.
         settings: What their scenes have in common.
         seed: Of the resamples, which are the same for cells of as many episodes.
+        metric_sets: What is measured.
     """
-    metrics = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
-    labels = [metric_set.label for metric_set in METRIC_SETS for _ in metric_set.metrics]
-    paper_label = METRIC_SETS[0].label
+    metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
+    labels = [metric_set.label for metric_set in metric_sets for _ in metric_set.metrics]
     rows = []
     for cell in cells:
         sums = sums_by_episode(metrics, cell.episodes, cell.steps, settings)
@@ -75,7 +80,7 @@ def build_table(cells: Iterable[CellRows], settings: SceneSettings, seed: int) -
                 "low": result.low,
                 "high": result.high,
                 "n": result.n,
-                "paper": cell.paper.get(metric.name) if label == paper_label else None,
+                "paper": cell.paper.get(metric.name) if label == PAPER.label else None,
             }
             for metric, label, result in zip(metrics, labels, estimates, strict=True)
         ]
@@ -84,17 +89,19 @@ def build_table(cells: Iterable[CellRows], settings: SceneSettings, seed: int) -
     return table.with_columns(numbers.fill_nan(None).round_sig_figs(DIGITS))
 
 
-def write_tables(folder: Path, name: str, long: pl.DataFrame) -> None:
+def write_tables(
+    folder: Path, name: str, long: pl.DataFrame, metric_sets: Sequence[MetricSet] = METRIC_SETS
+) -> None:
     """Writes `<name>.csv`, the long table, and `<name>.md`, for reading, into a folder."""
     write_atomically(folder / f"{name}.csv", long.write_csv)
-    text = render_markdown(long)
+    text = render_markdown(long, metric_sets)
     write_atomically(folder / f"{name}.md", lambda path: path.write_bytes(text.encode()))
 
 
-def render_markdown(long: pl.DataFrame) -> str:
+def render_markdown(long: pl.DataFrame, metric_sets: Sequence[MetricSet] = METRIC_SETS) -> str:
     """A table a metric set, a cell a row; beneath it what the metrics are."""
     parts = [f"Values with 95 % intervals; {NOTHING} where there is none."]
-    for metric_set in METRIC_SETS:
+    for metric_set in metric_sets:
         columns = _columns(long.filter(metric_set=metric_set.label))
         header, body = ["agent", "traffic"], [list(cell) for cell in _cells(long)]
         for metric, column in columns.items():
@@ -136,10 +143,10 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = (), width: int 
     labels = [len(agent) * shows_agent + len(traffic) * shows_traffic for agent, traffic in cells]
     side_by_side = max(1, (width - max(labels, default=0) - 6) // METRIC_WIDTH)
     tables = []
-    for metric_set in METRIC_SETS:
-        shown = _columns(long.filter(metric_set=metric_set.label))
+    for label in long["metric_set"].unique(maintain_order=True):
+        shown = _columns(long.filter(metric_set=label))
         for block in _blocks([name for name in columns or shown if name in shown], side_by_side):
-            table = Table(title=metric_set.label, title_justify="left", box=box.SIMPLE_HEAD)
+            table = Table(title=Text(label), title_justify="left", box=box.SIMPLE_HEAD)
             for header in ["agent"] * shows_agent + ["traffic"] * shows_traffic:
                 table.add_column(header)
             for name in block:

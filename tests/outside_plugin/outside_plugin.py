@@ -1,8 +1,11 @@
-"""Agents and a traffic of a distribution that charms-bench knows nothing about."""
+"""Agents, a traffic and metrics of a distribution that charms-bench knows nothing about."""
 
 import numpy as np
+import polars as pl
 
 from charms_bench import ACTIONS, DriverModel, Policy, Traffic
+from charms_bench.metrics import Metric, MetricSet
+from charms_bench.metrics.metric import ratio
 
 IDLE, LANE_RIGHT, SLOWER = (ACTIONS.index(name) for name in ("IDLE", "LANE_RIGHT", "SLOWER"))
 
@@ -15,6 +18,29 @@ class KeepRight(Policy):
         close = (front[:, 0] > 0) & (front[:, 1] < 0.2)
         actions = np.where(right.any(axis=1), IDLE, LANE_RIGHT)
         return np.where(close, SLOWER, actions)
+
+
+class Explorer(Policy):
+    """Keeps right, but now and then does anything at all.
+
+    What it does then follows from what it sees and from its seed: two seeds are two drivers of
+    one kind, whose noise is independent.
+    """
+
+    def __init__(self, noise=0.1, seed=0):
+        self.noise = noise
+        self.seed = seed
+        self.driver = KeepRight()
+
+    def decide(self, observations):
+        bits = np.ascontiguousarray(observations, dtype=np.float32).view(np.uint32)
+        draw = np.full(len(bits), self.seed + 1, dtype=np.uint64)
+        for column in bits.reshape(len(bits), -1).T:
+            draw = (draw ^ column) * np.uint64(0x9E3779B97F4A7C15)
+            draw ^= draw >> np.uint64(29)
+        whim = (draw >> np.uint64(40)) / 2**24 < self.noise
+        anything = draw % np.uint64(len(ACTIONS))
+        return np.where(whim, anything, self.driver.decide(observations)).astype(int)
 
 
 class Pacer(DriverModel):
@@ -40,6 +66,25 @@ class HalfAndHalf(Traffic):
 
     def assign(self, rng, scenes, vehicles):
         return rng.choice(self.agents, size=(scenes, vehicles))
+
+
+def comfort(jerk_mps3=2.0):
+    """One metric: how often the ride is jerky."""
+    jerk = pl.col("jerk_mps3")
+    jerky = Metric(
+        name="jerky",
+        unit="",
+        description=f"share of decisions with a jerk beyond {jerk_mps3:g} m/s³",
+        rests_on="pairs of steps",
+        sums=(jerk.count(), jerk.abs().gt(jerk_mps3).sum()),
+        value=ratio,
+        interval="share",
+    )
+    return MetricSet(name="comfort", version=3, metrics=(jerky,))
+
+
+FUEL = Metric("fuel", "l", "needs a column that is not recorded", "", (pl.sum("fuel"),), np.sum)
+BROKEN = MetricSet(name="broken", version=1, metrics=(FUEL,))
 
 
 class Raising(Policy):
