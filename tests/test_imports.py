@@ -21,7 +21,7 @@ LAYERS = (
     {"recording", "results", "testing", "vector_env", "paired"},
     {"report", "human", "metric_sets"},
     {"runner"},
-    {"verify", "bench", "replay"},
+    {"verify", "bench", "replay", "comparison"},
     {"happenings", "animation"},
     {"edge_cases"},
     {"cli"},

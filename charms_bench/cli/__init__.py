@@ -15,6 +15,7 @@ from charms_bench.cli import run  # noqa: F401
 from charms_bench.cli import plugins  # noqa: F401
 from charms_bench.cli import engines  # noqa: F401
 from charms_bench.cli import episodes  # noqa: F401
+from charms_bench.cli import compare  # noqa: F401
 from charms_bench.cli import rescore  # noqa: F401
 from charms_bench.cli import data  # noqa: F401
 from charms_bench.cli import export  # noqa: F401
