@@ -253,7 +253,10 @@ def _status(replay: Replay, frame: int) -> dict[str, str]:
     ego, profile = replay.ego, replay.settings.profile
     lane, target = replay.lane[frame, ego], replay.target_lane[frame, ego]
     action = int(replay.action[frame, ego])
-    if action >= 0:
+    wrecked = bool(replay.crashed[frame, ego])
+    if wrecked:
+        doing = "crashed"
+    elif action >= 0:
         doing = ACTIONS[action].replace("_", " ").lower()
     else:  # before the first decision, and under a driver model, which takes none
         doing = "keeps its lane" if lane == target else f"to the {_side(target - lane)}"
@@ -263,12 +266,13 @@ def _status(replay: Replay, frame: int) -> dict[str, str]:
     ahead[ahead < 0] = np.inf
     leader = int(ahead.argmin())
     gap, closing = ahead[leader] - profile.vehicle_length_m, speed[ego] - speed[leader]
+    near = not wrecked and 0 < gap < 100 and closing > 0.1
     return {
         "ego's speed": f"{speed[ego]:.1f} m/s",
         "acceleration": f"{replay.acceleration[frame, ego]:+.1f} m/s²",
         "action": doing,
         "gap ahead": f"{max(gap, 0.0):.1f} m" if np.isfinite(gap) else "free",
-        "TTC": f"{gap / closing:.1f} s" if 0 < gap < 100 and closing > 0.1 else "–",
+        "TTC": f"{gap / closing:.1f} s" if near else "–",
     }
 
 
