@@ -53,8 +53,8 @@ def test_a_longer_horizon_asks_for_more_time_to_collision() -> None:
     [
         (20.0, 31.0, 0.4),  # pulls away, but is 20 m of 50 m ahead
         (60.0, 31.0, 1.0),
-        (30.0, 20.0, 0.3),  # 3 s of 10 s away: less than 30 m of 50 m
-        (10.0, 28.0, 0.2),  # 5 s of 10 s away, but 10 m of 50 m
+        (30.0, 20.0, 0.3 * 0.6),  # 3 s of 10 s away, 30 m of 50 m
+        (10.0, 28.0, 0.5 * 0.2),  # 5 s of 10 s away, 10 m of 50 m
     ],
 )
 def test_a_safe_headway_makes_a_short_one_unsafe(

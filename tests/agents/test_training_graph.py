@@ -145,6 +145,18 @@ def test_the_curves_of_all_stages_are_in_one_table_and_one_figure(finished: Path
     assert (finished / "curves.png").stat().st_size > 0
 
 
+def test_all_stages_are_summed_up_in_a_table(finished: Path) -> None:
+    table = pl.read_csv(finished / "stages.csv")
+    assert set(table["stage"]) == set(STAGES)
+    rows = {row["stage"]: row for row in table.iter_rows(named=True)}
+    assert rows["kind"]["steps"] == 40
+    assert rows["kind"]["steps_per_s"] == manifest(finished, "kind")["steps_per_s"]
+    made = manifest(finished, "charms_kind")
+    assert rows["charms_kind"]["agreement_before"] == made["before"]["agreement"]
+    assert rows["charms_kind"]["log_likelihood"] == made["after"]["log_likelihood"]
+    assert rows["charms_kind"]["steps"] is None
+
+
 def test_nothing_finished_is_done_again(suite: Path, finished: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
     pipeline.run(suite, finished, workers=2)

@@ -19,6 +19,7 @@ from charms_agents.training.progress import progress
 from charms_agents.training.schedule import AnyJob, run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
+from charms_agents.training.summary import rendered, write_summary
 from charms_bench.agent import Policy
 from charms_bench.document import Document
 from charms_bench.errors import InputError
@@ -39,7 +40,7 @@ def run(
     Args:
         suite_file: The training suite.
         output: The run folder; every stage has its own in it, named after its inputs, and
-            `curves.csv` and `curves.png` are of all of them.
+            `curves.csv`, `curves.png` and `stages.csv` are of all of them.
         workers: Most stages at a time; by default one a core.
         only: The stage to train, with what it needs; by default all.
         recordings: The folder of human driving, instead of the suite's.
@@ -78,6 +79,8 @@ def run(
         except Interrupted:
             raise KeyboardInterrupt from None
     write_curves(output, suite, folders)
+    folders = {name: folders[name] for name in names}
+    Console().print(rendered(write_summary(output, folders)))
 
 
 def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:

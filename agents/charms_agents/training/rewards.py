@@ -121,7 +121,8 @@ def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) 
 
     Time to collision with the leader in the lane; during a lane change, half with the leader and
     half with the follower in the target lane. Nobody, or nobody nearing: infinite. With a
-    `headway_m`, which eq. 4 does not have, neither is safer than its distance as a share of that.
+    `headway_m`, which eq. 4 does not have, each counts by its distance as a share of that, at most
+    1.
     """
     result = np.empty(scene.ego.size)
     _safety(scene, horizon_s, headway_m, result)
@@ -164,9 +165,9 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 def _safe(
     scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, headway_m: float
 ) -> float:
-    """Time to collision over `horizon_s`, or distance over `headway_m` if that is less.
+    """Time to collision over `horizon_s`, times distance over `headway_m`; each within [0, 1].
 
-    Clipped to [0, 1]; -1 is no vehicle.
+    -1 is no vehicle.
     """
     if behind < 0 or ahead < 0:
         return 1.0
@@ -175,9 +176,10 @@ def _safe(
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
     if closing > 0.0:
         safe = distance / closing / horizon_s
+    safe = min(max(safe, 0.0), 1.0)
     if headway_m > 0.0:
-        safe = min(safe, distance / headway_m)
-    return float(min(max(safe, 0.0), 1.0))
+        safe *= min(distance / headway_m, 1.0)
+    return float(safe)
 
 
 @compiled
