@@ -109,16 +109,26 @@ class Recording:
     """Rows between the outer markings whose `laneId` is not the lane that y says."""
 
     @property
-    def lane_changes(self) -> int:
-        """How often a vehicle left a lane for another, having stayed in both for `STAY_S`."""
-        stays = (
+    def lane_changes(self) -> pl.DataFrame:
+        """A row a vehicle that left a lane for another, having stayed in both for `STAY_S`.
+
+        Columns vehicle, lane, next_lane, and the frames `frame` and `last` between which it
+        stayed in `lane`.
+        """
+        return (
             self.tracks.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
-            .agg(pl.len(), pl.col("lane").first(), pl.col("frame").first())
+            .agg(
+                pl.len(),
+                pl.col("lane").first(),
+                pl.col("frame").first(),
+                last=pl.col("frame").last(),
+            )
             .filter(pl.col("len") >= STAY_S * self.frame_rate_hz)
             .sort("vehicle", "frame")
+            .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
+            .filter(pl.col("next_lane") != pl.col("lane"))
+            .select("vehicle", "lane", "next_lane", "frame", "last")
         )
-        changed = pl.col("lane").diff().over("vehicle") != 0
-        return int(stays.select(changed.sum()).item())
 
 
 def find_trios(folder: Path) -> list[Trio]:

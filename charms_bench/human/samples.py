@@ -230,7 +230,7 @@ def _facts(recording: Recording) -> dict[str, object]:
         "cars": cars.sum(),
         "trucks": (~cars).sum(),
         "lanes": list(recording.lanes.values()),
-        "lane_changes": recording.lane_changes,
+        "lane_changes": recording.lane_changes.height,
         "lane_id_disagreements": recording.lane_id_disagreements,
     }
 

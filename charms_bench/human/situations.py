@@ -43,14 +43,8 @@ def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Ob
     Raises:
         DataError: There are fewer frames than decisions, or too many vehicles at once.
     """
-    if recording.frame_rate_hz < decision_hz:
-        raise DataError(
-            f"{recording.trio.recording_meta}: line 2: column 'frameRate': "
-            f"{recording.frame_rate_hz:g} Hz; expected at least the {decision_hz} Hz of decisions"
-        )
-    frame = recording.tracks["frame"].to_numpy()
-    decided = nearest_to_decisions(frame - frame.min(), recording.frame_rate_hz / decision_hz)
-    rows = recording.tracks.filter(decided).sort("direction", "frame", "x", "vehicle")
+    rows = recording.tracks.filter(at_decisions(recording, decision_hz))
+    rows = rows.sort("direction", "frame", "x", "vehicle")
     tables, observed = [], []
     for direction, lanes in recording.lanes.items():
         part = rows.filter(pl.col("direction") == direction)
@@ -70,6 +64,21 @@ def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Ob
             )
         )
     return pl.concat(tables), np.concatenate(observed)
+
+
+def at_decisions(recording: Recording, decision_hz: int) -> Bools:
+    """Which rows of a recording are nearest in time to a decision; see `situations`.
+
+    Raises:
+        DataError: There are fewer frames than decisions.
+    """
+    if recording.frame_rate_hz < decision_hz:
+        raise DataError(
+            f"{recording.trio.recording_meta}: line 2: column 'frameRate': "
+            f"{recording.frame_rate_hz:g} Hz; expected at least the {decision_hz} Hz of decisions"
+        )
+    frame = recording.tracks["frame"].to_numpy()
+    return nearest_to_decisions(frame - frame.min(), recording.frame_rate_hz / decision_hz)
 
 
 def nearest_to_decisions(frame: Ints, frames_a_decision: float) -> Bools:

@@ -61,7 +61,8 @@ def test_a_lane_change_lies_between_two_stays(tmp_path: Path) -> None:
     left, right = Row(y=31.0, lane_id=6), Row(y=35.0, lane_id=7)
     lanes = [right] * 20 + [left] * 10 + [right] * 20 + [left] * 25  # 10 frames are 0.4 s
     recording = read(tmp_path, *(replace(row, frame=k) for k, row in enumerate(lanes)))
-    assert recording.lane_changes == 1
+    # The brush parts the stay in the right lane in two; the vehicle leaves from the second.
+    assert recording.lane_changes.rows() == [(1, 1, 0, 30, 49)]
 
 
 def test_recordings_come_by_number_and_with_their_frame_rates(tmp_path: Path) -> None:
@@ -170,5 +171,5 @@ def test_us_101_is_what_its_description_says() -> None:
     assert len(recordings) == 32
     assert {recording.frame_rate_hz for recording in recordings} == {10.0}
     assert sum(r.tracks["vehicle"].n_unique() for r in recordings) == 997
-    assert sum(recording.lane_changes for recording in recordings) == 80
+    assert sum(recording.lane_changes.height for recording in recordings) == 80
     assert (speeds.size, round(speeds.mean(), 1)) == (66_654, 13.2)
