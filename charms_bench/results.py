@@ -15,12 +15,12 @@ import polars as pl
 
 from charms_bench import __version__
 from charms_bench.errors import RunFolderError
-from charms_bench.suite import Suite
+from charms_bench.suite import PRESENTATION, Suite
 
 MANIFEST = "manifest.json"
 KINDS = ("steps", "counts", "episodes")
 """The kinds of rows of a shard, as `Recording` has them, each in a folder of its own."""
-_UNDECIDING = ("title", "columns", "pairs", "episodes")
+_UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
 
@@ -131,7 +131,7 @@ class RunFolder:
         """
         manifest = self.manifest()
         try:
-            undeciding = {name: manifest[name] for name in _UNDECIDING}
+            undeciding = {name: manifest[name] for name in _UNDECIDING if name in manifest}
             return Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
             reason = str(error).replace("\n", " ")

@@ -20,6 +20,10 @@ from charms_bench.traffic import Mixture, Traffic
 Name = Annotated[str, Field(min_length=1, max_length=80)]
 EVALUATION_SEEDS = 1_000_000_000
 """Episodes of evaluations have seeds below this, those of trainings above."""
+REFERENCES = Path(__file__).with_name("human") / "references"
+"""Human driving that is shipped, as histograms: `NAME.json`."""
+PRESENTATION = ("title", "columns", "pairs", "references")
+"""Fields of a suite that decide no row, only what is made of the rows."""
 
 
 class AgentSpec(FrozenModel):
@@ -84,6 +88,32 @@ class TrafficSpec(FrozenModel):
         if self.name is not None:
             return make_traffic(self.name, self.options)
         return Mixture(self.mixture)
+
+
+class ReferenceSpec(FrozenModel):
+    """Human driving: shipped histograms by name, or a folder of recordings in highD's format."""
+
+    name: Name | None = None
+    recordings: Path | None = Field(default=None, strict=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"name": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "ReferenceSpec":
+        if (self.name is None) == (self.recordings is None):
+            raise ValueError("give a name, or a folder of recordings as {recordings: path}")
+        known = {path.stem: path for path in sorted(REFERENCES.glob("*.json"))}
+        if self.name is not None and self.name not in known:
+            raise ValueError(f"no reference named '{self.name}'. {suggestion(self.name, known)}")
+        return self
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.name or str(self.recordings)
 
 
 class EgoEntry(FrozenModel):
@@ -163,6 +193,8 @@ class Suite(FrozenModel):
     """Metrics of the printed table; none: all that the paper reports."""
     pairs: bool = False
     """Whether tables also say how far the egos are apart, pair by pair."""
+    references: Annotated[tuple[ReferenceSpec, ...], Field(strict=False)] = ()
+    """Human driving that each traffic is held against."""
     folder: Path = Field(default=Path(), exclude=True, strict=False)
     """Where relative paths start: the suite file's folder."""
 
@@ -182,6 +214,10 @@ class Suite(FrozenModel):
                     raise ValueError(f"two {what} are called '{title}'; give them labels")
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
             raise ValueError("pairs compares two egos or more in one traffic")
+        if self.references and len(self.egos) > 1:
+            raise ValueError("references are for traffics; give one ego")
+        if len({reference.title for reference in self.references}) < len(self.references):
+            raise ValueError("a reference stands here twice")
         return self
 
     @property
@@ -193,7 +229,7 @@ class Suite(FrozenModel):
 
     def fingerprint(self) -> str:
         """Hash of everything that decides its results but the number of episodes."""
-        fields = self.model_dump(mode="json", exclude={"episodes", "title", "columns", "pairs"})
+        fields = self.model_dump(mode="json", exclude={"episodes", *PRESENTATION})
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 

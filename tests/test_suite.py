@@ -56,6 +56,31 @@ def test_the_fingerprint_ignores_the_number_of_episodes_and_nothing_else_that_co
     assert base.fingerprint() == longer.fingerprint() != denser.fingerprint()
 
 
+def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:
+    dressed = {"title": "A", "columns": ["speed_mean"], "references": ["i24"]}
+    base = Suite.model_validate(MINIMAL)
+    assert base.fingerprint() == Suite.model_validate({**MINIMAL, **dressed}).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("references", "message"),
+    [
+        (["i42"], "no reference named 'i42'. Known: i24, i75, us101. Did you mean 'i24'"),
+        ([{"name": "i24", "recordings": "highd"}], "give a name, or a folder of recordings"),
+        (["i24", "us101", "i24"], "a reference stands here twice"),
+    ],
+)
+def test_a_reference_is_a_shipped_name_or_a_folder(references: list[object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Suite.model_validate({**MINIMAL, "references": references})
+
+
+def test_references_are_for_one_ego() -> None:
+    egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
+    with pytest.raises(ValueError, match="references are for traffics; give one ego"):
+        Suite.model_validate({**MINIMAL, "egos": egos, "references": ["i24"]})
+
+
 @pytest.mark.parametrize(
     "spec",
     [

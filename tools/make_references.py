@@ -1,0 +1,115 @@
+"""Makes the histograms of human driving that are shipped: `python tools/make_references.py DATA`.
+
+DATA holds `us101_highd_format/`, `i24_car_following.parquet` and `i75_lane_trajectories.parquet`.
+"""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import polars as pl
+
+from charms_bench.following import FOLLOWING_RANGE_M
+from charms_bench.human.following import DECISION_HZ
+from charms_bench.human.highd import STAY_S
+from charms_bench.human.reference import DHW, SPEED, Reference, from_recordings, histogram
+from charms_bench.human.situations import nearest_to_decisions
+from charms_bench.suite import REFERENCES
+
+RATE_HZ = 10
+"""Of the recordings on I-24 and I-75."""
+CAR_LENGTH_M = 5.0
+I75_LANES = (1, 2)
+I75_FRAMES_A_ROW = 3
+I75_START_S = 2.0
+
+
+def us101(data: Path) -> Reference:
+    """Congested: US-101."""
+    return from_recordings(
+        data / "us101_highd_format",
+        name="us101",
+        origin="NGSIM US-101, Los Angeles, 15 June 2005, 07:50: congested, five lanes and an "
+        "auxiliary one; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: some "
+        "vehicles, and some of their lane changes, are in more than one.",
+        terms="U.S. Department of Transportation, Federal Highway Administration (FHWA): Next "
+        "Generation Simulation (NGSIM), US-101; CC BY-SA",
+    )
+
+
+def i24(data: Path) -> Reference:
+    """Mostly free flow: I-24."""
+    rows = pl.read_parquet(data / "i24_car_following.parquet")
+    frame = (pl.col("t_s") * RATE_HZ).round().cast(pl.Int64)
+    decided = nearest_to_decisions(rows.select(frame)["t_s"].to_numpy(), RATE_HZ / DECISION_HZ)
+    follows = pl.col("gap_m").cast(pl.Float64) + CAR_LENGTH_M <= FOLLOWING_RANGE_M
+    speed = rows.filter(decided).filter(follows)["speed_mps"].to_numpy()
+    return Reference(
+        name="i24",
+        origin="CIRCLES, I-24, Nashville: one instrumented car in 60 runs, mostly in free flow "
+        f"({(speed < 15).mean():.0%} of the speeds are below 15 m/s). Its lanes are not known.",
+        terms="CIRCLES consortium, DOI 10.5281/zenodo.6366761",
+        speed_is=f"{SPEED}; centres are taken to be {CAR_LENGTH_M:g} m further apart than bumpers",
+        dhw_is="not recorded",
+        vehicles=1,
+        lane_changes=None,
+        speed=histogram(speed),
+        dhw=None,
+    )
+
+
+def i75(data: Path) -> Reference:
+    """Free flow: the fast lanes of I-75."""
+    rows = pl.read_parquet(data / "i75_lane_trajectories.parquet").sort("vehicle", "frame")
+    frame = (rows["frame"] - rows["frame"].min()) // I75_FRAMES_A_ROW
+    decided = nearest_to_decisions(frame.to_numpy(), RATE_HZ / DECISION_HZ)
+    fast, follows = pl.col("lane").is_in(I75_LANES), pl.col("dhw") <= FOLLOWING_RANGE_M
+    headways = list(_i75_lane_changes(rows))
+    dhw = pl.Series([h for h in headways if h is not None and h <= FOLLOWING_RANGE_M])
+    return Reference(
+        name="i75",
+        origin="HIGH-SIM, I-75, Florida: 88 vehicles over 1 to 2 km. Only the lanes 1 and 2, which "
+        "are in free flow. Not every vehicle was tracked, so a leader may have been nearer. "
+        f"{dhw.len()} lane changes with a leader are a hint and no distribution.",
+        terms="FHWA: HIGH-SIM; CC BY-SA 4.0 by its README, which links to CC BY-NC 4.0",
+        speed_is=f"{SPEED}; in the lanes 1 and 2",
+        dhw_is=f"{DHW} from or to the lanes 1 and 2; for want of a lateral position that is taken "
+        f"to be {I75_START_S:g} s before the vehicle's lane changes",
+        vehicles=rows.filter(fast)["vehicle"].n_unique(),
+        lane_changes=len(headways),
+        speed=histogram(rows.filter(decided).filter(fast, follows)["v"].to_numpy()),
+        dhw=histogram(dhw.to_numpy()),
+    )
+
+
+def _i75_lane_changes(rows: pl.DataFrame) -> Iterator[float | None]:
+    """The headway at the start of each lane change from or to the fast lanes; None for no leader.
+
+    As in `Recording.lane_changes`, a vehicle stays in both lanes for `STAY_S`.
+    """
+    for (_,), track in rows.group_by("vehicle", maintain_order=True):
+        lane, dhw = track["lane"].to_list(), track["dhw"].to_list()
+        stays = track.select(pl.col("lane").rle().struct.unnest()).rows()
+        crossing, kept = 0, None
+        for length, value in stays:
+            if length >= STAY_S * RATE_HZ:
+                start = crossing - round(I75_START_S * RATE_HZ)
+                changed = kept not in (None, value) and {kept, value} & set(I75_LANES)
+                if changed and start >= 0 and lane[start] == kept:
+                    yield dhw[start]
+                kept = value
+            crossing += length
+
+
+def main(data: Path, output: Path) -> None:
+    """Writes all of them into a folder."""
+    output.mkdir(parents=True, exist_ok=True)
+    for reference in (us101(data), i24(data), i75(data)):
+        path = output / f"{reference.name}.json"
+        path.write_text(reference.to_json(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python tools/make_references.py DATA")
+    main(Path(sys.argv[1]), REFERENCES)
