@@ -151,8 +151,10 @@ def _error(
     for j in range(totals.shape[-1]):
         step = np.zeros_like(totals)
         step[..., j] = STEP * np.where(totals[..., j] == 0, 1.0, np.abs(totals[..., j]))
-        rise = difference(totals + step) - difference(totals - step)
-        gradient[..., j] = rise / (2 * step[..., j])
+        # Nothing was counted: a step back would lead to less than that.
+        back = np.where(totals == 0, 0.0, step)
+        rise = difference(totals + step) - difference(totals - back)
+        gradient[..., j] = rise / (step + back)[..., j]
     second_moments = products.reshape(*totals.shape, -1)
     squares = np.einsum("...i,...ij,...j->...", gradient, second_moments, gradient)
     mean = np.einsum("...i,...i->...", gradient, totals)

@@ -146,6 +146,12 @@ def test_what_a_single_episode_did_has_no_interval() -> None:
     assert found.p == 1.0
 
 
+def test_what_is_0_in_all_episodes_has_no_spread_to_differ_in() -> None:
+    none = np.stack([np.full(40, 60.0), np.zeros(40), np.zeros(40)], axis=1)
+    found = difference(none, none.copy(), value=standard_deviation)
+    assert (found.value, found.p) == (0.0, 1.0)
+
+
 def test_what_only_one_agent_has_is_not_compared() -> None:
     found = difference(np.zeros((30, 2)), means(np.arange(30.0)))
     assert np.isnan([found.value, found.low, found.high, found.detectable]).all()
