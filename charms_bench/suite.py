@@ -107,7 +107,10 @@ class ReferenceSpec(FrozenModel):
             raise ValueError("give a name, or a folder of recordings as {recordings: path}")
         known = {path.stem: path for path in sorted(REFERENCES.glob("*.json"))}
         if self.name is not None and self.name not in known:
-            raise ValueError(f"no reference named '{self.name}'. {suggestion(self.name, known)}")
+            raise ValueError(
+                f"no reference named '{self.name}'; a folder of recordings is "
+                f"{{recordings: path}}. {suggestion(self.name, known)}"
+            )
         return self
 
     @property
