@@ -4,9 +4,11 @@ import json
 import os
 import platform
 import re
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -162,6 +164,32 @@ class RunFolder:
         """Writes a finished shard: its rows of each of `KINDS`."""
         for kind in KINDS:
             write_atomically(self._file(kind, shard), rows[kind].write_parquet)
+
+    def take(self, shards: Iterable[Shard], other: Path) -> None:
+        """Copies the shards that another run has finished, whatever their cells are there.
+
+        Raises:
+            RunFolderError: It has none of them.
+        """
+        has_some = False
+        for shard in shards:
+            seed_and_key = shard.name.partition("-")[2]
+            found = {
+                kind: path
+                for kind in KINDS
+                for path in (other / kind).glob(f"*-{seed_and_key}.parquet")
+            }
+            if len(found) < len(KINDS):
+                continue
+            has_some = True
+            if not self.has(shard):
+                for kind, path in found.items():
+                    write_atomically(self._file(kind, shard), partial(shutil.copyfile, path))
+        if not has_some:
+            raise RunFolderError(
+                f"{other}: holds no rows of this suite; expected a run of the same version, with "
+                "the same engine, scene, seeds and agents"
+            )
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
         """The rows, one of `KINDS`, of some shards.

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -21,6 +21,7 @@ from charms_bench.agent import Agent, Policy
 from charms_bench.engine import EngineName
 from charms_bench.errors import RunFolderError, SuiteError
 from charms_bench.registry import AGENTS, TRAFFIC, find, plugins
+from charms_bench.report.realism import TrafficCounts
 from charms_bench.report.tables import CellRows
 from charms_bench.results import RunFolder, Shard
 from charms_bench.suite import EVALUATION_SEEDS, AgentSpec, Cell, Suite
@@ -51,9 +52,23 @@ class Run:
                 steps=self.folder.read("steps", shards),
                 paper=cell.paper,
             )
-            for index, cell in enumerate(self.suite.cells)
-            for shards in [[shard for shard in self.shards if shard.cell == index]]
+            for cell, shards in self._cells()
         ]
+
+    def following(self) -> list[TrafficCounts]:
+        """What the vehicles of every cell did while they followed, as realism wants it."""
+        return [
+            TrafficCounts.of(
+                cell.traffic.title,
+                self.folder.read("episodes", shards),
+                self.folder.read("counts", shards),
+            )
+            for cell, shards in self._cells()
+        ]
+
+    def _cells(self) -> Iterator[tuple[Cell, list[Shard]]]:
+        for index, cell in enumerate(self.suite.cells):
+            yield cell, [shard for shard in self.shards if shard.cell == index]
 
 
 def open_run(path: Path) -> Run:
@@ -112,6 +127,7 @@ def run(
     engine: EngineName = "batched",
     workers: int | None = None,
     progress: Progress = lambda cell, episodes: None,
+    rows: Path | None = None,
 ) -> Run:
     """Runs what is missing of a suite in the folder `output`.
 
@@ -121,6 +137,7 @@ def run(
         engine: `batched` or `highway-env`.
         workers: Processes; by default one a core.
         progress: Told of every shard, those that were there first.
+        rows: Another run's folder, whose finished shards are taken where they are the same.
 
     Raises:
         CharmsBenchError: As soon as something is wrong; finished shards are kept.
@@ -129,6 +146,8 @@ def run(
     folder.open_for(suite, engine)
     shards, agents = plan(suite, engine)
     folder.write_manifest(suite, engine, agents)
+    if rows is not None:
+        folder.take(shards, rows)
     missing = []
     for shard in shards:
         if folder.has(shard):

@@ -57,6 +57,23 @@ def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> 
     assert "\x1b" not in result.stdout + result.stderr
 
 
+def test_a_suite_with_references_says_where_its_realism_is(suite_file: Path) -> None:
+    text = suite_file.read_text().replace("  - {agent: stackelberg}\n", "")
+    suite_file.write_text(text + "references: [i24, us101]\n")
+    result = charms_bench("run", suite_file, "--output", suite_file.parent / "run")
+    assert result.returncode == 0, result.stderr
+    for name in ("tables/small-realism.md", "figures/small-speed.png", "figures/small-dhw.png"):
+        assert name in result.stdout
+        assert (suite_file.parent / "run" / name).exists()
+
+
+def test_a_reference_that_is_not_shipped_is_named_with_its_line(suite_file: Path) -> None:
+    suite_file.write_text(suite_file.read_text() + "references:\n  - highd\n")
+    result = charms_bench("run", suite_file)
+    assert result.returncode == 2
+    assert "suite.yaml:11: references[0]: no reference named 'highd'; a folder" in result.stderr
+
+
 def test_json_is_all_there_is_on_standard_output(suite_file: Path) -> None:
     result = charms_bench("run", suite_file, "--json", "--output", suite_file.parent / "run")
     rows = json.loads(result.stdout)

@@ -92,6 +92,35 @@ def test_more_episodes_add_to_what_is_there(tmp_path: Path) -> None:
     assert before.items() <= files(tmp_path / "episodes").items()
 
 
+@pytest.mark.usefixtures("small_shards")
+def test_rows_of_another_run_are_taken_whatever_their_cells_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(suite(), tmp_path / "one", workers=1)
+    idm, outside = SMALL["egos"]  # type: ignore[misc]
+    turned = suite(suite="turned", episodes=20, egos=[{**outside, "label": "Outside"}, idm])
+    expected = run(turned, tmp_path / "simulated", workers=1)
+    monkeypatch.setattr(runner, "local_workers", None)  # so that nothing can be simulated
+    run(turned, tmp_path / "taken", rows=tmp_path / "one")
+    assert len(expected.shards) == 4
+    for kind in ("episodes", "steps", "counts"):
+        assert files(tmp_path / "taken" / kind) == files(tmp_path / "simulated" / kind)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_what_another_run_lacks_is_simulated(tmp_path: Path) -> None:
+    run(suite(episodes=15), tmp_path / "short", workers=1)  # whose second shard is half of ours
+    next((tmp_path / "short" / "counts").iterdir()).unlink()
+    taken = run(suite(), tmp_path / "taken", workers=1, rows=tmp_path / "short")
+    assert sum(len(cell.episodes) for cell in taken.cells()) == 50
+
+
+def test_another_run_without_rows_of_the_suite_is_refused(tmp_path: Path) -> None:
+    run(suite(episodes=2), tmp_path / "one", workers=1)
+    with pytest.raises(RunFolderError, match=r"one: holds no rows of this suite; expected"):
+        run(suite(episodes=2, seed=7), tmp_path / "two", workers=1, rows=tmp_path / "one")
+
+
 def test_another_suite_is_kept_out_of_a_folder_and_the_difference_named(tmp_path: Path) -> None:
     run(suite(episodes=2), tmp_path, workers=1)
     before = files(tmp_path)

@@ -35,6 +35,12 @@ def run(
     output: Annotated[
         Path | None, typer.Option(help="The run folder; by default runs/SUITE.")
     ] = None,
+    rows: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN", help="Another run's folder; episodes that are the same are taken over."
+        ),
+    ] = None,
     only: Annotated[
         str | None, typer.Option(help="One stage of a training suite, with what it needs.")
     ] = None,
@@ -48,7 +54,7 @@ def run(
 
     document = Document(suite)
     if "pipeline" in document.data:
-        refused = {"--episodes": episodes, "--seed": seed}
+        refused = {"--episodes": episodes, "--seed": seed, "--rows": rows}
         for option in (name for name, value in refused.items() if value is not None):
             raise InputError(f"{option} is for evaluations; {suite} is a training")
         folder = output or Path("runs") / suite.stem
@@ -59,24 +65,34 @@ def run(
             raise InputError(f"{option} is for trainings; {suite} is an evaluation")
 
     from charms_bench import runner
+    from charms_bench.human.reference import read_references
     from charms_bench.report.pairs import write_pairs
+    from charms_bench.report.realism import build_realism, write_realism
+    from charms_bench.report.realism_figures import draw_realism
     from charms_bench.report.tables import build_table, render_terminal, write_tables
     from charms_bench.suite import suite_of
 
     loaded = suite_of(document)
     changes = {"episodes": episodes, "seed": seed}
     loaded = loaded.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    references = read_references(loaded.references, loaded.folder)
     folder = output or Path("runs") / loaded.suite
     total = loaded.episodes * len(loaded.cells)
     with interruptible(f"finished shards are in {folder}"), progress("episodes", total) as bar:
         finished = runner.run(
-            loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count)
+            loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count), rows
         )
     cells = finished.cells()
     table = build_table(cells, loaded.scene, loaded.seed)
     write_tables(folder / "tables", loaded.suite, table)
     if loaded.pairs:
         write_pairs(folder / "tables", loaded.suite, cells, loaded.scene, loaded.seed)
+    figures = []
+    if references:
+        following = finished.following()
+        realism = build_realism(following, references, loaded.seed)
+        write_realism(folder / "tables", loaded.suite, realism, references)
+        figures = draw_realism(folder / "figures", loaded.suite, following, references)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
     else:
@@ -88,6 +104,10 @@ def run(
         if loaded.pairs:
             pairs = rest.with_name(f"{loaded.suite}-pairs.md")
             out.print(f"Pair by pair: {plain(str(pairs))}", highlight=False, soft_wrap=True)
+        if references:
+            files = [rest.with_name(f"{loaded.suite}-realism.md"), *figures]
+            listed = ", ".join(plain(str(path)) for path in files)
+            out.print(f"Realism: {listed}", highlight=False, soft_wrap=True)
 
 
 def _run_pipeline(
