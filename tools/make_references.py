@@ -30,8 +30,8 @@ def us101(data: Path) -> Reference:
         data / "us101_highd_format",
         name="us101",
         origin="NGSIM US-101, Los Angeles, 15 June 2005, 07:50: congested, five lanes and an "
-        "auxiliary one; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: some "
-        "vehicles, and some of their lane changes, are in more than one.",
+        "auxiliary one; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: a "
+        "fifth of the rows, and some of the lane changes, are in more than one.",
         terms="U.S. Department of Transportation, Federal Highway Administration (FHWA): Next "
         "Generation Simulation (NGSIM), US-101; CC BY-SA",
     )
