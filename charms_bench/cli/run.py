@@ -66,10 +66,8 @@ def run(
 
     from charms_bench import runner
     from charms_bench.human.reference import read_references
-    from charms_bench.report.pairs import write_pairs
-    from charms_bench.report.realism import build_realism, write_realism
-    from charms_bench.report.realism_figures import draw_realism
-    from charms_bench.report.tables import build_table, render_terminal, write_tables
+    from charms_bench.report.reports import write_reports
+    from charms_bench.report.tables import render_terminal
     from charms_bench.suite import suite_of
 
     loaded = suite_of(document)
@@ -82,32 +80,17 @@ def run(
         finished = runner.run(
             loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count), rows
         )
-    cells = finished.cells()
-    table = build_table(cells, loaded.scene, loaded.seed)
-    write_tables(folder / "tables", loaded.suite, table)
-    if loaded.pairs:
-        write_pairs(folder / "tables", loaded.suite, cells, loaded.scene, loaded.seed)
-    figures = []
-    if references:
-        following = finished.following()
-        realism = build_realism(following, references, loaded.seed)
-        write_realism(folder / "tables", loaded.suite, realism, references)
-        figures = draw_realism(folder / "figures", loaded.suite, following, references)
+    following = finished.following() if references else []
+    table, files = write_reports(loaded, folder, finished.cells(), following, references)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
     else:
         if loaded.title:
             out.print(plain(loaded.title), highlight=False)
         out.print(render_terminal(table, loaded.columns, out.width))
-        rest = folder / "tables" / f"{loaded.suite}.md"
-        out.print(f"All metrics: {plain(str(rest))}", highlight=False, soft_wrap=True)
-        if loaded.pairs:
-            pairs = rest.with_name(f"{loaded.suite}-pairs.md")
-            out.print(f"Pair by pair: {plain(str(pairs))}", highlight=False, soft_wrap=True)
-        if references:
-            files = [rest.with_name(f"{loaded.suite}-realism.md"), *figures]
-            listed = ", ".join(plain(str(path)) for path in files)
-            out.print(f"Realism: {listed}", highlight=False, soft_wrap=True)
+        for what, paths in files.items():
+            listed = ", ".join(plain(str(path)) for path in paths)
+            out.print(f"{what}: {listed}", highlight=False, soft_wrap=True)
 
 
 def _run_pipeline(
