@@ -42,11 +42,13 @@ def write_reports(
         write_pairs(tables, name, cells, suite.scene, suite.seed)
         files["Pair by pair"] = [tables / f"{name}-pairs.md"]
     if len(suite.egos) > 1:
-        files["Speed against crashes"] = [figures / f"{name}-tradeoff.png"]
-        write_tradeoff(*files["Speed against crashes"], table)
+        tradeoff = figures / f"{name}-tradeoff.png"
+        write_tradeoff(tradeoff, table)
+        files["Speed against crashes"] = [tradeoff]
         if len(suite.traffics) > 1:
-            files["Matrices"] = [tables / f"{name}-matrix.md", figures / f"{name}-matrix.png"]
-            write_matrices(*files["Matrices"], table)
+            markdown, figure = tables / f"{name}-matrix.md", figures / f"{name}-matrix.png"
+            write_matrices(markdown, figure, table)
+            files["Matrices"] = [markdown, figure]
     if references:
         realism = build_realism(following, references, suite.seed)
         write_realism(tables, name, realism, references)
