@@ -100,6 +100,7 @@ def test_every_stage_of_the_graph_leaves_a_network(finished: Path) -> None:
         assert made["onnx_sha256"] == hashlib.sha256(network.read_bytes()).hexdigest()
         assert OnnxPolicy(network).decision_hz == 3.0
         assert (network.parent / f"{name}.png").exists()
+        assert list((network.parent / "tensorboard").glob("events.*"))
 
 
 def test_side_by_side_the_networks_are_the_same(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.common.logger import Logger, configure
 
 from charms_agents.training import supervised
 from charms_agents.training.export import export
@@ -109,15 +110,20 @@ def fit_stage(
     start = untrained(job.suite.hyperparameters.hidden_layers, seed)
     fit = Fit(read_network(job.network) if job.network else start, samples, job.settings, seed)
     wall_s = _restore(fit, folder, job)
+    logger = configure(str(folder.tensorboard), ["tensorboard"])
     while not fit.finished:
+        _log(logger, fit.curve[-1])
         report(fit.curve[-1])
         if stop():
+            logger.close()
             raise Interrupted
         began = time.monotonic()
         fit.step()
         wall_s += time.monotonic() - began
         progress = {"key": job.key, "wall_s": wall_s}
         folder.write_checkpoint({**fit.arrays(), "progress": np.array(json.dumps(progress))})
+    _log(logger, fit.curve[-1])
+    logger.close()
     report(fit.curve[-1])
     decision_hz = str(job.data.settings.decision_hz)
     facts = {"stage": job.name, "style": job.style, "decision_hz": decision_hz}
@@ -134,6 +140,13 @@ def fit_stage(
     }
     write_manifest(folder, job, suite_sha256, results)
     return folder
+
+
+def _log(logger: Logger, point: Epoch) -> None:
+    for name, value in asdict(point).items():
+        if name != "epoch" and value is not None:
+            logger.record(f"charms/{name}", value)
+    logger.dump(point.epoch)
 
 
 def _restore(fit: Fit, folder: StageFolder, job: HumanJob) -> float:
