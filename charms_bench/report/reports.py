@@ -11,7 +11,7 @@ from charms_bench.report.pairs import write_pairs
 from charms_bench.report.realism import TrafficCounts, build_realism, write_realism
 from charms_bench.report.realism_figures import draw_realism
 from charms_bench.report.tables import CellRows, build_table, write_tables
-from charms_bench.report.tradeoff import write_tradeoff
+from charms_bench.report.tradeoff import OF_EGOS, OF_TRAFFICS, write_tradeoff
 from charms_bench.suite import Suite
 
 
@@ -41,14 +41,14 @@ def write_reports(
     if suite.pairs:
         write_pairs(tables, name, cells, suite.scene, suite.seed)
         files["Pair by pair"] = [tables / f"{name}-pairs.md"]
-    if len(suite.egos) > 1:
+    if len(cells) > 1:
         tradeoff = figures / f"{name}-tradeoff.png"
-        write_tradeoff(tradeoff, table)
-        files["Speed against crashes"] = [tradeoff]
-        if len(suite.traffics) > 1:
-            markdown, figure = tables / f"{name}-matrix.md", figures / f"{name}-matrix.png"
-            write_matrices(markdown, figure, table)
-            files["Matrices"] = [markdown, figure]
+        write_tradeoff(tradeoff, table, OF_EGOS if len(suite.egos) > 1 else OF_TRAFFICS)
+        files["Trade-off"] = [tradeoff]
+    if len(suite.egos) > 1 and len(suite.traffics) > 1:
+        markdown, figure = tables / f"{name}-matrix.md", figures / f"{name}-matrix.png"
+        write_matrices(markdown, figure, table)
+        files["Matrices"] = [markdown, figure]
     if references:
         realism = build_realism(following, references, suite.seed)
         write_realism(tables, name, realism, references)

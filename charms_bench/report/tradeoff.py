@@ -1,6 +1,7 @@
-"""Speed against crashes: the trade-off that every driver makes, as a figure."""
+"""Trade-offs as figures: speed against crashes, and how dense a traffic is against its crashes."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -9,42 +10,66 @@ from matplotlib.transforms import Bbox
 
 from charms_bench.figures import panels, save
 
-SPEED, CRASHES = "speed_mean", "crashed_episodes"
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COLOURS = ("#2b6ca3", "#c1502e", "#4d8b31", "#8a5fa8", "#b5892b", "#3a9a96", "#7a7a7a")
 
 
-def write_tradeoff(path: Path, long: pl.DataFrame) -> None:
-    """Draws the cells of a table: mean speed across, share of crashed episodes up.
+class Tradeoff(NamedTuple):
+    """What is drawn against what."""
+
+    across: str
+    """A metric; where both metric sets have it, that of `standard`."""
+    across_label: str
+    share: str
+    """A metric that is a share, drawn upwards."""
+    share_label: str
+    names: str
+    """Whose names stand at the points: `agent` or `traffic`."""
+
+
+OF_EGOS = Tradeoff("speed_mean", "mean speed, m/s", "crashed_episodes", "episodes crashed", "agent")
+OF_TRAFFICS = Tradeoff(
+    "interaction_density",
+    "vehicles within 30 m and a lane of the ego",
+    "traffic_crashed",
+    "vehicles of the traffic crashed in an episode",
+    "traffic",
+)
+
+
+def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> None:
+    """Draws the cells of a table with their 95 % intervals.
 
     Args:
         path: The figure's file.
-        long: `tables.LONG_SCHEMA`, of which the metric set `standard` is drawn.
+        long: `tables.LONG_SCHEMA`.
+        tradeoff: What is drawn.
 
     Raises:
         InputError: The file's ending is not a format's, or it cannot be written.
     """
-    cells = _cells(long)
+    cells = _cells(long, tradeoff)
     figure, (axes,) = panels(1, 8.0, 5.2)
     texts: list[Annotation] = []
-    traffics = cells["traffic"].unique(maintain_order=True).to_list()
-    for index, traffic in enumerate(traffics):
-        part = cells.filter(traffic=traffic)
+    grouped = "traffic" if tradeoff.names == "agent" else "agent"
+    groups = cells[grouped].unique(maintain_order=True).to_list()
+    for index, group in enumerate(groups):
+        part = cells.filter(pl.col(grouped) == group)
         colour = COLOURS[index % len(COLOURS)]
-        x, y = part["speed"].to_numpy(), part["crashed"].to_numpy()
+        x, y = part["x"].to_numpy(), part["y"].to_numpy()
         axes.errorbar(
             x,
             y,
-            xerr=_reach(x, part["speed_low"].to_numpy(), part["speed_high"].to_numpy()),
-            yerr=_reach(y, part["crashed_low"].to_numpy(), part["crashed_high"].to_numpy()),
+            xerr=_reach(x, part["x_low"].to_numpy(), part["x_high"].to_numpy()),
+            yerr=_reach(y, part["y_low"].to_numpy(), part["y_high"].to_numpy()),
             fmt="o",
             color=colour,
             ecolor=colour,
             elinewidth=0.8,
-            label=traffic,
+            label=group,
         )
-        for agent, speed, crashed in zip(part["agent"], x, y, strict=True):
-            texts.append(axes.annotate(agent, (speed, crashed), fontsize=8, color=colour))
+        for name, left, up in zip(part[tradeoff.names], x, y, strict=True):
+            texts.append(axes.annotate(name, (left, up), fontsize=8, color=colour))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(_root, np.square))
     top = axes.get_ylim()[1]
@@ -52,13 +77,9 @@ def write_tradeoff(path: Path, long: pl.DataFrame) -> None:
     axes.set_yticks([share for share in TICKS if share < top])
     axes.margins(x=0.12)
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
-    axes.set(
-        title="Speed against crashes, with 95 % intervals",
-        xlabel="mean speed, m/s",
-        ylabel="episodes crashed",
-    )
-    if len(traffics) > 1:
-        axes.legend(title="traffic", frameon=False, fontsize=8)
+    axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label} (square-root scale)")
+    if len(groups) > 1:
+        axes.legend(title=grouped, frameon=False, fontsize=8)
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
     save(figure, path)
@@ -84,21 +105,18 @@ def _root(shares: np.ndarray) -> np.ndarray:
     return root
 
 
-def _cells(long: pl.DataFrame) -> pl.DataFrame:
-    """A row a cell with its speed and its crashes."""
-    standard = long.filter(pl.col("metric_set").str.starts_with("standard-"))
+def _cells(long: pl.DataFrame, tradeoff: Tradeoff) -> pl.DataFrame:
+    """A row a cell with its two metrics."""
     keys = ["agent", "traffic"]
+    last = long.unique([*keys, "metric"], keep="last", maintain_order=True)
 
     def of(metric: str, name: str) -> pl.DataFrame:
-        columns = [pl.col(c).alias(n) for c, n in _names(name).items()]
-        return standard.filter(metric=metric).select(*keys, *columns)
+        numbers = {"value": name, "low": f"{name}_low", "high": f"{name}_high"}
+        columns = [pl.col(column).alias(alias) for column, alias in numbers.items()]
+        return last.filter(metric=metric).select(*keys, *columns)
 
-    speeds, crashes = of(SPEED, "speed"), of(CRASHES, "crashed")
-    return speeds.join(crashes, on=keys, maintain_order="left").drop_nulls(["speed", "crashed"])
-
-
-def _names(name: str) -> dict[str, str]:
-    return {"value": name, "low": f"{name}_low", "high": f"{name}_high"}
+    x, y = of(tradeoff.across, "x"), of(tradeoff.share, "y")
+    return x.join(y, on=keys, maintain_order="left").drop_nulls(["x", "y"])
 
 
 def _reach(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from charms_bench.errors import InputError
 from charms_bench.report.matrix import write_matrices
 from charms_bench.report.tables import LONG_SCHEMA
-from charms_bench.report.tradeoff import write_tradeoff
+from charms_bench.report.tradeoff import OF_TRAFFICS, write_tradeoff
 
 
 def table(*rows: tuple[str, str, str, float | None]) -> pl.DataFrame:
@@ -45,6 +45,17 @@ def test_every_cell_is_named_in_the_tradeoff(tmp_path: Path) -> None:
     svg = (tmp_path / "t.svg").read_text()
     for name in ("A &amp; B", "C", "&lt;busy&gt;"):
         assert f"<!-- {name} -->" in svg
+
+
+def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:
+    rows = [
+        ("IDM", traffic, metric, value)
+        for traffic, density in (("calm", 1.9), ("busy", 2.6))
+        for metric, value in (("interaction_density", density), ("traffic_crashed", 0.1))
+    ]
+    write_tradeoff(tmp_path / "t.svg", table(*rows), OF_TRAFFICS)
+    svg = (tmp_path / "t.svg").read_text()
+    assert all(f"<!-- {name} -->" in svg for name in ("calm", "busy"))
 
 
 def test_drivers_at_the_same_place_keep_their_names_apart(tmp_path: Path) -> None:
