@@ -152,7 +152,7 @@ class RunFolder:
                 raise RunFolderError(f"{path}: is no shard of a run; delete it")
             cell, first_seed, key = match.groups()
             with _reading(path):
-                episodes = pl.scan_parquet(path).select(pl.len()).collect().item()
+                episodes = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
             found.append(Shard(int(cell), int(first_seed), episodes, key))
         return tuple(found)
 
@@ -201,7 +201,7 @@ class RunFolder:
         for shard in shards:
             path = self._file(kind, shard)
             with _reading(path):
-                frames.append(pl.read_parquet(path))
+                frames.append(pl.read_parquet(path, glob=False))
         return pl.concat(frames)
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
