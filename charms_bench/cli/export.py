@@ -12,7 +12,9 @@ from charms_bench.errors import InputError
 
 @app.command()
 def export(
-    checkpoint: Annotated[Path, typer.Argument(help="A DQN's zip, as Stable-Baselines3 saves it.")],
+    checkpoint: Annotated[
+        Path, typer.Argument(help="A DQN's or a PPO's zip, as Stable-Baselines3 saves it.")
+    ],
     output: Annotated[Path, typer.Argument(metavar="OUT.onnx", help="The file to write.")],
     decision_hz: Annotated[
         float, typer.Option(min=0.001, max=1000, help="Decisions a second it was trained for.")

@@ -21,6 +21,7 @@ onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 import gymnasium
 from charms_agents.training import sb3_zip
+from charms_agents.training.network import read_network
 from charms_agents.training.sb3_zip import export_zip
 
 from charms_bench.errors import ModelError
@@ -51,6 +52,30 @@ def saved(folder: Path, **spaces: Any) -> tuple[Any, Path]:
     path = folder / "model.zip"
     model.save(path)
     return model, path
+
+
+def saved_ppo(folder: Path, **settings: Any) -> tuple[Any, Path]:
+    """Somebody's PPO and its checkpoint."""
+    kwargs = {"net_arch": {"pi": [16, 8], "vf": [4]}, **settings}
+    model = sb3.PPO("MlpPolicy", Blank(), policy_kwargs=kwargs, seed=3, device="cpu")
+    with torch.no_grad():  # untrained logits are all but equal, and too small for tanh to matter
+        for parameter in model.policy.parameters():
+            parameter.mul_(5.0)
+    path = folder / "ppo.zip"
+    model.save(path)
+    return model, path
+
+
+def logits(**changes: Any) -> dict[str, Any]:
+    """The state of a PPO whose policy has no hidden layer, with some tensors changed."""
+    tensors = {
+        "action_net.weight": torch.zeros(5, 35),
+        "action_net.bias": torch.zeros(5),
+        "value_net.weight": torch.zeros(1, 35),
+        "value_net.bias": torch.zeros(1),
+    }
+    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
+    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
 
 
 def weights(**changes: Any) -> dict[str, Any]:
@@ -118,9 +143,73 @@ def test_the_file_says_what_it_is_and_where_it_is_from(tmp_path: Path) -> None:
     assert says["actions"] == "LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER"
     assert says["observation"].startswith("neighbours: (7, 5) float32")
     assert (says["decision_hz"], says["style"]) == ("5", "hasty")
-    assert says["activation"] == "ReLU (assumed)"
+    assert says["activation"] == "ReLU"
     assert says["source"] == "model.zip, a Stable-Baselines3 checkpoint"
     assert says["source_sha256"] == made["sha256"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "sizes", "activation"),
+    [
+        ({}, [35, 16, 8, 5], "Tanh"),
+        ({"activation_fn": torch.nn.ReLU}, [35, 16, 8, 5], "ReLU"),
+        ({"net_arch": [4]}, [35, 4, 5], "Tanh"),
+        ({"net_arch": []}, [35, 5], "Tanh"),
+    ],
+)
+def test_a_ppos_file_takes_its_likeliest_actions(
+    tmp_path: Path, settings: dict[str, Any], sizes: list[int], activation: str
+) -> None:
+    model, path = saved_ppo(tmp_path, **settings)
+    made = export_zip(path, tmp_path / "out.onnx", FACTS)
+    observations = np.random.default_rng(0).uniform(-1, 1, (200, 7, 5)).astype(np.float32)
+    expected, _ = model.predict(observations, deterministic=True)
+    found = OnnxPolicy(tmp_path / "out.onnx").decide(observations)
+    np.testing.assert_array_equal(found, expected)
+    assert len(set(expected)) > 2
+    assert (made["sizes"], made["activation"], made["ties"]) == (sizes, activation, 0)
+
+
+def test_an_a2cs_policy_is_read_like_a_ppos(tmp_path: Path) -> None:
+    sb3.A2C("MlpPolicy", Blank(), device="cpu").save(tmp_path / "a2c.zip")
+    made = export_zip(tmp_path / "a2c.zip", tmp_path / "out.onnx", FACTS)
+    assert (made["sizes"], made["activation"]) == ([35, 64, 64, 5], "Tanh")
+
+
+def test_a_dqn_that_was_given_another_activation_keeps_it(tmp_path: Path) -> None:
+    settings = {"net_arch": [16], "activation_fn": torch.nn.Tanh}
+    model = sb3.DQN("MlpPolicy", Blank(), buffer_size=10, policy_kwargs=settings, seed=3)
+    model.save(tmp_path / "model.zip")
+    made = export_zip(tmp_path / "model.zip", tmp_path / "out.onnx", FACTS)
+    observations = np.random.default_rng(0).uniform(-9, 9, (200, 7, 5)).astype(np.float32)
+    expected, _ = model.predict(observations, deterministic=True)
+    found = OnnxPolicy(tmp_path / "out.onnx").decide(observations)
+    np.testing.assert_array_equal(found, expected)
+    assert made["activation"] == "Tanh"
+
+
+def test_an_activation_that_cannot_be_exported_is_named(tmp_path: Path) -> None:
+    _, path = saved_ppo(tmp_path, activation_fn=torch.nn.ELU)
+    refused(path, r"has <class 'torch.nn.modules.activation.ELU'> between.*expected ReLU or Tanh")
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[" * 10**5, b'{"policy_kwargs": null}', b"\x80\x05"])
+def test_without_a_readable_data_the_usual_activation_is_assumed(
+    tmp_path: Path, data: bytes
+) -> None:
+    made = export_zip(zipped(tmp_path, data=data), tmp_path / "out.onnx", FACTS)
+    assert made["activation"] == "ReLU (assumed)"
+    made = export_zip(zipped(tmp_path, logits(), data=data), tmp_path / "out.onnx", FACTS)
+    assert made["activation"] == "Tanh (assumed)"
+
+
+def test_a_file_says_to_those_who_go_on_from_it_what_stands_between_its_layers(
+    tmp_path: Path,
+) -> None:
+    _, path = saved_ppo(tmp_path)
+    export_zip(path, tmp_path / "out.onnx", FACTS)
+    network = read_network(tmp_path / "out.onnx")
+    assert [type(module).__name__ for module in network] == [*["Linear", "Tanh"] * 2, "Linear"]
 
 
 def test_a_flat_observation_is_as_good(tmp_path: Path) -> None:
@@ -229,10 +318,26 @@ def test_networks_of_another_shape_are_named(
     refused(zipped(tmp_path, weights(**changes)), message)
 
 
-def test_another_algorithm_is_named(tmp_path: Path) -> None:
-    model = sb3.PPO("MlpPolicy", Blank(), device="cpu")
-    model.save(tmp_path / "ppo.zip")
-    refused(tmp_path / "ppo.zip", "has no Q-network of a DQN; policy.pth holds: mlp_extractor")
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std"),
+        ({"lstm_actor__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_actor.weight_ih"),
+        ({"pi_features_extractor__cnn__0__bias": torch.zeros(2)}, "CnnPolicy"),
+        ({"action_net__weight": None, "action_net__bias": None}, "holds: value_net.weight"),
+        ({"action_net__bias": None}, "not made of linear layers"),
+        ({"action_net__weight": torch.zeros(5, 25)}, "takes 25 numbers; expected 35"),
+        ({"mlp_extractor__policy_net__2__bias": torch.zeros(5)}, r"weights at \[2, 4\]"),
+    ],
+)
+def test_policies_that_are_no_ppos_with_an_mlp_are_named(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    refused(zipped(tmp_path, logits(**changes)), message)
+
+
+def test_data_beyond_any_models_are_not_unpacked(tmp_path: Path) -> None:
+    refused(zipped(tmp_path, data=bytes(9 * 2**20)), "data unpacks to 9,437,184 bytes")
 
 
 def test_something_other_than_tensors_by_name_is_refused(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from torch.nn import Sequential
 
-from charms_agents.training.network import layers_of, values_of
+from charms_agents.training.network import ACTIVATIONS, layers_of, values_of
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
 from charms_bench.onnx_policy import OnnxPolicy
@@ -29,7 +29,7 @@ def export(
     """Writes a network, provided that the file acts as it does.
 
     Args:
-        network: Linear layers with ReLU between them.
+        network: Linear layers with ReLU or tanh between them.
         path: The file.
         facts: What its metadata say beside observation and actions.
         observations: (M, 7, 5), on which the actions of both are compared.
@@ -64,6 +64,8 @@ def export(
 
 def _serialised(network: Sequential, facts: dict[str, str]) -> bytes:
     layers = layers_of(network)
+    operators = {kind: name for name, kind in ACTIVATIONS.items()}
+    between = [operators[type(module)] for module in network if type(module) in operators]
     nodes, tensors, last = [], [], "flat"
     nodes.append(helper.make_node("Flatten", ["observations"], ["flat"], axis=1))
     for index, (weight, bias) in enumerate(layers):
@@ -74,7 +76,7 @@ def _serialised(network: Sequential, facts: dict[str, str]) -> bytes:
         inputs = [last, f"weight_{index}", f"bias_{index}"]
         nodes.append(helper.make_node("Gemm", inputs, [out], transB=1))
         if not final:
-            nodes.append(helper.make_node("Relu", [out], [f"hidden_{index}"]))
+            nodes.append(helper.make_node(between[index], [out], [f"hidden_{index}"]))
             last = f"hidden_{index}"
     seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", 7, 5])
     valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", len(ACTIONS)])

@@ -1,4 +1,4 @@
-"""A policy network: linear layers with ReLU between them, in torch and in ONNX files."""
+"""A policy network: linear layers with ReLU or tanh between them, in torch and in ONNX files."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,13 +10,16 @@ import torch
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from onnx import numpy_helper
-from torch.nn import Linear, Module, ReLU, Sequential
+from torch.nn import Linear, Module, ReLU, Sequential, Tanh
 
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
 
 OBSERVED = 35
 """Numbers in an observation, 7 rows of 5."""
+
+ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
+"""What may stand between the layers, by ONNX's name of it."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 """The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
@@ -27,11 +30,11 @@ def untrained(hidden_layers: Sequence[int], seed: int) -> Sequential:
     sizes = (OBSERVED, *hidden_layers, len(ACTIONS))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return _alternating([Linear(before, after) for before, after in pairwise(sizes)])
+        return _alternating([Linear(before, after) for before, after in pairwise(sizes)], ReLU)
 
 
-def network_of(layers: Layers) -> Sequential:
-    """The network of some layers, whose arrays are copied."""
+def network_of(layers: Layers, activation: type[Module] = ReLU) -> Sequential:
+    """The network of some layers, whose arrays are copied, with an activation between them."""
     modules = []
     for weight, bias in layers:
         module = Linear(weight.shape[1], weight.shape[0])
@@ -39,7 +42,7 @@ def network_of(layers: Layers) -> Sequential:
             module.weight.copy_(torch.from_numpy(weight.copy()))
             module.bias.copy_(torch.from_numpy(bias.copy()))
         modules.append(module)
-    return _alternating(modules)
+    return _alternating(modules, activation)
 
 
 def layers_of(network: Sequential) -> Layers:
@@ -58,16 +61,18 @@ def read_network(path: Path) -> Sequential:
         ModelError: It cannot be read, or holds another network.
     """
     try:
-        tensors = onnx.load(path, load_external_data=False).graph.initializer
+        graph = onnx.load(path, load_external_data=False).graph
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
     except DecodeError as error:
         raise ModelError(f"{path}: is no ONNX file: {error}") from error
-    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in tensors}
+    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     names = [(f"weight_{index}", f"bias_{index}") for index in range(len(arrays) // 2)]
     if set(arrays) != {name for pair in names for name in pair} or not names:
         raise ModelError(f"{path}: was not written by this pipeline; it holds {list(arrays)}")
-    return network_of([(arrays[weight], arrays[bias]) for weight, bias in names])
+    found = [ACTIVATIONS[node.op_type] for node in graph.node if node.op_type in ACTIVATIONS]
+    layers = [(arrays[weight], arrays[bias]) for weight, bias in names]
+    return network_of(layers, found[0] if found else ReLU)
 
 
 def values_of(network: Sequential, observations: Observations) -> NDArray[np.float32]:
@@ -78,8 +83,8 @@ def values_of(network: Sequential, observations: Observations) -> NDArray[np.flo
     return values
 
 
-def _alternating(layers: Sequence[Linear]) -> Sequential:
+def _alternating(layers: Sequence[Linear], activation: type[Module]) -> Sequential:
     modules: list[Module] = []
     for layer in layers:
-        modules += [layer, ReLU()]
+        modules += [layer, activation()]
     return Sequential(*modules[:-1])

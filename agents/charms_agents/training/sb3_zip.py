@@ -1,43 +1,64 @@
 """A Stable-Baselines3 checkpoint -> ONNX, without running anything that is in it.
 
-Of the zip only `policy.pth` is read, and of that only tensors: what Stable-Baselines3 pickles
-(`data`) may run any code when it is loaded, and is never touched.
+Of the zip only `policy.pth` is read, and of that only tensors, and from the JSON of `data` the
+activation's name as text: what Stable-Baselines3 pickles into that may run any code when it is
+loaded, and is never touched.
 """
 
+import json
 import re
 import struct
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 import numpy as np
 import torch
 
 from charms_agents.training.export import export
-from charms_agents.training.network import OBSERVED, Layers, layers_of, network_of
+from charms_agents.training.network import ACTIVATIONS, OBSERVED, Layers, layers_of, network_of
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
 from charms_bench.observation import neighbours
 from charms_bench.testing import example_scene
 
-WEIGHTS = "policy.pth"
+WEIGHTS, DATA = "policy.pth", "data"
 FILE_LIMIT_BYTES = 2**30
 """Of the zip, which may hold a replay buffer beside the weights."""
-WEIGHTS_LIMIT_BYTES = 64 * 2**20
+LIMITS_BYTES = {WEIGHTS: 64 * 2**20, DATA: 8 * 2**20}
 MEMBERS_LIMIT = 1000
 RATIO_LIMIT = 100
 """Deflate makes zeros about 1000 times smaller, and weights hardly smaller at all."""
 CHECKED_SEEDS = range(4)
 """Of the example scenes whose observations the two networks are compared on."""
-_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
+_Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
+_POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
+_LOGITS = re.compile(r"action_net\.(weight|bias)")
+_VALUES = re.compile(r"(mlp_extractor\.value_net\.\d{1,3}|value_net)\.(weight|bias)")
+KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
+"""The activations that can be exported, by torch's name."""
+_ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
+
+
+class Checkpoint(NamedTuple):
+    """What is read of a zip."""
+
+    sha256: str
+    weights: bytes
+    """`policy.pth`."""
+    data: bytes
+    """`data`; empty where there is none."""
 
 
 def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[str, Any]:
-    """Writes the Q-network of a DQN's checkpoint as an ONNX file.
+    """Writes the network by which a DQN or a PPO decides as an ONNX file.
 
-    ReLU, Stable-Baselines3's default, is assumed between layers: what it is stands in `data`.
+    Of a DQN that is its Q-network; of a PPO, or an A2C, the policy's layers up to its logits, of
+    which the largest is the action it is most likely to take. Where `data` cannot be read, the
+    activation is assumed to be Stable-Baselines3's default, ReLU for a DQN and tanh for a PPO.
+    The statistics of a `VecNormalize` are in no checkpoint.
 
     Args:
         checkpoint: The zip that Stable-Baselines3 saved.
@@ -49,21 +70,28 @@ def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[st
         observations and ties of the check, as `export` returns them.
 
     Raises:
-        ModelError: The checkpoint is no zip of a DQN with an MLP that fits; nothing is written.
+        ModelError: The checkpoint is no zip of a DQN or PPO with an MLP that fits; nothing is
+            written.
         RunFolderError: The output cannot be written.
     """
-    digest, weights = _read(checkpoint)
-    network = network_of(_layers(checkpoint, weights))
-    layers = layers_of(network)
-    sizes = [OBSERVED, *(bias.size for _, bias in layers)]
+    read = _read(checkpoint)
+    numbered, usual = _deciding(checkpoint, _tensors(checkpoint, read.weights))
+    said = _activation(checkpoint, read.data, usual)
+    network = network_of(_layers(checkpoint, numbered), KINDS[said or usual])
+    sizes = [OBSERVED, *(bias.size for _, bias in layers_of(network))]
     provenance = {
         "source": f"{checkpoint.name}, a Stable-Baselines3 checkpoint",
-        "source_sha256": digest,
-        "activation": "ReLU (assumed)",
+        "source_sha256": read.sha256,
+        "activation": said or f"{usual} (assumed)",
     }
     scenes = np.concatenate([_seen(seed) for seed in CHECKED_SEEDS])
     checked = export(network, output, {**provenance, **facts}, scenes)
-    return {"sizes": sizes, "activation": provenance["activation"], "sha256": digest, **checked}
+    return {
+        "sizes": sizes,
+        "activation": provenance["activation"],
+        "sha256": read.sha256,
+        **checked,
+    }
 
 
 def _seen(seed: int) -> Observations:
@@ -73,8 +101,8 @@ def _seen(seed: int) -> Observations:
     return observations
 
 
-def _read(path: Path) -> tuple[str, bytes]:
-    """The hash of a checkpoint, and its `policy.pth`."""
+def _read(path: Path) -> Checkpoint:
+    """The hash of a checkpoint, and what is read of it."""
     try:
         with path.open("rb") as file:
             if file.seek(0, 2) > FILE_LIMIT_BYTES:
@@ -83,68 +111,123 @@ def _read(path: Path) -> tuple[str, bytes]:
                 raise ModelError(f"{path}: is no zip; expected what Stable-Baselines3 saves")
             file.seek(0)
             digest = sha256(file.read()).hexdigest()
-            members = _members(path, file)
-            if WEIGHTS not in members:
-                found = ", ".join(sorted(members)[:8]) or "nothing"
+            members = _members(f"{path}: ", file)
+            for name, limit in LIMITS_BYTES.items():
+                read = [info for info in members if info.filename == name]
+                if len(read) > 1:
+                    raise ModelError(f"{path}: {name} is in it {len(read)} times")
+                _check_size(path, name, read, limit)
+            names = [info.filename for info in members]
+            if WEIGHTS not in names:
+                found = ", ".join(sorted(names)[:8]) or "nothing"
                 raise ModelError(f"{path}: has no {WEIGHTS}; it holds: {found}")
             with ZipFile(file) as archive:
-                return digest, archive.read(WEIGHTS)
+                data = archive.read(DATA) if DATA in names else b""
+                return Checkpoint(digest, archive.read(WEIGHTS), data)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (BadZipFile, RuntimeError, NotImplementedError, EOFError, struct.error) as error:
-        raise ModelError(f"{path}: {WEIGHTS} cannot be unpacked: {error}") from error
+        raise ModelError(f"{path}: {WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
 
 
-def _members(path: Path, file: IO[bytes], inside: str = "") -> dict[str, ZipInfo]:
-    """What a zip holds, by name, once it is found to unpack to something reasonable.
+def _members(place: str, file: IO[bytes]) -> list[ZipInfo]:
+    """What a zip holds, once it is found not to hold very many things."""
+    with ZipFile(file) as archive:
+        members = archive.infolist()
+    if len(members) > MEMBERS_LIMIT:
+        raise ModelError(f"{place}{len(members):,} members; expected at most {MEMBERS_LIMIT:,}")
+    return members
+
+
+def _check_size(path: Path, name: str, members: list[ZipInfo], limit: int) -> None:
+    """Refuses members, of a zip called `name` or one of that name, that would unpack to too much.
 
     Raises:
-        ModelError: It has too many members, or one that matters is too large.
+        ModelError: They would.
     """
-    place = f"{path}: {inside}" if inside else f"{path}: "
-    with ZipFile(file) as archive:
-        infos = archive.infolist()
-    if len(infos) > MEMBERS_LIMIT:
-        raise ModelError(f"{place}{len(infos):,} members; expected at most {MEMBERS_LIMIT:,}")
-    read = [info for info in infos if inside or info.filename == WEIGHTS]
-    if not inside and len(read) > 1:
-        raise ModelError(f"{place}{WEIGHTS} is in it {len(read)} times")
-    unpacked = sum(info.file_size for info in read)
-    if unpacked > WEIGHTS_LIMIT_BYTES:
+    unpacked = sum(info.file_size for info in members)
+    if unpacked > limit:
         raise ModelError(
-            f"{place}{WEIGHTS} unpacks to {unpacked:,} bytes; "
-            f"a policy may have {WEIGHTS_LIMIT_BYTES:,} at most"
+            f"{path}: {name} unpacks to {unpacked:,} bytes; a policy's may have {limit:,} at most"
         )
-    for info in read:
+    for info in members:
         if info.file_size > RATIO_LIMIT * max(info.compress_size, 1):
+            place = name if info.filename == name else f"{name}: {info.filename}"
             raise ModelError(
-                f"{place}{info.filename} unpacks to more than {RATIO_LIMIT} times its size; "
-                "weights do not"
+                f"{path}: {place} unpacks to more than {RATIO_LIMIT} times its size; "
+                "what Stable-Baselines3 saves does not"
             )
-    return {info.filename: info for info in infos}
 
 
-def _layers(path: Path, weights: bytes) -> Layers:
-    """The layers of the Q-network in a `policy.pth`."""
-    tensors = _tensors(path, weights)
-    network: dict[int, dict[str, torch.Tensor]] = {}
-    for name, tensor in tensors.items():
-        if match := _LAYER.fullmatch(name):
-            network.setdefault(int(match[1]), {})[match[2]] = tensor
-    if any(name.startswith("q_net.features_extractor.") for name in tensors):
+def _activation(path: Path, data: bytes, usual: str) -> str | None:
+    """The activation between layers, as torch calls it; none where `data` cannot be read.
+
+    Args:
+        path: The checkpoint.
+        data: Its `data`, of which only text is looked at.
+        usual: What it is where nothing is said.
+
+    Raises:
+        ModelError: It is one that cannot be exported.
+    """
+    try:
+        said = json.loads(data)["policy_kwargs"].get("activation_fn")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return None
+    if said is None:
+        return usual
+    match = _ACTIVATION.fullmatch(str(said))
+    if match is None or match[1] not in KINDS:
+        raise ModelError(
+            f"{path}: has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}"
+        )
+    return match[1]
+
+
+def _deciding(
+    path: Path, tensors: dict[str, torch.Tensor]
+) -> tuple[dict[int, dict[str, torch.Tensor]], str]:
+    """The layers of the network that decides, by their places, and its usual activation."""
+    if any("features_extractor." in name for name in tensors):
         raise ModelError(
             f"{path}: looks at its observations through a features extractor with weights, as "
             "CnnPolicy does; expected MlpPolicy"
         )
-    if not network:
-        found = ", ".join(list(tensors)[:4]) or "no tensors"
-        raise ModelError(f"{path}: has no Q-network of a DQN; {WEIGHTS} holds: {found}")
+    if q_network := _matching(_Q_LAYER, tensors):
+        return q_network, "ReLU"
+    logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
+    policy = _matching(_POLICY_LAYER, tensors)
+    patterns = (_POLICY_LAYER, _LOGITS, _VALUES)
+    other = [name for name in tensors if not any(each.fullmatch(name) for each in patterns)]
+    if not logits or other:
+        found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
+        raise ModelError(
+            f"{path}: has neither the Q-network of a DQN nor just the policy and the values of a "
+            f"PPO; {WEIGHTS} holds: {found}"
+        )
+    policy[max(policy, default=-2) + 2] = logits
+    return policy, "Tanh"
+
+
+def _matching(
+    pattern: re.Pattern[str], tensors: dict[str, torch.Tensor]
+) -> dict[int, dict[str, torch.Tensor]]:
+    """Weight and bias of the layers whose names match, by their places."""
+    found: dict[int, dict[str, torch.Tensor]] = {}
+    for name, tensor in tensors.items():
+        if match := pattern.fullmatch(name):
+            found.setdefault(int(match[1]), {})[match[2]] = tensor
+    return found
+
+
+def _layers(path: Path, network: dict[int, dict[str, torch.Tensor]]) -> Layers:
+    """The layers as arrays, once they are found to make a network."""
     # Linear layers at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
         set(parts) != {"weight", "bias"} for parts in network.values()
     ):
         raise ModelError(
-            f"{path}: its Q-network is not made of linear layers with activations between them; "
+            f"{path}: its network is not made of linear layers with activations between them; "
             f"it has weights at {sorted(network)}"
         )
     layers: Layers = []
@@ -187,7 +270,8 @@ def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
     """The tensors of a `policy.pth`; nothing but tensors is ever made."""
     if not is_zipfile(BytesIO(weights)):
         raise ModelError(f"{path}: {WEIGHTS} is not in torch's format of 2020 and later")
-    _members(path, BytesIO(weights), f"{WEIGHTS}: ")
+    members = _members(f"{path}: {WEIGHTS}: ", BytesIO(weights))
+    _check_size(path, WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
     try:
         loaded = torch.load(BytesIO(weights), weights_only=True, map_location="cpu")
     except Exception as error:  # whatever torch finds wrong with it
