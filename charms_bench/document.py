@@ -59,16 +59,7 @@ class Document:
         try:
             return model.model_validate(self.data, context={"folder": self.path.parent})
         except ValidationError as error:
-            problems = error.errors(include_url=False)
-            first = problems[0]
-            found = _shortened(first["input"])
-            what = first["msg"].removeprefix("Value error, ")
-            if first["type"] == "extra_forbidden":
-                what = "unknown key"
-            elif first["type"] != "missing":
-                what = f"{what}, found {found}"
-            more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
-            raise self.error(first["loc"], what + more) from error
+            raise self.error(*first_problem(error)) from error
 
     def error(self, location: Location, what: str) -> SuiteError:
         """The error of what stands at a location."""
@@ -98,6 +89,20 @@ class Document:
         elif isinstance(node, yaml.SequenceNode):
             for value in node.value:
                 self._refuse_repeated_keys(value)
+
+
+def first_problem(error: ValidationError) -> tuple[Location, str]:
+    """Where the first thing stands that a model finds wrong, and what to say of it."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    found = _shortened(first["input"])
+    what = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        what = "unknown key"
+    elif first["type"] != "missing":
+        what = f"{what}, found {found}"
+    more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
+    return first["loc"], what + more
 
 
 def _child(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charms_bench.agent import ACTIONS, Actions, Agent, Observations
 from charms_bench.errors import InputError
-from charms_bench.observation import neighbours
+from charms_bench.observation import EGO, SPEED_SCALE_MPS, Y_SCALE_M, neighbours
 from charms_bench.scene import Bools, Floats, Ints, SceneSettings
 from charms_bench.simulation import RUNNING, TIME, Simulation
 from charms_bench.traffic import Traffic
@@ -39,6 +39,21 @@ class EpisodesState(NamedTuple):
     """[B] decisions made."""
     actions: NDArray[np.int8]
     """[B, decisions] the ego's actions; the first `steps` of a row count."""
+
+
+def spaces_of(settings: SceneSettings) -> tuple[spaces.Space[Any], spaces.Discrete]:
+    """The observations and the actions of an ego, as Gymnasium describes them.
+
+    All that it sees of its neighbours is clipped to [-1, 1]; its own place across the road and its
+    own velocity are given bounds of twice what they reach while it drives.
+    """
+    profile = settings.profile
+    targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
+    fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
+    high = np.ones((7, 5), dtype=np.float32)
+    high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
+    high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
+    return spaces.Box(-high, high, dtype=np.float32), spaces.Discrete(len(ACTIONS))
 
 
 class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
@@ -71,8 +86,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         first_seed: int = 0,
     ) -> None:
         self.num_envs = scenes
-        self.single_observation_space = spaces.Box(-np.inf, np.inf, (7, 5), np.float32)
-        self.single_action_space = spaces.Discrete(len(ACTIONS))
+        self.single_observation_space, self.single_action_space = spaces_of(settings)
         self.observation_space = batch_space(self.single_observation_space, scenes)
         self.action_space = batch_space(self.single_action_space, scenes)
         self.simulation = Simulation(settings, scenes, None, traffic, agents)
