@@ -178,6 +178,16 @@ def test_check_of_an_unknown_name_is_a_mistake() -> None:
     assert (result.returncode, "no agent named 'nobody'" in result.stderr) == (2, True)
 
 
+def test_a_new_agent_is_written_with_what_to_do_next(tmp_path: Path) -> None:
+    result = charms_bench("new-agent", "tailgater", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Next: cd tailgater && pip install . pytest && pytest && charms-b" in result.stdout
+    assert (tmp_path / "tailgater" / "tests" / "test_tailgater.py").exists()
+    result = charms_bench("new-agent", "tailgater", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "error: tailgater: is not empty" in result.stderr
+
+
 def test_a_traffic_says_whom_it_gives_vehicles(tmp_path: Path) -> None:
     figure = tmp_path / "pch.svg"
     result = charms_bench("traffic", "pch", "--tau=0", "--beta", "0.25", "--figure", figure)

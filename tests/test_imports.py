@@ -17,7 +17,7 @@ LAYERS = (
     {"scene"},
     {"agent", "traffic"},
     {"registry", "observation", "document", "engine", "metrics", "onnx_policy", "following"},
-    {"suite", "stats", "simulation", "criticality", "divergence"},
+    {"suite", "stats", "simulation", "criticality", "divergence", "scaffold"},
     {"recording", "results", "testing", "vector_env", "paired", "highway_reward"},
     {"figures"},
     {"human", "metric_sets", "ego_env"},

@@ -13,6 +13,7 @@ from charms_bench.errors import CharmsBenchError
 # isort: off
 from charms_bench.cli import run  # noqa: F401
 from charms_bench.cli import plugins  # noqa: F401
+from charms_bench.cli import new_agent  # noqa: F401
 from charms_bench.cli import engines  # noqa: F401
 from charms_bench.cli import episodes  # noqa: F401
 from charms_bench.cli import compare  # noqa: F401
