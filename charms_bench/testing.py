@@ -11,6 +11,8 @@ In a plugin's own tests:
 A rule raises AssertionError with what was found and what was expected.
 """
 
+import pickle
+import time
 from collections.abc import Callable
 from functools import partial, update_wrapper
 from typing import Any
@@ -27,6 +29,8 @@ from charms_bench.traffic import Traffic
 Rule = Callable[[], None]
 _SCENES = 16
 _WRITABLE = {"timer_s"}
+SLOW_MS = 3.0
+"""A vehicle's decision that takes longer, among many; networks of 256-256 units take 0.002."""
 
 
 def example_scene(seed: int = 0) -> Scene:
@@ -62,6 +66,7 @@ def agent_rules(agent: Agent) -> list[Rule]:
             model_drives_the_same_again,
             model_leaves_the_scene_alone,
         ]
+    rules += [agent_answers_the_same_in_another_process, agent_answers_in_time]
     return [_bound(rule, agent) for rule in rules]
 
 
@@ -158,6 +163,27 @@ def model_leaves_the_scene_alone(model: DriverModel) -> None:
         assert same, f"drive changed scene.{name}"
 
 
+def agent_answers_the_same_in_another_process(agent: Agent) -> None:
+    """It can be pickled, and what comes of that answers the same."""
+    try:
+        copy = pickle.loads(pickle.dumps(agent))
+    except Exception as error:  # whatever a class does wrong
+        raise AssertionError(f"cannot be pickled: {type(error).__name__}: {error}") from error
+    same = _asked(agent)() == _asked(copy)()
+    assert same.all(), f"{(~same).sum()} answers differ once it has been pickled"
+
+
+def agent_answers_in_time(agent: Agent) -> None:
+    """Asked about many vehicles, it takes at most 3 ms a vehicle; the best of three times."""
+    ask = _asked(agent)
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        answers = ask()
+        took.append((time.perf_counter() - start) * 1e3 / answers.shape[-1])
+    assert min(took) <= SLOW_MS, f"takes {min(took):.1f} ms a vehicle; expected {SLOW_MS} at most"
+
+
 def traffic_assigns_its_agents(traffic: Traffic) -> None:
     """`assign` returns names of `agents`, one a vehicle of each scene."""
     names = np.asarray(traffic.assign(np.random.default_rng(0), 50, 20))
@@ -175,6 +201,15 @@ def traffic_follows_its_rng(traffic: Traffic) -> None:
 def _observations(policy: Policy) -> Observations:
     scene = example_scene()
     return OBSERVATIONS[policy.observation](scene, _everyone(scene))
+
+
+def _asked(agent: Agent) -> Callable[[], NDArray[Any]]:
+    """Asks an agent about every vehicle of the example scenes."""
+    if isinstance(agent, Policy):
+        observations = _observations(agent)
+        return lambda: np.array(agent.decide(observations.copy()))
+    scene = example_scene()
+    return lambda: _answer(agent, scene, _everyone(scene))
 
 
 def _everyone(scene: Scene) -> Vehicles:

@@ -134,3 +134,35 @@ def test_a_traffic_that_assigns_strangers_is_found() -> None:
 
     with pytest.raises(AssertionError, match=r"assigned \['stranger'\]"):
         testing.traffic_assigns_its_agents(Strange())
+
+
+def test_an_agent_that_cannot_go_to_another_process_is_found() -> None:
+    policy = Decides(lambda observations: np.ones(len(observations), dtype=np.int64))
+    with pytest.raises(AssertionError, match=r"cannot be pickled: .*lambda"):
+        testing.agent_answers_the_same_in_another_process(policy)
+
+
+class Forgetful(Policy):
+    """Loses what it was made with on the way to another process."""
+
+    action = 1
+
+    def decide(self, observations: Observations) -> Actions:
+        return np.full(len(observations), self.action)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"lost": True}
+
+
+def test_an_agent_that_is_another_in_another_process_is_found() -> None:
+    policy = Forgetful()
+    testing.agent_answers_the_same_in_another_process(policy)
+    policy.action = 2
+    with pytest.raises(AssertionError, match="336 answers differ once it has been pickled"):
+        testing.agent_answers_the_same_in_another_process(policy)
+
+
+def test_an_agent_that_takes_its_time_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(testing, "SLOW_MS", 0.0)
+    with pytest.raises(AssertionError, match=r"ms a vehicle; expected 0\.0 at most"):
+        testing.agent_answers_in_time(Forgetful())
