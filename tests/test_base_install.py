@@ -34,13 +34,14 @@ def charms_bench(environment: dict[str, str], *arguments: str) -> str:
 def test_the_ego_suite_runs_with_every_row(without_torch: dict[str, str], tmp_path: Path) -> None:
     options = ["--episodes", "6", "--json", "--output", str(tmp_path / "run")]
     rows = json.loads(charms_bench(without_torch, "run", str(SUITE), *options))
-    assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg", "Prior Level-k"}
+    learnt = {"Imitation Learning", "Prior Level-k", "CHARMS"}
+    assert {row["agent"] for row in rows} == {"IDM+MOBIL", "Stackelberg"} | learnt
 
 
 def test_every_agent_of_the_project_can_be_made(without_torch: dict[str, str]) -> None:
     listed = json.loads(charms_bench(without_torch, "agents", "--json"))
     ours = [row["name"] for row in listed if row["distribution"] == "charms-bench"]
-    assert {"idm_mobil", "stackelberg", "level_0", "prior_level_k"} <= set(ours)
+    assert {"idm_mobil", "stackelberg", "imitation", "prior_level_k", "charms"} <= set(ours)
     for name in ours:
         charms_bench(without_torch, "check", name)
 

@@ -6,8 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from charms_agents.training.settings import EPISODES_OF_A_SEED, FIRST_TRAINING_SEED, load_training
+from charms_agents.charms import STYLES
+from charms_agents.training.settings import (
+    EPISODES_OF_A_SEED,
+    FIRST_TRAINING_SEED,
+    Human,
+    load_training,
+)
 
+from charms_bench.human.highd import find_trios
+from charms_bench.human.samples import fingerprint
 from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.registry import make_agent
 
@@ -15,6 +23,9 @@ PROJECT = Path(__file__).parents[2]
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
 SUITE = load_training(PROJECT / "suites" / "train.yaml")
 STAGES = tuple(SUITE.stages)
+HUMAN_STAGES = tuple(SUITE.human_stages)
+ALL = (*STAGES, *HUMAN_STAGES)
+US101 = PROJECT.parent / "shared" / "data" / "us101_highd_format"
 
 
 def manifest(name: str) -> dict[str, Any]:
@@ -26,11 +37,16 @@ def sha256(name: str) -> str:
     return hashlib.sha256((POLICIES / f"{name}.onnx").read_bytes()).hexdigest()
 
 
-@pytest.mark.parametrize("name", STAGES)
+def human() -> Human:
+    assert SUITE.human is not None
+    return SUITE.human
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_each_is_small_and_the_one_its_manifest_describes(name: str) -> None:
     assert (POLICIES / f"{name}.onnx").stat().st_size < 1_000_000
     assert manifest(name)["onnx_sha256"] == sha256(name)
-    assert manifest(name)["export_check"]["observations"] >= 10_000
+    assert manifest(name)["export_check"]["observations"] >= 9_000
     assert OnnxPolicy(POLICIES / f"{name}.onnx").weights_sha256 == sha256(name)
 
 
@@ -54,7 +70,32 @@ def test_each_learnt_among_the_packaged_one_it_was_trained_against(name: str) ->
     assert manifest(name)["traffic"]["weights_sha256"] == expected
 
 
-def test_prior_level_k_is_the_packaged_network() -> None:
-    agent = make_agent("prior_level_k")
-    assert isinstance(agent, OnnxPolicy)
-    assert agent.weights_sha256 == sha256("prior_level_k")
+@pytest.mark.parametrize("name", HUMAN_STAGES)
+def test_each_learnt_from_people_as_the_suite_says(name: str) -> None:
+    stage, made = human().stages[name], manifest(name)
+    assert made["supervised"] == human().settings_of(stage).inputs
+    assert made["samples"]["settings"] == human().samples.model_dump(mode="json")
+    if stage.fine_tunes is not None:
+        start = {"stage": stage.fine_tunes, "weights_sha256": sha256(stage.fine_tunes)}
+        assert made["starts_from"] == start
+
+
+@pytest.mark.skipif(not US101.is_dir(), reason="needs ../shared/data, human recordings")
+def test_all_learnt_from_the_same_recordings_of_us_101() -> None:
+    expected = fingerprint(find_trios(US101), human().samples)
+    assert {manifest(name)["samples"]["fingerprint"] for name in HUMAN_STAGES} == {expected}
+
+
+@pytest.mark.parametrize("name", HUMAN_STAGES)
+def test_learning_from_people_made_each_decide_more_like_them(name: str) -> None:
+    before, after = manifest(name)["before"], manifest(name)["after"]
+    assert after["agreement"] > before["agreement"]
+    assert after["log_likelihood"] > before["log_likelihood"]
+
+
+@pytest.mark.parametrize("agent", ["imitation", "prior_level_k", "prior_level_k_safe", *STYLES])
+def test_each_agent_is_its_packaged_network(agent: str) -> None:
+    stage = "charms_{}_{}".format(*STYLES[agent]) if agent in STYLES else agent
+    made = make_agent(agent)
+    assert isinstance(made, OnnxPolicy)
+    assert made.weights_sha256 == sha256(stage)

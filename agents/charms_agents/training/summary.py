@@ -66,7 +66,6 @@ def rendered(table: pl.DataFrame) -> Table:
     for column, justify in {
         "stage": "left",
         "time": "right",
-        "steps": "right",
         "steps/s": "right",
         "return": "right",
         "crashed": "right",
@@ -78,7 +77,6 @@ def rendered(table: pl.DataFrame) -> Table:
         shown.add_row(
             row["stage"],
             f"{row['wall_s'] / 60:.1f} min",
-            _number(row["steps"], ",d"),
             _number(row["steps_per_s"], ",.0f"),
             _number(row["return"], ".1f"),
             _number(row["crashed"], ".0%"),
