@@ -6,6 +6,7 @@
     gymnasium.make("charms_bench/Ego-v0", traffic="pch", density=1.5)
     gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
 
+`charms_bench.ego_env:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
 What both take beside a traffic and a reward are the keys of a suite's `scene`.
 """
 

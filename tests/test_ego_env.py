@@ -1,5 +1,7 @@
 """`charms_bench/Ego-v0`: accepted by the checkers, and the same episodes as a run's."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -116,6 +118,22 @@ def test_seeds_reproduce_and_without_one_the_next_episode_follows_from_the_last_
     assert runs[0] == runs[1]
     assert len(set(runs[0])) == 4
     assert all(seed >= EVALUATION_SEEDS for seed in runs[0][1:])
+
+
+def test_gymnasium_imports_what_registers_it_when_its_name_says_so() -> None:
+    code = (
+        "import gymnasium, sys; assert 'charms_bench' not in sys.modules;"
+        "print(gymnasium.make('charms_bench.ego_env:charms_bench/Ego-v0').reset()[0].shape)"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert finished.stdout == "(7, 5)\n", finished.stderr
+
+
+@pytest.mark.parametrize("mode", ["sync", "vector_entry_point"])
+def test_gymnasium_makes_many_either_way(mode: str) -> None:
+    many = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, **SHORT)
+    assert many.reset(seed=0)[0].shape == (2, 7, 5)
+    assert many.step(np.array([IDLE, FASTER]))[1].shape == (2,)
 
 
 def test_without_a_seed_two_environments_do_not_repeat_each_other() -> None:
