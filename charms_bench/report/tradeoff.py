@@ -24,7 +24,7 @@ class Tradeoff(NamedTuple):
     """A metric that is a share, drawn upwards."""
     share_label: str
     names: str
-    """Whose names stand at the points: `agent` or `traffic`."""
+    """Whose names the points' numbers stand for: `agent` or `traffic`."""
 
 
 OF_EGOS = Tradeoff("speed_mean", "mean speed, m/s", "crashed_episodes", "episodes crashed", "agent")
@@ -49,7 +49,8 @@ def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS)
         InputError: The file's ending is not a format's, or it cannot be written.
     """
     cells = _cells(long, tradeoff)
-    figure, (axes,) = panels(1, 8.0, 5.2)
+    names = cells[tradeoff.names].unique(maintain_order=True).to_list()
+    figure, (axes,) = panels(1, 8.6, 5.2)
     texts: list[Annotation] = []
     grouped = "traffic" if tradeoff.names == "agent" else "agent"
     groups = cells[grouped].unique(maintain_order=True).to_list()
@@ -69,7 +70,8 @@ def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS)
             label=group,
         )
         for name, left, up in zip(part[tradeoff.names], x, y, strict=True):
-            texts.append(axes.annotate(name, (left, up), fontsize=8, color=colour))
+            number = str(names.index(name) + 1)
+            texts.append(axes.annotate(number, (left, up), fontsize=8, color=colour))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(_root, np.square))
     top = axes.get_ylim()[1]
@@ -78,8 +80,10 @@ def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS)
     axes.margins(x=0.12)
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
     axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label} (square-root scale)")
+    listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
+    axes.text(1.02, 1.0, listed, transform=axes.transAxes, va="top", fontsize=8, linespacing=1.5)
     if len(groups) > 1:
-        axes.legend(title=grouped, frameon=False, fontsize=8)
+        axes.legend(title=grouped, frameon=False, fontsize=8, loc="upper left")
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
     save(figure, path)
@@ -91,7 +95,7 @@ def _place(texts: list[Annotation]) -> None:
     for text in sorted(texts, key=lambda text: text.get_window_extent().y0):
         up = 4
         while True:
-            text.set_position((6, up))
+            text.set_position((5, up))
             text.set_anncoords("offset points")
             box = text.get_window_extent()
             if not any(box.overlaps(other) for other in taken):

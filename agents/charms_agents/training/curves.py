@@ -49,7 +49,7 @@ def _figure(panels: Mapping[str, Mapping[str, pl.DataFrame]]) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0 * len(panels), 4.0), layout="constrained")
+    figure = Figure(figsize=(5.6 * len(panels), 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     (row,) = figure.subplots(1, len(panels), squeeze=False)
     for axes, (title, tables) in zip(row, panels.items(), strict=True):
@@ -59,5 +59,5 @@ def _figure(panels: Mapping[str, Mapping[str, pl.DataFrame]]) -> Any:
             axes.plot(points[x], points[y], label=name.replace("_", " "), linewidth=1.2)
         axes.set(title=title, xlabel=x, ylabel=y.removesuffix("_mean"))
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=7)
+        axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
