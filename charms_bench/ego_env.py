@@ -50,6 +50,7 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
 
     Raises:
         InputError: The traffic is not installed, or the scene cannot be.
+        TypeError: It is asked to be drawn; Stable-Baselines3 then asks again without.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
@@ -60,6 +61,8 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         reward: Reward[Any] | None = None,
         **scene: Any,
     ) -> None:
+        if "render_mode" in scene:
+            raise TypeError("episodes are not drawn: render_mode; `charms-bench replay` draws them")
         settings = _settings(scene)
         self.observation_space, self.action_space = spaces_of(settings)
         self.simulation = Simulation(settings, 1, None, *_drivers(traffic))

@@ -66,6 +66,13 @@ def test_stable_baselines_checker_has_nothing_to_say_but_that_it_likes_flat_obse
     assert len(said) == 1
 
 
+@pytest.mark.filterwarnings("ignore:.*being initialised with render_mode='rgb_array'")
+def test_stable_baselines_own_helper_makes_some() -> None:
+    helper = pytest.importorskip("stable_baselines3.common.env_util")
+    some = helper.make_vec_env(ID, 2, seed=0, env_kwargs=SHORT)
+    assert some.reset().shape == (2, 7, 5)
+
+
 @pytest.mark.parametrize("profile", PROFILES)
 def test_what_the_ego_sees_lies_in_the_space_until_the_last_step(profile: str) -> None:
     env = made(profile=profile, density=2.0)

@@ -103,13 +103,13 @@ def test_an_option_counts_as_an_input_only_where_it_is_used() -> None:
 
 
 def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
-    file = changed(tmp_path, "variants", value={"calm": {"learning_rate": 2e-4}})
+    file = changed(tmp_path, "variants", "calm", value={"learning_rate": 2e-4})
     data = yaml.safe_load(file.read_text())
     data["stages"]["prior_level_k"]["variant"] = "calm"
     file.write_text(yaml.safe_dump(data, sort_keys=False))
     suite = load_training(file)
     rates = {n: suite.hyperparameters_of(s).learning_rate for n, s in suite.stages.items()}
-    assert rates == {"level_1": 1e-4, "prior_level_k": 2e-4}
+    assert (rates["level_1"], rates["prior_level_k"]) == (1e-4, 2e-4)
 
 
 def test_the_papers_suite_has_eight_styles_fine_tuned_as_in_its_table() -> None:

@@ -44,7 +44,7 @@ def test_every_cell_is_named_in_the_tradeoff(tmp_path: Path) -> None:
     write_tradeoff(tmp_path / "t.svg", cells(("A & B", "calm"), ("C", "calm"), ("C", "<busy>")))
     svg = (tmp_path / "t.svg").read_text()
     for name in ("A &amp; B", "C", "&lt;busy&gt;"):
-        assert f"  {name} -->" in svg
+        assert f" {name} -->" in svg
 
 
 def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:
