@@ -6,12 +6,15 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from charms_bench.errors import InputError
 from charms_bench.results import write_atomically
 
 ENDINGS = (".pdf", ".png", ".svg")
 BLUE, GREY = "#2b6ca3", "#b9c2cb"
+INK = "#1a1a1a"
+"""On light fields of colour, whatever is behind the figure."""
 
 
 def check_figure(path: Path) -> None:
@@ -34,6 +37,12 @@ def panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[An
     return figure, list(row)
 
 
+def take_text_as_it_is(figure: Figure) -> None:
+    """Has names with dollar signs in them drawn, not read as formulas."""
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+
+
 def save(figure: Figure, path: Path) -> None:
     """Writes a figure in the format of the file's ending.
 
@@ -41,5 +50,6 @@ def save(figure: Figure, path: Path) -> None:
         InputError: The ending is not a format's, or the file cannot be written.
     """
     check_figure(path)
+    take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")
     write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from matplotlib.figure import Figure
 
-from charms_bench.figures import panels, save
+from charms_bench.figures import INK, panels, save
 from charms_bench.results import write_atomically
 from charms_bench.scene import Floats
 
@@ -28,6 +29,36 @@ def write_matrices(markdown: Path, figure: Path, long: pl.DataFrame) -> None:
     Raises:
         InputError: A file cannot be written.
     """
+    egos, traffics, found = _found(long)
+    text = "\n".join(_markdown(metric, found[metric], egos, traffics) for metric in SHOWN)
+    write_atomically(markdown, lambda path: path.write_bytes(text.encode()))
+    save(draw_matrices(long), figure)
+
+
+def draw_matrices(long: pl.DataFrame) -> Figure:
+    """The matrices of a table as heat maps, side by side."""
+    egos, traffics, found = _found(long)
+    drawing, row = panels(len(SHOWN), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
+    for axes, (metric, (title, factor, form, colours)) in zip(row, SHOWN.items(), strict=True):
+        values = found[metric]["value"] * factor
+        corners = (np.arange(len(traffics) + 1) - 0.5, np.arange(len(egos) + 1) - 0.5)
+        axes.pcolormesh(*corners, values, cmap=colours)
+        axes.invert_yaxis()
+        axes.spines[:].set_visible(False)
+        axes.set_xticks(range(len(traffics)), traffics, rotation=30, ha="right", fontsize=8)
+        axes.set_yticks(range(len(egos)), egos if axes is row[0] else [], fontsize=8)
+        axes.set_title(title, fontsize=9)
+        dark = np.nanmin(values) + 0.6 * np.ptp(values[~np.isnan(values)])
+        for (i, j), value in np.ndenumerate(values):
+            colour = "white" if value > dark else INK
+            axes.text(j, i, form.format(value), ha="center", va="center", color=colour, fontsize=8)
+    return drawing
+
+
+def _found(
+    long: pl.DataFrame,
+) -> tuple[list[str], list[str], dict[str, dict[str, Floats]]]:
+    """Egos, traffics, and the matrices by metric and number."""
     standard = long.filter(pl.col("metric_set").str.starts_with("standard-"))
     egos = standard["agent"].unique(maintain_order=True).to_list()
     traffics = standard["traffic"].unique(maintain_order=True).to_list()
@@ -38,21 +69,7 @@ def write_matrices(markdown: Path, figure: Path, long: pl.DataFrame) -> None:
         }
         for metric in SHOWN
     }
-    text = "\n".join(_markdown(metric, found[metric], egos, traffics) for metric in SHOWN)
-    write_atomically(markdown, lambda path: path.write_bytes(text.encode()))
-    drawing, row = panels(len(SHOWN), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
-    for axes, (metric, (title, factor, form, colours)) in zip(row, SHOWN.items(), strict=True):
-        values = found[metric]["value"] * factor
-        axes.imshow(values, cmap=colours, aspect="auto")
-        axes.spines[:].set_visible(False)
-        axes.set_xticks(range(len(traffics)), traffics, rotation=30, ha="right", fontsize=8)
-        axes.set_yticks(range(len(egos)), egos if axes is row[0] else [], fontsize=8)
-        axes.set_title(title, fontsize=9)
-        dark = np.nanmin(values) + 0.6 * np.ptp(values[~np.isnan(values)])
-        for (i, j), value in np.ndenumerate(values):
-            colour = "white" if value > dark else "black"
-            axes.text(j, i, form.format(value), ha="center", va="center", color=colour, fontsize=8)
-    save(drawing, figure)
+    return egos, traffics, found
 
 
 def _matrix(rows: pl.DataFrame, name: str, egos: list[str], traffics: list[str]) -> Floats:

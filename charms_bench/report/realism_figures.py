@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from charms_bench.figures import GREY, panels, save
 from charms_bench.following import QUANTITIES
@@ -25,17 +26,21 @@ def draw_realism(
     """Draws `<name>-speed.png` and `<name>-dhw.png`, where there is a reference, into a folder."""
     drawn = []
     for quantity in QUANTITIES:
-        people = {each.name: each.counts(quantity) for each in references}
-        recorded = {name: counts for name, counts in people.items() if counts is not None}
-        if recorded:
+        if people := recorded(quantity, references):
             drawn.append(folder / f"{name}-{quantity}.png")
-            _draw(drawn[-1], quantity, traffics, recorded)
+            save(draw_distributions(quantity, traffics, people), drawn[-1])
     return drawn
 
 
-def _draw(
-    path: Path, quantity: str, traffics: Sequence[TrafficCounts], people: Mapping[str, Floats]
-) -> None:
+def recorded(quantity: str, references: Sequence[Reference]) -> dict[str, Floats]:
+    """The counts [BINS] of the references that have the quantity, by their names."""
+    people = {each.name: each.counts(quantity) for each in references}
+    return {name: counts for name, counts in people.items() if counts is not None}
+
+
+def draw_distributions(
+    quantity: str, traffics: Sequence[TrafficCounts], people: Mapping[str, Floats]
+) -> Figure:
     """A panel a reference: its density filled, each traffic's a line, on the bins of KL."""
     width, unit = COARSE_BIN[quantity], UNIT[quantity]
     lines = [_density(traffic.of_quantity(quantity).sum(axis=0), quantity) for traffic in traffics]
@@ -63,7 +68,7 @@ def _draw(
     figure.suptitle(TITLE[quantity], fontsize=11)
     named = axes[0].get_legend_handles_labels()
     figure.legend(*named, loc="outside lower center", ncols=min(len(named[1]), 3), frameon=False)
-    save(figure, path)
+    return figure
 
 
 def _density(counts: Floats, quantity: str) -> Floats:

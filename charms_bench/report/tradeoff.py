@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 import polars as pl
+from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
-from charms_bench.figures import panels, save
+from charms_bench.figures import panels, save, take_text_as_it_is
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COLOURS = ("#2b6ca3", "#c1502e", "#4d8b31", "#8a5fa8", "#b5892b", "#3a9a96", "#7a7a7a")
@@ -38,15 +39,20 @@ OF_TRAFFICS = Tradeoff(
 
 
 def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> None:
-    """Draws the cells of a table with their 95 % intervals.
-
-    Args:
-        path: The figure's file.
-        long: `tables.LONG_SCHEMA`.
-        tradeoff: What is drawn.
+    """Writes what `draw_tradeoff` draws.
 
     Raises:
         InputError: The file's ending is not a format's, or it cannot be written.
+    """
+    save(draw_tradeoff(long, tradeoff), path)
+
+
+def draw_tradeoff(long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> Figure:
+    """The cells of a table with their 95 % intervals.
+
+    Args:
+        long: `tables.LONG_SCHEMA`.
+        tradeoff: What is drawn.
     """
     cells = _cells(long, tradeoff)
     names = cells[tradeoff.names].unique(maintain_order=True).to_list()
@@ -84,9 +90,10 @@ def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS)
     axes.text(1.02, 1.0, listed, transform=axes.transAxes, va="top", fontsize=8, linespacing=1.5)
     if len(groups) > 1:
         axes.legend(title=grouped, frameon=False, fontsize=8, loc="upper left")
+    take_text_as_it_is(figure)
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
-    save(figure, path)
+    return figure
 
 
 def _place(texts: list[Annotation]) -> None:
