@@ -58,14 +58,13 @@ def edge_cases(
     Raises:
         CharmsBenchError: As for `replay.replay`.
     """
-    ranked = _ranked(run, cells)
+    measured = ranked(run, cells)
     if kind is not None:
-        ranked = ranked.filter(IS_OF_KIND[kind])
+        measured = measured.filter(IS_OF_KIND[kind])
     found: list[EdgeCase] = []
-    for row, replayed in _replays(run, ranked, folder):
+    for row, replayed in _replays(run, measured, folder):
         if kind == "abandoned-lane-change" and not gave_way(replayed):
             continue
-        measured = {name: row[name] for name in _MEASURED}
         cell = run.suite.cells[row["cell"]]
         found.append(
             EdgeCase(
@@ -73,7 +72,7 @@ def edge_cases(
                 ego=cell.ego.title,
                 traffic=cell.traffic.title,
                 what=what_happened(replayed, kind),
-                **measured,
+                **{name: row[name] for name in _MEASURED},
             )
         )
         if len(found) == top:
@@ -87,7 +86,8 @@ _MEASURED = (
 )  # fmt: skip
 
 
-def _ranked(run: Run, cells: Sequence[int]) -> pl.DataFrame:
+def ranked(run: Run, cells: Sequence[int]) -> pl.DataFrame:
+    """Every episode of these cells, the most critical first: `criticality`, and its `cell`."""
     rows = run.cells()
     frames = [
         criticality(rows[cell].episodes, rows[cell].steps, run.suite.scene).with_columns(
@@ -100,10 +100,10 @@ def _ranked(run: Run, cells: Sequence[int]) -> pl.DataFrame:
 
 
 def _replays(
-    run: Run, ranked: pl.DataFrame, folder: Path
+    run: Run, measured: pl.DataFrame, folder: Path
 ) -> Iterator[tuple[dict[str, Any], Replay]]:
     """The rows in their order, each with its replay; simulated as far as is asked for."""
-    for part in ranked.iter_slices(AT_ONCE):
+    for part in measured.iter_slices(AT_ONCE):
         replays = {
             (cell, replayed.episode): replayed
             for (cell,), mine in part.group_by("cell")

@@ -8,6 +8,7 @@ here they are 1 m/s and 5 m. Jensen-Shannon is on the same bins, Wasserstein on 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 import polars as pl
@@ -28,20 +29,22 @@ _HEAD = (
     "How far each traffic is from people, with 95 % intervals from resampled episodes; the nearest "
     "of a column is bold. References differ in their speeds and are not pooled."
 )
-_LEGEND = f"""\
-## What the numbers are
-
-- `kl`: Kullback-Leibler divergence of the simulated from the human shares, KL(human || simulated),
-  in nats, with {PSEUDO_COUNT:g} counts added to every bin of both. Where people do what no
-  simulated vehicle does, it grows with the number of episodes. Bins are \
-{COARSE_BIN["speed"]:g} m/s and {COARSE_BIN["dhw"]:g} m wide.
-- `js`: Jensen-Shannon divergence in bits, in the same bins, not smoothed: 0 for the same shares, 1
-  where no bin is shared.
-- `wasserstein`: first Wasserstein distance, m/s or m: how far the one distribution has to be moved,
-  on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide.
-- n: simulated vehicles counted, each at a decision. Intervals are the simulation's alone; that of
-  people, which is wide where few were counted, is not in them.
-"""
+DISTANCES = {
+    "kl": "Kullback-Leibler divergence of the simulated from the human shares, KL(human || "
+    f"simulated), in nats, with {PSEUDO_COUNT:g} counts added to every bin of both. Where people "
+    "do what no simulated vehicle does, it grows with the number of episodes. Bins are "
+    f"{COARSE_BIN['speed']:g} m/s and {COARSE_BIN['dhw']:g} m wide.",
+    "js": "Jensen-Shannon divergence in bits, in the same bins, not smoothed: 0 for the same "
+    "shares, 1 where no bin is shared.",
+    "wasserstein": "first Wasserstein distance, m/s or m: how far the one distribution has to be "
+    f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide.",
+}
+"""What each distance is."""
+RESTS_ON = (
+    "simulated vehicles counted, each at a decision. Intervals are the simulation's alone; that of "
+    "people, which is wide where few were counted, is not in them."
+)
+"""What n counts."""
 SCHEMA: dict[str, pl.DataType] = {
     "traffic": pl.String(),
     "reference": pl.String(),
@@ -170,7 +173,16 @@ def render_realism(long: pl.DataFrame, references: Sequence[Reference]) -> str:
                     f"{TITLE[quantity]}: {definition}. People: n = {human.sum():,.0f}; "
                     f"vehicles: {reference.vehicles:,}.\n\n{_table(rows)}"
                 )
-    return "\n\n".join([*parts, _LEGEND])
+    return "\n\n".join([*parts, _legend()])
+
+
+def _legend() -> str:
+    """What the numbers are, as a list."""
+    lines = [f"`{name}`: {what}" for name, what in DISTANCES.items()] + [f"n: {RESTS_ON}"]
+    items = "\n".join(
+        fill(line, 100, initial_indent="- ", subsequent_indent="  ") for line in lines
+    )
+    return f"## What the numbers are\n\n{items}\n"
 
 
 def _table(rows: pl.DataFrame) -> str:

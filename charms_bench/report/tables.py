@@ -102,10 +102,10 @@ def render_markdown(long: pl.DataFrame, metric_sets: Sequence[MetricSet] = METRI
     """A table a metric set, a cell a row; beneath it what the metrics are."""
     parts = [f"Values with 95 % intervals; {NOTHING} where there is none."]
     for metric_set in metric_sets:
-        columns = _columns(long.filter(metric_set=metric_set.label))
-        header, body = ["agent", "traffic"], [list(cell) for cell in _cells(long)]
+        columns = by_metric(long.filter(metric_set=metric_set.label))
+        header, body = ["agent", "traffic"], [list(cell) for cell in cells_of(long)]
         for metric, column in columns.items():
-            decimals = _decimals(column.values())
+            decimals = decimals_of(column.values())
             compared = any(row["paper"] is not None for row in column.values())
             header += [metric, "paper (difference)"] if compared else [metric]
             for line in body:
@@ -136,16 +136,16 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = (), width: int 
     """
     if not columns:
         reported = set(long.filter(pl.col("paper").is_not_null())["metric"])
-        columns = [name for name in _columns(long) if name in reported]
-    cells = _cells(long)
+        columns = [name for name in by_metric(long) if name in reported]
+    cells = cells_of(long)
     shows_traffic = len({traffic for _, traffic in cells}) > 1
     shows_agent = not shows_traffic or len({agent for agent, _ in cells}) > 1
     labels = [len(agent) * shows_agent + len(traffic) * shows_traffic for agent, traffic in cells]
     side_by_side = max(1, (width - max(labels, default=0) - 6) // METRIC_WIDTH)
     tables = []
     for label in long["metric_set"].unique(maintain_order=True):
-        shown = _columns(long.filter(metric_set=label))
-        for block in _blocks([name for name in columns or shown if name in shown], side_by_side):
+        shown = by_metric(long.filter(metric_set=label))
+        for block in blocks([name for name in columns or shown if name in shown], side_by_side):
             table = Table(title=Text(label), title_justify="left", box=box.SIMPLE_HEAD)
             for header in ["agent"] * shows_agent + ["traffic"] * shows_traffic:
                 table.add_column(header)
@@ -155,25 +155,25 @@ def render_terminal(long: pl.DataFrame, columns: Sequence[str] = (), width: int 
             for agent, traffic in cells:
                 names = [Text(agent)] * shows_agent + [Text(traffic)] * shows_traffic
                 rows = [shown[name].get((agent, traffic), {}) for name in block]
-                decimals = [_decimals(shown[name].values()) for name in block]
+                decimals = [decimals_of(shown[name].values()) for name in block]
                 table.add_row(*names, *map(_stacked, rows, decimals))
             tables.append(table)
     return Group(*tables)
 
 
-def _blocks(names: list[str], side_by_side: int) -> list[list[str]]:
+def blocks(names: list[str], side_by_side: int) -> list[list[str]]:
     """The names in blocks of about the same length, at most `side_by_side`."""
     count = math.ceil(len(names) / side_by_side)
     ends = [i * len(names) // max(count, 1) for i in range(count + 1)]
     return [names[start:end] for start, end in pairwise(ends)]
 
 
-def _cells(long: pl.DataFrame) -> list[tuple[str, str]]:
+def cells_of(long: pl.DataFrame) -> list[tuple[str, str]]:
     """The cells, each an agent and a traffic."""
     return long.select("agent", "traffic").unique(maintain_order=True).rows()
 
 
-def _columns(long: pl.DataFrame) -> dict[str, dict[tuple[str, str], Row]]:
+def by_metric(long: pl.DataFrame) -> dict[str, dict[tuple[str, str], Row]]:
     """The rows by metric and cell."""
     columns: dict[str, dict[tuple[str, str], Row]] = {}
     for row in long.iter_rows(named=True):
@@ -181,7 +181,7 @@ def _columns(long: pl.DataFrame) -> dict[str, dict[tuple[str, str], Row]]:
     return columns
 
 
-def _decimals(rows: Iterable[Row]) -> int:
+def decimals_of(rows: Iterable[Row]) -> int:
     """Decimals for a column: four digits of its largest number, three of one below 1."""
     numbers = [row[key] for row in rows for key in ("value", "high", "paper")]
     largest = max((abs(number) for number in numbers if number is not None), default=0.0)
@@ -189,34 +189,34 @@ def _decimals(rows: Iterable[Row]) -> int:
     return min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
 
 
-def _number(number: float | None, decimals: int, sign: str = "") -> str:
+def written(number: float | None, decimals: int, sign: str = "") -> str:
     return NOTHING if number is None else f"{number:{sign}.{decimals}f}"
 
 
 def _interval(row: Row, decimals: int) -> str:
     if row.get("low") is None:
         return ""
-    return f"[{_number(row['low'], decimals)}, {_number(row['high'], decimals)}]"
+    return f"[{written(row['low'], decimals)}, {written(row['high'], decimals)}]"
 
 
 def _with_interval(row: Row, decimals: int) -> str:
-    return f"{_number(row.get('value'), decimals)} {_interval(row, decimals)}".rstrip()
+    return f"{written(row.get('value'), decimals)} {_interval(row, decimals)}".rstrip()
 
 
 def _with_difference(row: Row, decimals: int) -> str:
     value, paper = row.get("value"), row.get("paper")
     if value is None or paper is None:
-        return _number(paper, decimals)
-    return f"{_number(paper, decimals)} ({_number(value - paper, decimals, '+')})"
+        return written(paper, decimals)
+    return f"{written(paper, decimals)} ({written(value - paper, decimals, '+')})"
 
 
 def _stacked(row: Row, decimals: int) -> Text:
     """The value, its interval under it, and the paper's value under that."""
-    text = Text(_number(row.get("value"), decimals), style="bold")
+    text = Text(written(row.get("value"), decimals), style="bold")
     if interval := _interval(row, decimals):
         text.append("\n" + interval.strip("[]").replace(", ", "–"), style="not bold dim")
     if (paper := row.get("paper")) is not None:
-        text.append(f"\npaper {_number(paper, decimals)}", style="not bold")
+        text.append(f"\npaper {written(paper, decimals)}", style="not bold")
     return text
 
 
