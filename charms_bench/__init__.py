@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from charms_bench.agent import ACTIONS, DriverModel, Policy
+    from charms_bench.kinematics import Kinematics
     from charms_bench.scene import Scene, SceneSettings
     from charms_bench.traffic import Traffic
 
@@ -12,12 +13,22 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "ACTIONS": "agent",
     "DriverModel": "agent",
+    "Kinematics": "kinematics",
     "Policy": "agent",
     "Scene": "scene",
     "SceneSettings": "scene",
     "Traffic": "traffic",
 }
-__all__ = ["ACTIONS", "DriverModel", "Policy", "Scene", "SceneSettings", "Traffic", "__version__"]
+__all__ = [
+    "ACTIONS",
+    "DriverModel",
+    "Kinematics",
+    "Policy",
+    "Scene",
+    "SceneSettings",
+    "Traffic",
+    "__version__",
+]
 
 
 def __getattr__(name: str) -> Any:

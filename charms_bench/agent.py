@@ -6,7 +6,8 @@ the same vehicles may be split over several calls, or several runs, at any time.
 """
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,26 @@ Observations = NDArray[np.float32]
 Actions = NDArray[np.integer]
 
 
+class Observation(Protocol):
+    """What policies see; `charms_bench.observation` lists those that have a name."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The rows and columns that one vehicle sees."""
+
+    def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
+        """What M vehicles see, (M, rows, columns)."""
+
+
+ObservationLike = str | Mapping[str, Any] | Observation
+"""An observation by its name, with options as `{type: name, option: value}`, or itself."""
+
+
 class Policy(ABC):
     """Chooses meta-actions from observations, a few times a second."""
 
-    observation: ClassVar[str] = "neighbours"
-    """The observation it sees; `charms_bench.observation` lists them."""
+    observation: ObservationLike = "neighbours"
+    """The observation it sees."""
 
     decision_hz: float = 3.0
     """Decisions a second; the suite's simulation rate must be a multiple."""
@@ -35,7 +51,8 @@ class Policy(ABC):
         """The action of each vehicle.
 
         Args:
-            observations: (M, 7, 5) for `neighbours`, float32; see `charms_bench.observation`.
+            observations: (M, 7, 5) for `neighbours`, (M, 5, 5) for highway-env's `Kinematics` as
+                it is by default, float32; see `charms_bench.observation`.
 
         Returns:
             (M,) integers 0..4, indices into `ACTIONS`.

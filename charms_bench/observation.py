@@ -4,12 +4,23 @@
 itself: 1, 1, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its nearest neighbours within
 99 m, relative to it, x / 165 m, y / 12 m, velocity / 66 m/s, clipped to [-1, 1]; a row without a
 neighbour is all zeros. Neighbours follow highway-env's rule, see `Scene.leader`.
+
+`Kinematics`: highway-env's own, with its options; see `charms_bench.kinematics`.
 """
 
-import numpy as np
+import json
+from collections.abc import Mapping
 
-from charms_bench.agent import Observations
+import numpy as np
+from pydantic import ValidationError
+
+from charms_bench.agent import Observation, ObservationLike, Observations
 from charms_bench.compiled import compiled
+from charms_bench.document import first_problem
+from charms_bench.errors import InputError
+from charms_bench.kinematics import Kinematics
+from charms_bench.profile import FrozenModel
+from charms_bench.registry import suggestion
 from charms_bench.scene import Ints, Scene, Vehicles
 
 EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
@@ -20,15 +31,75 @@ SPEED_SCALE_MPS = 66.0
 RANGE_M = 99.0
 
 
-def neighbours(scene: Scene, vehicles: Vehicles) -> Observations:
-    """The observation `neighbours` of M vehicles, (M, 7, 5)."""
-    observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
-    _fill(scene, vehicles[0], vehicles[1], observations)
-    return observations
+class Neighbours(FrozenModel):
+    """The observation `neighbours`; it has no options."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The rows and columns that one vehicle sees."""
+        return 7, 5
+
+    def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
+        """What M vehicles see, (M, 7, 5)."""
+        observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
+        _fill(scene, vehicles[0], vehicles[1], observations)
+        return observations
 
 
-OBSERVATIONS = {"neighbours": neighbours}
-"""The observations a policy may name."""
+neighbours = Neighbours()
+
+OBSERVATIONS: dict[str, type[Neighbours | Kinematics]] = {
+    "neighbours": Neighbours,
+    "Kinematics": Kinematics,
+}
+"""The observations that have a name."""
+
+
+def observation_of(like: ObservationLike) -> Observation:
+    """The observation that is meant.
+
+    Raises:
+        InputError: There is none of that name, or its options cannot be.
+    """
+    if isinstance(like, str):
+        like = {"type": like}
+    if not isinstance(like, Mapping):
+        if not callable(like):
+            raise InputError(f"{like!r} is no observation; expected a name or a callable")
+        return like
+    options = dict(like)
+    name = str(options.pop("type", None))
+    if name not in OBSERVATIONS:
+        raise InputError(f"no observation named '{name}'. {suggestion(name, OBSERVATIONS)}")
+    try:
+        return OBSERVATIONS[name].model_validate(options)
+    except ValidationError as error:
+        location, what = first_problem(error)
+        raise InputError(f"observation {name}: {'.'.join(map(str, location))}: {what}") from error
+
+
+def described(observation: Neighbours | Kinematics) -> str:
+    """What the metadata of an ONNX file say of what its network sees."""
+    if isinstance(observation, Kinematics):
+        return json.dumps({"type": "Kinematics", **observation.model_dump(mode="json")})
+    return (
+        "neighbours: (7, 5) float32, rows self, left front, left rear, front, rear, right front, "
+        "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
+    )
+
+
+def observation_described(text: str) -> Observation:
+    """The observation of which a file's metadata say so.
+
+    Raises:
+        InputError: They say nothing that is known.
+    """
+    if not text.startswith("{"):
+        return observation_of(text.partition(":")[0])
+    try:
+        return observation_of(json.loads(text))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"observation: is no JSON: {error}") from error
 
 
 @compiled

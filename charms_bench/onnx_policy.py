@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.agent import ACTIONS, Actions, Observations, Policy
-from charms_bench.errors import ModelError
+from charms_bench.agent import ACTIONS, Actions, Observation, Observations, Policy
+from charms_bench.errors import InputError, ModelError
+from charms_bench.observation import observation_described
 
 SIZE_LIMIT_BYTES = 64 * 2**20
 _EXTERNAL_DATA = b"\x0a\x08location\x12"
@@ -17,8 +18,9 @@ _EXTERNAL_DATA = b"\x0a\x08location\x12"
 class OnnxPolicy(Policy):
     """Takes the action of the highest value.
 
-    The model is one file with one input `(batch, 35)` or `(batch, 7, 5)` and one output
-    `(batch, 5)`, both float32, and runs on one thread.
+    The model is one file with one input, `(batch, rows, columns)` of its observation or
+    `(batch, rows * columns)`, and one output `(batch, 5)`, both float32, and runs on one thread.
+    Its observation is the one that the file's metadata name, or `neighbours`.
 
     Args:
         path: The `.onnx` file.
@@ -33,7 +35,8 @@ class OnnxPolicy(Policy):
         data = _read(self.path)
         self._sha256 = sha256(data).hexdigest()
         self._session = _session(self.path, data)
-        self._input, self._shape = _input(self.path, self._session)
+        self.observation = _observation(self.path, self._session)
+        self._input, self._shape = _input(self.path, self._session, self.observation.shape)
         self.decision_hz = decision_hz or _decision_hz(self.path, self._session)
 
     @property
@@ -45,7 +48,7 @@ class OnnxPolicy(Policy):
         return actions
 
     def values(self, observations: Observations) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """The network's output (M, 5) for observations (M, 7, 5)."""
+        """The network's output (M, 5) for observations (M, rows, columns)."""
         inputs = observations.reshape(-1, *self._shape)
         values: np.ndarray[Any, np.dtype[np.float32]]
         (values,) = self._session.run(None, {self._input: inputs})
@@ -96,19 +99,29 @@ def _decision_hz(path: Path, session: Any) -> float:
     return hz
 
 
-def _input(path: Path, session: Any) -> tuple[str, tuple[int, ...]]:
+def _observation(path: Path, session: Any) -> Observation:
+    """What the network sees, by the file's metadata."""
+    said = session.get_modelmeta().custom_metadata_map.get("observation", "neighbours")
+    try:
+        return observation_described(said)
+    except InputError as error:
+        raise ModelError(f"{path}: its metadata: {error}") from error
+
+
+def _input(path: Path, session: Any, shape: tuple[int, int]) -> tuple[str, tuple[int, ...]]:
     """The input's name and its shape after the batch."""
+    rows, columns = shape
     inputs = [(node.name, node.type, node.shape) for node in session.get_inputs()]
     outputs = [(node.name, node.type, node.shape) for node in session.get_outputs()]
     found = f"inputs {inputs}, outputs {outputs}"
     wanted = (
-        "one float32 input (batch, 35) or (batch, 7, 5) with a free batch, and one float32 "
-        f"output (batch, {len(ACTIONS)})"
+        f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
+        f"batch, and one float32 output (batch, {len(ACTIONS)})"
     )
     fits = (
         len(inputs) == len(outputs) == 1
         and inputs[0][1] == outputs[0][1] == "tensor(float)"
-        and inputs[0][2][1:] in ([35], [7, 5])
+        and inputs[0][2][1:] in ([rows * columns], [rows, columns])
         and not isinstance(inputs[0][2][0], int)
         and outputs[0][2][1:] == [len(ACTIONS)]
     )

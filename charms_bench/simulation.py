@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charms_bench.agent import ACTIONS, Actions, Agent, DriverModel, Policy
 from charms_bench.engine import EngineName, make_engine
 from charms_bench.errors import AgentError, InputError
-from charms_bench.observation import OBSERVATIONS
+from charms_bench.observation import observation_of
 from charms_bench.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 from charms_bench.traffic import Traffic
 
@@ -168,8 +168,8 @@ class Simulation:
     def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
         if not vehicles[0].size:
             return np.empty(0, dtype=np.int64)
-        observations = OBSERVATIONS[policy.observation](self.scene, vehicles)
         try:
+            observations = observation_of(policy.observation)(self.scene, vehicles)
             actions = np.asarray(policy.decide(observations))
         except Exception as error:
             raise self.blame(name, vehicles, _raised(error)) from error
@@ -221,11 +221,10 @@ def _period(policy: Policy, settings: SceneSettings) -> int:
 
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
-    if policy.observation not in OBSERVATIONS:
-        raise InputError(
-            f"agent '{name}' wants the observation '{policy.observation}'; "
-            f"there are: {', '.join(OBSERVATIONS)}"
-        )
+    try:
+        observation_of(policy.observation)
+    except InputError as error:
+        raise InputError(f"agent '{name}': {error}") from error
     steps = settings.simulation_hz / policy.decision_hz if policy.decision_hz > 0 else 0.5
     if steps != round(steps):
         raise InputError(

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from charms_bench.agent import ACTIONS, Agent, DriverModel, Observations, Policy
 from charms_bench.engine.batched import BatchedEngine
-from charms_bench.observation import OBSERVATIONS
+from charms_bench.errors import InputError
+from charms_bench.observation import observation_of
 from charms_bench.scene import Scene, SceneSettings, Vehicles
 from charms_bench.traffic import Traffic
 
@@ -81,9 +82,10 @@ def _bound(rule: Callable[..., None], subject: Any) -> Rule:
 
 def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
     """Its `observation` exists and its `decision_hz` is positive."""
-    assert policy.observation in OBSERVATIONS, (
-        f"observation is '{policy.observation}'; there are: {', '.join(OBSERVATIONS)}"
-    )
+    try:
+        observation_of(policy.observation)
+    except InputError as error:
+        raise AssertionError(str(error)) from error
     assert policy.decision_hz > 0, f"decision_hz is {policy.decision_hz}"
 
 
@@ -200,7 +202,7 @@ def traffic_follows_its_rng(traffic: Traffic) -> None:
 
 def _observations(policy: Policy) -> Observations:
     scene = example_scene()
-    return OBSERVATIONS[policy.observation](scene, _everyone(scene))
+    return observation_of(policy.observation)(scene, _everyone(scene))
 
 
 def _asked(agent: Agent) -> Callable[[], NDArray[Any]]:

@@ -14,9 +14,11 @@ TRAINING = Path("agents/charms_agents/training")
 ONLY_FOR_TRAINING = {"torch", "stable_baselines3", "onnx", "tensorboard"}
 LAYERS = (
     {"errors", "compiled", "profile"},
-    {"scene"},
+    {"scene", "workers"},
     {"agent", "traffic"},
-    {"registry", "observation", "document", "engine", "metrics", "onnx_policy", "following"},
+    {"registry", "kinematics", "document", "engine", "metrics", "following"},
+    {"observation"},
+    {"onnx_policy"},
     {"suite", "stats", "simulation", "criticality", "divergence", "scaffold"},
     {"recording", "results", "testing", "vector_env", "paired", "highway_reward"},
     {"figures"},
