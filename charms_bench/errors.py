@@ -7,7 +7,8 @@
     │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
     │   ├── RunFolderError  a run folder cannot be read, written or continued
     │   └── DataError       recorded driving is missing, damaged or of no use
-    └── AgentError          an agent raised or answered with something unusable
+    ├── AgentError          an agent raised or answered with something unusable
+    └── WorkerError         a worker process died again and again, or took too long
 
 The command line prints the message of any of these and exits with 2.
 """
@@ -43,3 +44,7 @@ class DataError(InputError):
 
 class AgentError(CharmsBenchError):
     """An agent raised, or returned the wrong shape, type or range."""
+
+
+class WorkerError(CharmsBenchError):
+    """A worker process died again and again, or took too long."""

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,17 @@ KINDS = ("steps", "counts", "episodes")
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
+
+
+ShardFiles = Mapping[str, bytes]
+"""The Parquet files of a shard, by kind: one a kind of `KINDS`."""
+
+
+def in_parquet(rows: pl.DataFrame) -> bytes:
+    """Rows as a Parquet file."""
+    file = BytesIO()
+    rows.write_parquet(file)
+    return file.getvalue()
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -160,10 +172,10 @@ class RunFolder:
         """Whether the shard is finished."""
         return all(self._file(kind, shard).exists() for kind in KINDS)
 
-    def write(self, shard: Shard, rows: Mapping[str, pl.DataFrame]) -> None:
-        """Writes a finished shard: its rows of each of `KINDS`."""
+    def write(self, shard: Shard, files: ShardFiles) -> None:
+        """Writes a finished shard."""
         for kind in KINDS:
-            write_atomically(self._file(kind, shard), rows[kind].write_parquet)
+            write_atomically(self._file(kind, shard), partial(_write_bytes, files[kind]))
 
     def take(self, shards: Iterable[Shard], other: Path) -> None:
         """Copies the shards that another run has finished, whatever their cells are there.
@@ -214,6 +226,10 @@ class RunFolder:
 
     def _file(self, kind: str, shard: Shard) -> Path:
         return self.path / kind / f"{shard.name}.parquet"
+
+
+def _write_bytes(data: bytes, path: Path) -> None:
+    path.write_bytes(data)
 
 
 @contextmanager

@@ -2,15 +2,11 @@
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +19,12 @@ from charms_bench.errors import RunFolderError, SuiteError
 from charms_bench.registry import AGENTS, TRAFFIC, find, plugins
 from charms_bench.report.realism import TrafficCounts
 from charms_bench.report.tables import CellRows
-from charms_bench.results import RunFolder, Shard
+from charms_bench.results import RunFolder, Shard, ShardFiles, in_parquet
 from charms_bench.suite import EVALUATION_SEEDS, AgentSpec, Cell, Suite
+from charms_bench.workers import in_processes, use_exact_maths
 
 SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
 """Enough scenes for the compiled engine to be fast; few enough to lose little by a kill."""
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
 
 Progress = Callable[[Cell, int], None]
 """Told of every finished shard: its cell and its number of episodes."""
@@ -155,34 +151,20 @@ def run(
         else:
             missing.append(shard)
     if missing:
-        with local_workers(min(workers or os.cpu_count() or 1, len(missing)), engine) as executor:
-            _run_shards(executor, suite, folder, missing, engine, progress)
+        if engine == "highway-env":
+            use_exact_maths()
+        count = min(workers or os.cpu_count() or 1, len(missing))
+        work, title = partial(run_shard, suite, engine), partial(_title, suite)
+        with closing(in_processes(work, missing, count, title)) as finished:
+            for shard, files in finished:
+                folder.write(shard, files)
+                progress(suite.cells[shard.cell], shard.episodes)
     folder.drop_others(shards)
     return Run(suite, folder, shards)
 
 
-def local_workers(count: int, engine: EngineName) -> ProcessPoolExecutor:
-    """Worker processes of one thread each, started afresh."""
-    os.environ |= dict.fromkeys(_THREADS, "1")
-    if engine == "highway-env":
-        use_exact_maths()
-    return ProcessPoolExecutor(
-        count, mp_context=multiprocessing.get_context("spawn"), initializer=start_worker
-    )
-
-
-def use_exact_maths() -> None:
-    """Has NumPy in processes started from now on take its functions from the C library.
-
-    Its vectorised tan, arcsin, arctan, exp and power differ from the C library's in the last bit,
-    and so would highway-env's vehicles from the compiled ones.
-    """
-    extensions = np.show_config(mode="dicts")["SIMD Extensions"]
-    os.environ["NPY_DISABLE_CPU_FEATURES"] = " ".join(extensions.get("found", ()))
-
-
-def run_shard(suite: Suite, shard: Shard, engine: EngineName, output: Path) -> Shard:
-    """Simulates one shard and writes its rows; a pure function of what its key names."""
+def run_shard(suite: Suite, engine: EngineName, shard: Shard) -> ShardFiles:
+    """Simulates one shard: the files of its rows; a pure function of what its key names."""
     from charms_bench.recording import Recording
     from charms_bench.simulation import Simulation
 
@@ -198,35 +180,17 @@ def run_shard(suite: Suite, shard: Shard, engine: EngineName, output: Path) -> S
     while simulation.scene.active.any():
         simulation.step()
         recording.note()
-    rows = {
-        "steps": recording.steps(),
-        "counts": recording.counts(),
-        "episodes": recording.episodes(),
+    return {
+        "steps": in_parquet(recording.steps()),
+        "counts": in_parquet(recording.counts()),
+        "episodes": in_parquet(recording.episodes()),
     }
-    RunFolder(output).write(shard, rows)
-    return shard
 
 
-def _run_shards(
-    executor: Executor,
-    suite: Suite,
-    folder: RunFolder,
-    shards: list[Shard],
-    engine: EngineName,
-    progress: Progress,
-) -> None:
-    futures = [executor.submit(run_shard, suite, shard, engine, folder.path) for shard in shards]
-    try:
-        for future in as_completed(futures):
-            shard = future.result()
-            progress(suite.cells[shard.cell], shard.episodes)
-    except BrokenProcessPool as error:
-        raise RunFolderError(
-            f"a worker process died; finished shards are in {folder.path}, "
-            "and the same command goes on from there"
-        ) from error
-    finally:
-        executor.shutdown(cancel_futures=True)
+def _title(suite: Suite, shard: Shard) -> str:
+    cell = suite.cells[shard.cell]
+    last = shard.first_seed + shard.episodes - 1
+    return f"{cell.ego.title} in {cell.traffic.title}, episodes {shard.first_seed} to {last}"
 
 
 def _identities(cell: Cell, folder: Path) -> dict[str, Any]:
@@ -261,16 +225,3 @@ def _agent(spec: AgentSpec, folder: Path) -> Agent:
 def _made(spec: str, folder: Path) -> Agent:
     """An agent is made once a process."""
     return AgentSpec.model_validate_json(spec).make(folder)
-
-
-def start_worker() -> None:
-    """Leaves Ctrl-C to the parent, and ends the worker when the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def follow() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -13,10 +12,10 @@ from pydantic import Field
 
 from charms_bench.document import Document
 from charms_bench.profile import FrozenModel
-from charms_bench.runner import local_workers
 from charms_bench.scene import SceneSettings
 from charms_bench.simulation import Simulation
 from charms_bench.suite import AgentSpec, Suite, SuiteScene, TrafficSpec
+from charms_bench.workers import in_processes, use_exact_maths
 
 TOLERANCE = 1e-6
 """Largest difference allowed in a position or a speed, m or m/s, or a heading, rad."""
@@ -124,22 +123,37 @@ def verify(
     """Compares the engines over some episodes of each case, from the seed on.
 
     highway-env runs with NumPy's vectorised approximations switched off, see
-    `runner.use_exact_maths`. `progress` is told of every few episodes compared.
+    `workers.use_exact_maths`. `progress` is told of every few episodes compared.
     """
     results = [Comparison(case) for case in cases]
-    with local_workers(workers or os.cpu_count() or 1, "highway-env") as executor:
-        futures = {
-            executor.submit(compare, case, seed + start, min(_CHUNK, episodes - start)): index
-            for index, case in enumerate(cases)
-            for start in range(0, episodes, _CHUNK)
-        }
-        try:
-            for future in as_completed(futures):
-                results[futures[future]] += future.result()
-                progress(future.result().episodes)
-        finally:
-            executor.shutdown(cancel_futures=True)
+    chunks = [
+        _Chunk(index, case, seed + start, min(_CHUNK, episodes - start))
+        for index, case in enumerate(cases)
+        for start in range(0, episodes, _CHUNK)
+    ]
+    use_exact_maths()
+    count = min(workers or os.cpu_count() or 1, len(chunks))
+    for chunk, found in in_processes(_compare, chunks, count, _Chunk.title):
+        results[chunk.index] += found
+        progress(chunk.episodes)
     return results
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A few episodes of a case."""
+
+    index: int
+    case: Case
+    seed: int
+    episodes: int
+
+    def title(self) -> str:
+        return f"{self.case.title}, episodes {self.seed} to {self.seed + self.episodes - 1}"
+
+
+def _compare(chunk: _Chunk) -> Comparison:
+    return compare(chunk.case, chunk.seed, chunk.episodes)
 
 
 def compare(case: Case, seed: int, episodes: int) -> Comparison:

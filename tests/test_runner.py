@@ -100,7 +100,7 @@ def test_rows_of_another_run_are_taken_whatever_their_cells_are(
     idm, outside = SMALL["egos"]  # type: ignore[misc]
     turned = suite(suite="turned", episodes=20, egos=[{**outside, "label": "Outside"}, idm])
     expected = run(turned, tmp_path / "simulated", workers=1)
-    monkeypatch.setattr(runner, "local_workers", None)  # so that nothing can be simulated
+    monkeypatch.setattr(runner, "in_processes", None)  # so that nothing can be simulated
     run(turned, tmp_path / "taken", rows=tmp_path / "one")
     assert len(expected.shards) == 4
     for kind in ("episodes", "steps", "counts"):
