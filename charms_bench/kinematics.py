@@ -5,7 +5,7 @@ first. [`KinematicObservation`, highway-env 1.12]
 """
 
 from collections.abc import Callable
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
@@ -54,6 +54,8 @@ class Kinematics(FrozenModel):
 
     `order: shuffled` draws at random and is none of them: a policy decides the same again.
     """
+
+    name: ClassVar[str] = "Kinematics"
 
     vehicles_count: Annotated[int, Field(ge=2, le=501)] = 5
     """Rows."""

@@ -10,6 +10,7 @@ neighbour is all zeros. Neighbours follow highway-env's rule, see `Scene.leader`
 
 import json
 from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -34,6 +35,8 @@ RANGE_M = 99.0
 class Neighbours(FrozenModel):
     """The observation `neighbours`; it has no options."""
 
+    name: ClassVar[str] = "neighbours"
+
     @property
     def shape(self) -> tuple[int, int]:
         """The rows and columns that one vehicle sees."""
@@ -48,10 +51,7 @@ class Neighbours(FrozenModel):
 
 neighbours = Neighbours()
 
-OBSERVATIONS: dict[str, type[Neighbours | Kinematics]] = {
-    "neighbours": Neighbours,
-    "Kinematics": Kinematics,
-}
+OBSERVATIONS = {kind.name: kind for kind in (Neighbours, Kinematics)}
 """The observations that have a name."""
 
 
@@ -61,13 +61,12 @@ def observation_of(like: ObservationLike) -> Observation:
     Raises:
         InputError: There is none of that name, or its options cannot be.
     """
-    if isinstance(like, str):
-        like = {"type": like}
-    if not isinstance(like, Mapping):
-        if not callable(like):
-            raise InputError(f"{like!r} is no observation; expected a name or a callable")
-        return like
-    options = dict(like)
+    return like if callable(like) else named_observation(like)
+
+
+def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
+    """The observation of a name, or of `{type: name, option: value}`; raises likewise."""
+    options = dict(like) if isinstance(like, Mapping) else {"type": like}
     name = str(options.pop("type", None))
     if name not in OBSERVATIONS:
         raise InputError(f"no observation named '{name}'. {suggestion(name, OBSERVATIONS)}")
@@ -81,23 +80,23 @@ def observation_of(like: ObservationLike) -> Observation:
 def described(observation: Neighbours | Kinematics) -> str:
     """What the metadata of an ONNX file say of what its network sees."""
     if isinstance(observation, Kinematics):
-        return json.dumps({"type": "Kinematics", **observation.model_dump(mode="json")})
+        return json.dumps({"type": observation.name, **observation.model_dump(mode="json")})
     return (
         "neighbours: (7, 5) float32, rows self, left front, left rear, front, rear, right front, "
         "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
     )
 
 
-def observation_described(text: str) -> Observation:
+def observation_described(text: str) -> Neighbours | Kinematics:
     """The observation of which a file's metadata say so.
 
     Raises:
         InputError: They say nothing that is known.
     """
     if not text.startswith("{"):
-        return observation_of(text.partition(":")[0])
+        return named_observation(text.partition(":")[0])
     try:
-        return observation_of(json.loads(text))
+        return named_observation(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise InputError(f"observation: is no JSON: {error}") from error
 

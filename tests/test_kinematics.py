@@ -122,7 +122,7 @@ def test_it_has_a_name_and_takes_highway_envs_configuration() -> None:
         ({"type": "Kinematics", "features_range": {"x": [5, 5]}}, "range of x is not from low"),
         ({"type": "neighbours", "clip": True}, "neighbours: clip: unknown key"),
         ({"vehicles_count": 5}, "no observation named 'None'"),
-        (3, "3 is no observation"),
+        (3, "no observation named '3'"),
     ],
 )
 def test_what_is_no_observation_is_one_message(config: Any, message: str) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from charms_bench.errors import ModelError
+from charms_bench.kinematics import Kinematics
+from charms_bench.observation import described, neighbours
 from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.testing import agent_rules
 
@@ -58,6 +60,35 @@ def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None
 def test_a_file_that_says_no_rate_is_refused(network_file: NetworkFile, said: str) -> None:
     path = with_metadata(network_file(), decision_hz=said)
     with pytest.raises(ModelError, match=f"its metadata say decision_hz '{said}'"):
+        OnnxPolicy(path)
+
+
+def test_it_sees_what_the_file_says(network_file: NetworkFile) -> None:
+    assert OnnxPolicy(with_metadata(network_file())).observation == neighbours
+    path = with_metadata(network_file(), observation="neighbours: (7, 5) float32, rows self")
+    assert OnnxPolicy(path).observation == neighbours
+    wide = Kinematics(vehicles_count=10, absolute=True, features_range={"x": (0, 99)})
+    path = with_metadata(network_file(inputs=50), observation=described(wide))
+    policy = OnnxPolicy(path)
+    assert policy.observation == wide
+    for rule in agent_rules(policy):
+        rule()
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("tomorrow", "no observation named 'tomorrow'"),
+        ('{"type": "Kinematics", "see": 1}', "observation Kinematics: see: unknown key"),
+        ('{"type": "Kin', "observation: is no JSON"),
+        ('{"type": "Kinematics"}', r"expected one float32 input \(batch, 25\) or \(batch, 5, 5\)"),
+    ],
+)
+def test_a_file_that_sees_what_is_not_there_is_refused(
+    network_file: NetworkFile, said: str, message: str
+) -> None:
+    path = with_metadata(network_file(), observation=said)
+    with pytest.raises(ModelError, match=message):
         OnnxPolicy(path)
 
 

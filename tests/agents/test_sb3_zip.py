@@ -23,8 +23,12 @@ import gymnasium
 from charms_agents.training import sb3_zip
 from charms_agents.training.network import read_network
 from charms_agents.training.sb3_zip import export_zip
+from typer.testing import CliRunner
 
-from charms_bench.errors import ModelError
+from charms_bench.cli import app
+from charms_bench.errors import InputError, ModelError
+from charms_bench.kinematics import Kinematics
+from charms_bench.observation import neighbours
 from charms_bench.onnx_policy import OnnxPolicy
 
 SUITE = """\
@@ -356,7 +360,7 @@ def test_a_file_that_would_act_differently_is_not_written(
 
 
 def test_the_checked_observations_are_those_of_moving_scenes() -> None:
-    seen = sb3_zip._seen(0)
+    seen = sb3_zip._seen(neighbours, 0)
     assert seen.shape == (16 * 21, 7, 5)
     assert (seen[:, 0, 0] == 1).all()
     assert len(np.unique(seen[:, 1:, 0].sum(axis=1))) > 3
@@ -372,3 +376,44 @@ def test_the_command_line_exports_and_the_file_drives_in_a_suite(tmp_path: Path)
     run = [*command, "run", "suite.yaml", "--json"]
     rows = json.loads(subprocess.run(run, cwd=tmp_path, capture_output=True, check=True).stdout)
     assert {row["agent"] for row in rows} == {"out.onnx"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "observation", "hz"),
+    [
+        (["--observation", "Kinematics"], Kinematics(), 1.0),
+        (
+            ["--observation", "{type: Kinematics, vehicles_count: 6, see_behind: true}"],
+            Kinematics(vehicles_count=6, see_behind=True),
+            1.0,
+        ),
+        (["--observation", "Kinematics", "--decision-hz", "5"], Kinematics(), 5.0),
+        ([], neighbours, 3.0),
+    ],
+)
+def test_the_file_sees_what_the_command_line_says(
+    tmp_path: Path, arguments: list[str], observation: Any, hz: float
+) -> None:
+    _, path = saved(tmp_path, shape=observation.shape)
+    output = tmp_path / "out.onnx"
+    done = CliRunner().invoke(app, ["export", str(path), str(output), *arguments])
+    assert f"sees {observation.name}, decides at {hz:g} Hz" in done.stdout
+    policy = OnnxPolicy(output)
+    assert (policy.observation, policy.decision_hz) == (observation, hz)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("kinematics", "no observation named 'kinematics'. Known: .* Did you mean 'Kinematics'"),
+        ("{type: Kinematics", "--observation {type: Kinematics: is not YAML"),
+        ("neighbours", "takes 25 numbers; expected 35, .* say with --observation what it was"),
+    ],
+)
+def test_what_it_cannot_have_been_trained_on_is_one_message(
+    tmp_path: Path, said: str, message: str
+) -> None:
+    _, path = saved(tmp_path, shape=(5, 5))
+    arguments = ["export", str(path), str(tmp_path / "out.onnx"), "--observation", said]
+    with pytest.raises(InputError, match=message):
+        CliRunner().invoke(app, arguments, catch_exceptions=False)

@@ -10,6 +10,8 @@ from torch.nn import Sequential
 from charms_agents.training.network import ACTIVATIONS, layers_of, values_of
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
+from charms_bench.kinematics import Kinematics
+from charms_bench.observation import Neighbours, described, neighbours
 from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.results import write_atomically
 
@@ -17,14 +19,14 @@ OPSET, IR_VERSION = 17, 8
 """Old ones: every onnxruntime the base install allows reads them."""
 TIE = 1e-4
 """Two actions whose values differ by less are as good as each other to float32."""
-OBSERVATION = (
-    "neighbours: (7, 5) float32, rows self, left front, left rear, front, rear, right front, "
-    "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
-)
 
 
 def export(
-    network: Sequential, path: Path, facts: dict[str, str], observations: Observations
+    network: Sequential,
+    path: Path,
+    facts: dict[str, str],
+    observations: Observations,
+    observation: Neighbours | Kinematics = neighbours,
 ) -> dict[str, int]:
     """Writes a network, provided that the file acts as it does.
 
@@ -32,7 +34,8 @@ def export(
         network: Linear layers with ReLU or tanh between them.
         path: The file.
         facts: What its metadata say beside observation and actions.
-        observations: (M, 7, 5), on which the actions of both are compared.
+        observations: (M, rows, columns), on which the actions of both are compared.
+        observation: What they are of.
 
     Returns:
         How many observations were compared, and in how many of them the two chose different
@@ -42,7 +45,7 @@ def export(
         ModelError: They chose differently where it matters; nothing is written.
         RunFolderError: The file cannot be written.
     """
-    data = _serialised(network, facts)
+    data = _serialised(network, {"observation": described(observation), **facts}, observation.shape)
     expected = values_of(network, observations)
     best = expected.argmax(axis=1)
     checked: dict[str, int] = {}
@@ -62,7 +65,7 @@ def export(
     return checked
 
 
-def _serialised(network: Sequential, facts: dict[str, str]) -> bytes:
+def _serialised(network: Sequential, facts: dict[str, str], shape: tuple[int, int]) -> bytes:
     layers = layers_of(network)
     operators = {kind: name for name, kind in ACTIVATIONS.items()}
     between = [operators[type(module)] for module in network if type(module) in operators]
@@ -78,15 +81,13 @@ def _serialised(network: Sequential, facts: dict[str, str]) -> bytes:
         if not final:
             nodes.append(helper.make_node(between[index], [out], [f"hidden_{index}"]))
             last = f"hidden_{index}"
-    seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", 7, 5])
+    seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", *shape])
     valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", len(ACTIONS)])
     graph = helper.make_graph(nodes, "policy", [seen], [valued], tensors)
     exported = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )
-    helper.set_model_props(
-        exported, {"observation": OBSERVATION, "actions": ", ".join(ACTIONS), **facts}
-    )
+    helper.set_model_props(exported, {"actions": ", ".join(ACTIONS), **facts})
     onnx.checker.check_model(exported, full_check=True)
     data: bytes = exported.SerializeToString(deterministic=True)
     return data

@@ -16,7 +16,7 @@ from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
 
 OBSERVED = 35
-"""Numbers in an observation, 7 rows of 5."""
+"""Numbers in the observation `neighbours`, 7 rows of 5."""
 
 ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
 """What may stand between the layers, by ONNX's name of it."""
@@ -76,8 +76,10 @@ def read_network(path: Path) -> Sequential:
 
 
 def values_of(network: Sequential, observations: Observations) -> NDArray[np.float32]:
-    """The network's values (M, 5) of observations (M, 7, 5)."""
-    flat = torch.tensor(observations.reshape(-1, OBSERVED))  # a copy: theirs may be read-only
+    """The network's values (M, 5) of observations (M, rows, columns)."""
+    flat = torch.tensor(
+        observations.reshape(len(observations), -1)
+    )  # a copy: theirs may be read-only
     with torch.no_grad():
         values: NDArray[np.float32] = network(flat).numpy()
     return values

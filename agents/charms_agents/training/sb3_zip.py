@@ -18,10 +18,11 @@ import numpy as np
 import torch
 
 from charms_agents.training.export import export
-from charms_agents.training.network import ACTIVATIONS, OBSERVED, Layers, layers_of, network_of
+from charms_agents.training.network import ACTIVATIONS, Layers, layers_of, network_of
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
-from charms_bench.observation import neighbours
+from charms_bench.kinematics import Kinematics
+from charms_bench.observation import Neighbours, neighbours
 from charms_bench.testing import example_scene
 
 WEIGHTS, DATA = "policy.pth", "data"
@@ -52,7 +53,12 @@ class Checkpoint(NamedTuple):
     """`data`; empty where there is none."""
 
 
-def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[str, Any]:
+def export_zip(
+    checkpoint: Path,
+    output: Path,
+    facts: dict[str, str],
+    observation: Neighbours | Kinematics = neighbours,
+) -> dict[str, Any]:
     """Writes the network by which a DQN or a PPO decides as an ONNX file.
 
     Of a DQN that is its Q-network; of a PPO, or an A2C, the policy's layers up to its logits, of
@@ -64,6 +70,7 @@ def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[st
         checkpoint: The zip that Stable-Baselines3 saved.
         output: The `.onnx` file.
         facts: What its metadata say beside what this function finds out.
+        observation: What it was trained on.
 
     Returns:
         sizes (numbers in, of each hidden layer, out), activation, sha256 of the checkpoint,
@@ -77,15 +84,16 @@ def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[st
     read = _read(checkpoint)
     numbered, usual = _deciding(checkpoint, _tensors(checkpoint, read.weights))
     said = _activation(checkpoint, read.data, usual)
-    network = network_of(_layers(checkpoint, numbered), KINDS[said or usual])
-    sizes = [OBSERVED, *(bias.size for _, bias in layers_of(network))]
+    network = network_of(_layers(checkpoint, numbered, observation), KINDS[said or usual])
+    rows, columns = observation.shape
+    sizes = [rows * columns, *(bias.size for _, bias in layers_of(network))]
     provenance = {
         "source": f"{checkpoint.name}, a Stable-Baselines3 checkpoint",
         "source_sha256": read.sha256,
         "activation": said or f"{usual} (assumed)",
     }
-    scenes = np.concatenate([_seen(seed) for seed in CHECKED_SEEDS])
-    checked = export(network, output, {**provenance, **facts}, scenes)
+    scenes = np.concatenate([_seen(observation, seed) for seed in CHECKED_SEEDS])
+    checked = export(network, output, {**provenance, **facts}, scenes, observation)
     return {
         "sizes": sizes,
         "activation": provenance["activation"],
@@ -94,11 +102,10 @@ def export_zip(checkpoint: Path, output: Path, facts: dict[str, str]) -> dict[st
     }
 
 
-def _seen(seed: int) -> Observations:
+def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
     """What everybody in the example scenes of a seed sees."""
     scene = example_scene(seed)
-    observations: Observations = neighbours(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
-    return observations
+    return observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
 
 
 def _read(path: Path) -> Checkpoint:
@@ -220,7 +227,11 @@ def _matching(
     return found
 
 
-def _layers(path: Path, network: dict[int, dict[str, torch.Tensor]]) -> Layers:
+def _layers(
+    path: Path,
+    network: dict[int, dict[str, torch.Tensor]],
+    observation: Neighbours | Kinematics,
+) -> Layers:
     """The layers as arrays, once they are found to make a network."""
     # Linear layers at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
@@ -231,10 +242,16 @@ def _layers(path: Path, network: dict[int, dict[str, torch.Tensor]]) -> Layers:
             f"it has weights at {sorted(network)}"
         )
     layers: Layers = []
-    width = OBSERVED
+    rows, columns = observation.shape
+    width = rows * columns
+    source = (
+        f"the observation '{observation.name}' of {rows} rows of {columns}; say with --observation "
+        "what it was trained on"
+    )
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]
-        _check_layer(path, index, weight, bias, width)
+        _check_layer(path, index, weight, bias, width, source)
+        source = "as the layer before gives"
         layers.append((weight.numpy(), bias.numpy()))
         width = weight.shape[0]
     if width != len(ACTIONS):
@@ -245,7 +262,7 @@ def _layers(path: Path, network: dict[int, dict[str, torch.Tensor]]) -> Layers:
 
 
 def _check_layer(
-    path: Path, index: int, weight: torch.Tensor, bias: torch.Tensor, width: int
+    path: Path, index: int, weight: torch.Tensor, bias: torch.Tensor, width: int, source: str
 ) -> None:
     for tensor in (weight, bias):
         plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
@@ -255,11 +272,8 @@ def _check_layer(
         shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
         raise ModelError(f"{path}: layer {index} is not linear: {shapes}")
     if weight.shape[1] != width:
-        expected = f"{width}, as the layer before gives"
-        if not index:
-            expected = f"{width}, the observation 'neighbours' of 7 rows of 5"
         raise ModelError(
-            f"{path}: layer {index} takes {weight.shape[1]} numbers; expected {expected}"
+            f"{path}: layer {index} takes {weight.shape[1]} numbers; expected {width}, {source}"
         )
     # A view can repeat a few stored numbers without end.
     if weight.numel() * weight.element_size() > weight.untyped_storage().nbytes():
