@@ -7,7 +7,7 @@
     gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
 
 `charms_bench.ego_env:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
-What both take beside a traffic and a reward are the keys of a suite's `scene`.
+What both take beside a traffic, a reward and an observation are the keys of a suite's `scene`.
 """
 
 from collections.abc import Mapping
@@ -17,11 +17,11 @@ import gymnasium
 import numpy as np
 from pydantic import ValidationError
 
-from charms_bench.agent import ACTIONS, Agent, Observations
+from charms_bench.agent import ACTIONS, Agent, ObservationLike, Observations
 from charms_bench.document import first_problem
 from charms_bench.errors import InputError
 from charms_bench.highway_reward import HighwayReward
-from charms_bench.observation import neighbours
+from charms_bench.observation import observation_of
 from charms_bench.registry import make_agent, make_traffic
 from charms_bench.scene import SceneSettings
 from charms_bench.simulation import ENDINGS, RUNNING, TIME, Simulation
@@ -45,11 +45,12 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
     Args:
         traffic: Who drives the others.
         reward: What a decision is worth; by default highway-env's, see `HighwayReward`.
+        observation: What the ego sees, see `charms_bench.observation`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all else that a suite's
             `scene` says, with its defaults.
 
     Raises:
-        InputError: The traffic is not installed, or the scene cannot be.
+        InputError: The traffic is not installed, or the scene or the observation cannot be.
         TypeError: It is asked to be drawn; Stable-Baselines3 then asks again without.
     """
 
@@ -59,12 +60,14 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         self,
         traffic: TrafficLike = "idm_mobil",
         reward: Reward[Any] | None = None,
+        observation: ObservationLike = "neighbours",
         **scene: Any,
     ) -> None:
         if "render_mode" in scene:
             raise TypeError("episodes are not drawn: render_mode; `charms-bench replay` draws them")
         settings = _settings(scene)
-        self.observation_space, self.action_space = spaces_of(settings)
+        self._observation = observation_of(observation)
+        self.observation_space, self.action_space = spaces_of(settings, self._observation)
         self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
         self._reward = reward or HighwayReward()
 
@@ -86,7 +89,7 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         """Carries out the ego's action for one decision interval.
 
         Returns:
-            Observation (7, 5), reward, terminated, truncated, and the info, which says of an
+            Observation, reward, terminated, truncated, and the info, which says of an
             episode that is over what its `ending` was, one of `charms_bench.simulation.ENDINGS`.
         """
         if action not in self.action_space:
@@ -101,7 +104,7 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         return self._observe(), reward, over and not truncated, truncated, info
 
     def _observe(self) -> Observations:
-        observations = neighbours(self.simulation.scene, self.simulation.ego_vehicles)
+        observations = self._observation(self.simulation.scene, self.simulation.ego_vehicles)
         first: Observations = observations[0]
         return first
 
@@ -110,12 +113,19 @@ def ego_vector_env(
     num_envs: int,
     traffic: TrafficLike = "idm_mobil",
     reward: Reward[Any] | None = None,
+    observation: ObservationLike = "neighbours",
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many such episodes side by side, simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
     plugin, agents = _drivers(traffic)
     return HighwayVectorEnv(
-        _settings(scene), num_envs, plugin, agents, reward or HighwayReward(), EVALUATION_SEEDS
+        _settings(scene),
+        num_envs,
+        plugin,
+        agents,
+        reward or HighwayReward(),
+        EVALUATION_SEEDS,
+        observation_of(observation),
     )
 
 

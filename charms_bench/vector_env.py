@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.agent import ACTIONS, Actions, Agent, Observations
+from charms_bench.agent import ACTIONS, Actions, Agent, Observation, Observations
 from charms_bench.errors import InputError
 from charms_bench.observation import EGO, SPEED_SCALE_MPS, Y_SCALE_M, neighbours
 from charms_bench.scene import Bools, Floats, Ints, SceneSettings
@@ -41,19 +41,25 @@ class EpisodesState(NamedTuple):
     """[B, decisions] the ego's actions; the first `steps` of a row count."""
 
 
-def spaces_of(settings: SceneSettings) -> tuple[spaces.Space[Any], spaces.Discrete]:
+def spaces_of(
+    settings: SceneSettings, observation: Observation = neighbours
+) -> tuple[spaces.Space[Any], spaces.Discrete]:
     """The observations and the actions of an ego, as Gymnasium describes them.
 
-    All that it sees of its neighbours is clipped to [-1, 1]; its own place across the road and its
-    own velocity are given bounds of twice what they reach while it drives.
+    Of `neighbours`, all that it sees of others is clipped to [-1, 1]; its own place across the road
+    and its own velocity are given bounds of twice what they reach while it drives. Any other
+    observation has no bounds, as in highway-env.
     """
+    actions = spaces.Discrete(len(ACTIONS))
+    if observation != neighbours:
+        return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
     profile = settings.profile
     targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
     fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
     high = np.ones((7, 5), dtype=np.float32)
     high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
     high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
-    return spaces.Box(-high, high, dtype=np.float32), spaces.Discrete(len(ACTIONS))
+    return spaces.Box(-high, high, dtype=np.float32), actions
 
 
 class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
@@ -69,6 +75,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         agents: Every agent named by `traffic`, by name.
         reward: What a decision is worth.
         first_seed: The first episode's seed, unless `reset` is given another.
+        observation: What the egos see.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
@@ -84,13 +91,15 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         agents: Mapping[str, Agent],
         reward: Reward[C],
         first_seed: int = 0,
+        observation: Observation = neighbours,
     ) -> None:
         self.num_envs = scenes
-        self.single_observation_space, self.single_action_space = spaces_of(settings)
+        self.single_observation_space, self.single_action_space = spaces_of(settings, observation)
         self.observation_space = batch_space(self.single_observation_space, scenes)
         self.action_space = batch_space(self.single_action_space, scenes)
         self.simulation = Simulation(settings, scenes, None, traffic, agents)
         self._reward = reward
+        self._observation = observation
         self._next_seed = first_seed
         self._actions = np.zeros((scenes, settings.decisions), dtype=np.int8)
         self._returns = np.zeros(scenes)
@@ -116,9 +125,10 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         """Carries out the egos' actions (B,) for one decision interval.
 
         Returns:
-            Observations (B, 7, 5), rewards (B,), terminations (B,), truncations (B,), and infos,
-            which hold `final_obs` and `final_info` of the episodes that ended: their `ending`
-            (index into `charms_bench.simulation.ENDINGS`), `steps`, `episode_return` and `seed`.
+            Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
+            infos, which hold `final_obs` and `final_info` of the episodes that ended: their
+            `ending` (index into `charms_bench.simulation.ENDINGS`), `steps`, `episode_return` and
+            `seed`.
         """
         simulation = self.simulation
         self._actions[np.arange(self.num_envs), simulation.steps] = actions
@@ -135,7 +145,8 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             infos = self._final(ended, observations)
             rows = np.nonzero(ended)[0]
             self._start(rows)
-            observations[rows] = neighbours(simulation.scene, (rows, simulation.scene.ego[rows]))
+            started = (rows, simulation.scene.ego[rows])
+            observations[rows] = self._observation(simulation.scene, started)
         return observations, rewards, terminations, truncations, infos
 
     def state(self) -> EpisodesState:
@@ -178,7 +189,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         self.simulation.reset(seeds, rows)
 
     def _observe(self) -> Observations:
-        return neighbours(self.simulation.scene, self.simulation.ego_vehicles)
+        return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
 
     def _final(self, ended: Bools, observations: Observations) -> dict[str, Any]:
         """What gymnasium says of episodes that ended in this step."""

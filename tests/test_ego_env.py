@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
+import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -116,6 +117,24 @@ def test_the_vector_environment_has_the_same_episodes() -> None:
     assert many.single_observation_space == one.observation_space
 
 
+def test_episodes_of_stock_highway_are_there_with_its_observations_and_rewards() -> None:
+    config = {"lanes_count": 4, "vehicles_count": 12, "duration": 8}
+    theirs = gymnasium.make("highway-v0", config=config)
+    scene = {"profile": "highway-env", "lanes": 4, "traffic_vehicles": 12, "ego_slots": 1}
+    arguments = {**scene, "decision_hz": 1, "duration_s": 8.0, "observation": "Kinematics"}
+    ours = made(**arguments)
+    many = ego_vector_env(2, **arguments)
+    assert ours.observation_space == many.single_observation_space == theirs.observation_space
+    together, _ = many.reset(seed=1)
+    for seed in (1, 2):
+        expected = until_over(theirs, seed, whims(seed))
+        found = until_over(ours, seed, whims(seed))
+        np.testing.assert_array_equal(found[0][0], together[seed - 1])
+        for step, (there, here) in enumerate(zip(expected, found, strict=True)):
+            np.testing.assert_allclose(here[0], there[0], rtol=0, atol=1e-6, err_msg=f"{step}")
+            assert here[1:4] == pytest.approx(there[1:4])
+
+
 def test_seeds_reproduce_and_without_one_the_next_episode_follows_from_the_last_seed() -> None:
     env = made(**SHORT)
     runs = []
@@ -179,6 +198,7 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"lane": 3}, "charms_bench/Ego-v0: lane: unknown key"),
         ({"lanes": 1}, "charms_bench/Ego-v0: lanes: Input should be greater.*found 1"),
         ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
+        ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
         ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),
     ],
 )
