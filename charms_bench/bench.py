@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.agent import IDLE
+from charms_bench.agent import IDLE, Actions
 from charms_bench.observation import neighbours
 from charms_bench.registry import make_agent, make_traffic
 from charms_bench.scene import SceneSettings
@@ -26,6 +26,7 @@ from charms_bench.simulation import RUNNING, Simulation
 _SETTINGS = SceneSettings()
 _SCENES = 512
 _SEED = 10**6
+_OBSERVATION = {"type": "Kinematics", "vehicles_count": 7}
 
 Contestant = Callable[[float], tuple[int, float]]
 """Steps for about so many seconds: the environment steps made, and the seconds they took."""
@@ -81,6 +82,54 @@ def bench(
             ("EnvPool", 1, vehicles, _envpool(settings, 1)),
             ("EnvPool", all_threads, vehicles, _envpool(settings, all_threads)),
         ]
+    return _in_turn(contestants, seconds, rounds, progress)
+
+
+def bench_environments(
+    count: int,
+    vehicles: int = 21,
+    traffic: str = "idm_mobil",
+    seconds: float = 2.0,
+    rounds: int = 3,
+    progress: Callable[[str], None] = lambda name: None,
+) -> list[Measurement]:
+    """Measures Gymnasium's vector environments of `count` environments each, in the same way.
+
+    All of them see seven rows of `Kinematics`. highway-env's are in one process after another, or
+    in a process each.
+    """
+    import gymnasium
+    import highway_env  # noqa: F401  # registers highway-v0
+
+    from charms_bench import ego_env
+
+    theirs = _config(_SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1}))
+    ours: dict[str, Any] = {
+        "traffic": traffic,
+        "traffic_vehicles": vehicles - 1,
+        "observation": _OBSERVATION,
+    }
+    processes = min(count, os.cpu_count() or 1)  # that run at a time
+    made = [
+        ("Ego-v0", 1, gymnasium.make_vec(ego_env.ID, count, **ours)),
+        ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
+        ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
+    ]
+    contestants = []
+    for name, threads, environments in made:
+        environments.reset(seed=_SEED)
+        contestant = _in_step(environments, np.full(count, IDLE))
+        contestants.append((name, threads, vehicles, contestant))
+    return _in_turn(contestants, seconds, rounds, progress)
+
+
+def _in_turn(
+    contestants: list[tuple[str, int, int, Contestant]],
+    seconds: float,
+    rounds: int,
+    progress: Callable[[str], None],
+) -> list[Measurement]:
+    """Measures name, threads, vehicles and contestant; see `bench`."""
     rates: list[list[float]] = [[] for _ in contestants]
     for _, _, _, contestant in contestants:
         contestant(0.0)  # compiles and allocates
@@ -169,17 +218,7 @@ def _highway_env(settings: SceneSettings) -> Contestant:
     import gymnasium
     import highway_env  # noqa: F401  # registers highway-v0
 
-    environment = gymnasium.make(
-        "highway-v0",
-        config={
-            "lanes_count": settings.lanes,
-            "vehicles_count": settings.traffic_vehicles,
-            "simulation_frequency": settings.simulation_hz,
-            "policy_frequency": settings.decision_hz,
-            "duration": settings.duration_s,
-            "observation": {"type": "Kinematics", "vehicles_count": 7},
-        },
-    )
+    environment = gymnasium.make("highway-v0", config=_config(settings))
     environment.reset(seed=_SEED)
 
     def run(seconds: float) -> tuple[int, float]:
@@ -190,6 +229,33 @@ def _highway_env(settings: SceneSettings) -> Contestant:
             steps += 1
             if terminated or truncated:
                 environment.reset()
+            if time.perf_counter() >= start + seconds:
+                return steps, time.perf_counter() - start
+
+    return run
+
+
+def _config(settings: SceneSettings) -> dict[str, Any]:
+    """The same scene to highway-env."""
+    return {
+        "lanes_count": settings.lanes,
+        "vehicles_count": settings.traffic_vehicles,
+        "simulation_frequency": settings.simulation_hz,
+        "policy_frequency": settings.decision_hz,
+        "duration": settings.duration_s,
+        "observation": _OBSERVATION,
+    }
+
+
+def _in_step(environments: Any, actions: Actions) -> Contestant:
+    """Environments that have been reset and make their steps together."""
+
+    def run(seconds: float) -> tuple[int, float]:
+        start = time.perf_counter()
+        steps = 0
+        while True:
+            environments.step(actions)
+            steps += actions.size
             if time.perf_counter() >= start + seconds:
                 return steps, time.perf_counter() - start
 
@@ -212,15 +278,4 @@ def _envpool(settings: SceneSettings, threads: int) -> Contestant:
         duration=round(settings.duration_s),
     )
     environments.reset()
-    actions = np.full(64 * threads, IDLE, dtype=np.int32)
-
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        steps = 0
-        while True:
-            environments.step(actions)
-            steps += actions.size
-            if time.perf_counter() >= start + seconds:
-                return steps, time.perf_counter() - start
-
-    return run
+    return _in_step(environments, np.full(64 * threads, IDLE, dtype=np.int32))

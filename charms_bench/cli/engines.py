@@ -75,10 +75,14 @@ def _print_comparisons(results: Any, differing: int) -> None:
 
 @app.command()
 def bench(
-    vehicles: Annotated[int, typer.Option(min=2, max=500, help="The ego included.")] = 21,
+    vehicles: Annotated[int, typer.Option(min=6, max=500, help="The ego included.")] = 21,
     traffic: Annotated[str, typer.Option(help="The traffic of this engine.")] = "idm_mobil",
     seconds: Annotated[float, typer.Option(min=0.1, help="Of every measurement.")] = 2.0,
     rounds: Annotated[int, typer.Option(min=1, help="Measurements of each contestant.")] = 3,
+    environments: Annotated[
+        int | None,
+        typer.Option(min=1, help="Gymnasium's vector environments instead, of so many each."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure environment steps a second: this engine, highway-env and, if installed, EnvPool."""
@@ -87,12 +91,16 @@ def bench(
     from rich.table import Table
 
     from charms_bench.bench import bench as measure
+    from charms_bench.bench import bench_environments
 
     def tell(name: str) -> None:
         if err.is_terminal:
             err.print(f"[dim]{name}[/]", highlight=False)
 
-    results = measure(vehicles, traffic, seconds, rounds, tell)
+    if environments:
+        results = bench_environments(environments, vehicles, traffic, seconds, rounds, tell)
+    else:
+        results = measure(vehicles, traffic, seconds, rounds, tell)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
     rows = [
         asdict(r)
