@@ -40,7 +40,9 @@ def test_who_is_mixed_in_decides_the_network_too() -> None:
     assert plain.key != mixed.key
 
 
-@pytest.mark.parametrize("option", [{"safe_headway_m": 50.0}, {"svo_angle_rad": 1.2}])
+@pytest.mark.parametrize(
+    "option", [{"safe_headway_m": 50.0}, {"lane_change_cost": 0.1}, {"svo_angle_rad": 1.2}]
+)
 def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, float]) -> None:
     plain = job_of()
     changed = replace(plain, stage=plain.stage.model_copy(update=option))

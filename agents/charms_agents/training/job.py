@@ -93,6 +93,8 @@ class Job:
             inputs["safety_horizon_s"] = self.stage.safety_horizon_s
         if self.stage.safe_headway_m:
             inputs["safe_headway_m"] = self.stage.safe_headway_m
+        if self.stage.lane_change_cost:
+            inputs["lane_change_cost"] = self.stage.lane_change_cost
         if self.stage.svo_angle_rad is not None:
             inputs["style"]["svo_angle_rad"] = self.stage.svo_angle_rad
         if self.mixed_in:

@@ -59,6 +59,8 @@ class Prepared(NamedTuple):
     """[B] whether the action is the previous one."""
     lane: Ints
     """[B] the egos' lanes."""
+    target_lane: Ints
+    """[B] where they are heading."""
     followers: Ints
     """[B, L] who is behind the ego on each lane, -1 for nobody."""
     expected: Floats
@@ -77,6 +79,8 @@ class StyleReward:
         angle_rad: phi, such as one of `SVO_ANGLES_RAD`.
         safety_horizon_s: See `safety`.
         safe_headway_m: See `safety`.
+        lane_change_cost: What a decision for another target lane costs, as `lane_change_reward` of
+            highway-env's reward with the opposite sign.
     """
 
     def __init__(
@@ -85,9 +89,11 @@ class StyleReward:
         angle_rad: float,
         safety_horizon_s: float = SAFE_TTC_S,
         safe_headway_m: float = 0.0,
+        lane_change_cost: float = 0.0,
     ) -> None:
         self._weights = weights
         self._horizon_s, self._headway_m = safety_horizon_s, safe_headway_m
+        self._lane_change_cost = lane_change_cost
         self._own, self._others = math.cos(angle_rad), math.sin(angle_rad)
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
@@ -99,7 +105,8 @@ class StyleReward:
         if self._others:
             expect(scene, followers, expected)
         consistent = simulation.action[rows, ego] == actions
-        return Prepared(consistent, scene.lane[rows, ego], followers, expected)
+        lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
+        return Prepared(consistent, lane, target_lane, followers, expected)
 
     def __call__(self, simulation: Simulation, prepared: Prepared) -> Floats:
         """The rewards (B,) of the decisions."""
@@ -112,6 +119,9 @@ class StyleReward:
         rewards = self._own * own / weights.largest
         if self._others:
             rewards += self._others * (others(scene, prepared) + 6) / 12
+        if self._lane_change_cost:
+            changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
+            rewards -= self._lane_change_cost * changed
         failed = (simulation.ending != RUNNING) & (simulation.ending != TIME)
         return np.where(failed, FAILURE, rewards)
 

@@ -146,6 +146,8 @@ class Stage(FrozenModel):
     """From how many seconds a time to collision is safe, in r_s."""
     safe_headway_m: NonNegative = 0.0
     """From how many metres a headway is safe, in r_s; the paper's r_s does not look at it: 0."""
+    lane_change_cost: NonNegative = 0.0
+    """What a decision for another lane costs; nothing in the paper."""
 
     @property
     def angle_rad(self) -> float:

@@ -153,6 +153,7 @@ def make_model(job: Job) -> DoubleDQN:
             stage.angle_rad,
             stage.safety_horizon_s,
             stage.safe_headway_m,
+            stage.lane_change_cost,
         ),
         job.first_episode_seed,
     )
