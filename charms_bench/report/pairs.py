@@ -25,6 +25,17 @@ SUMMARY = (*COMPARED, "speed_std", "acc_std", "acc_mean", "dhw_std")
 """What an episode is known by to who guesses its driver."""
 FOLDS = 10
 
+SCHEMA: dict[str, pl.DataType] = {
+    "first": pl.String(),
+    "second": pl.String(),
+    "metric": pl.String(),
+    "difference": pl.Float64(),  # first less second; null where it is not defined
+    "low": pl.Float64(),  # of the 95 % interval
+    "high": pl.Float64(),
+    "p": pl.Float64(),  # after Holm
+    "separated": pl.Boolean(),
+}
+
 Difference = dict[str, str | float | bool | None]
 
 
@@ -32,8 +43,7 @@ def differences(cells: Sequence[CellRows], settings: SceneSettings, seed: int) -
     """For each pair of egos and each metric: first minus second.
 
     Returns:
-        Rows of first, second, metric, difference, low, high (95 %), p (after Holm) and
-        whether it is separated from 0 by that; None where the metric is not defined.
+        The rows (`SCHEMA`); None where the metric is not defined.
     """
     metrics = _metrics(COMPARED)
     sums = [sums_by_episode(metrics, cell.episodes, cell.steps, settings) for cell in cells]
@@ -114,7 +124,7 @@ def write_pairs(
 ) -> None:
     """Writes `<name>-pairs.csv` and, for reading, `<name>-pairs.md` into a folder."""
     rows = differences(cells, settings, seed)
-    write_atomically(folder / f"{name}-pairs.csv", pl.DataFrame(rows).write_csv)
+    write_atomically(folder / f"{name}-pairs.csv", pl.DataFrame(rows, schema=SCHEMA).write_csv)
     text = _markdown(rows, *guessed(cells, settings, seed), len(cells))
     write_atomically(folder / f"{name}-pairs.md", lambda path: path.write_bytes(text.encode()))
 

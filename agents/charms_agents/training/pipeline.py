@@ -3,6 +3,7 @@
 import hashlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,13 +20,14 @@ from charms_agents.training.progress import progress
 from charms_agents.training.schedule import AnyJob, run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
-from charms_agents.training.summary import rendered, write_summary
+from charms_agents.training.summary import write_summary
 from charms_bench.agent import Policy
 from charms_bench.document import Document
 from charms_bench.errors import InputError
 from charms_bench.human.highd import find_trios
 from charms_bench.human.samples import fingerprint
 from charms_bench.registry import make_agent
+from charms_bench.report.training import render_stages
 
 
 def run(
@@ -54,7 +56,7 @@ def run(
     if only is not None and only not in suite.needs:
         raise InputError(f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.needs)}")
     names = suite.order if only is None else suite.needed_for(only)
-    console = Console(stderr=True)
+    console = Console(stderr=True, force_interactive=None if sys.stderr.isatty() else False)
 
     def say(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -80,7 +82,7 @@ def run(
             raise KeyboardInterrupt from None
     write_curves(output, suite, folders)
     folders = {name: folders[name] for name in names}
-    Console().print(rendered(write_summary(output, folders)))
+    Console().print(render_stages(write_summary(output, folders)))
 
 
 def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:

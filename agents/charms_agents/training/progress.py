@@ -21,7 +21,7 @@ Tell = Callable[[str, int, int, str], None]
 @contextmanager
 def progress(console: Console) -> Iterator[Tell]:
     """A bar a stage on a terminal; a line at every tenth of a stage elsewhere."""
-    if not console.is_terminal:
+    if not console.is_interactive:
         yield _lines()
         return
     columns = (

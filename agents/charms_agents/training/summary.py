@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-from rich.table import Table
 
 from charms_agents.training.job import StageFolder
 from charms_bench.results import write_atomically
@@ -58,32 +57,3 @@ def _row(name: str, folder: StageFolder) -> dict[str, Any]:
         "return": last.get("return_mean"),
         "crashed": last.get("crashed_share"),
     }
-
-
-def rendered(table: pl.DataFrame) -> Table:
-    """The table for a terminal."""
-    shown = Table(box=None)
-    for column, justify in {
-        "stage": "left",
-        "time": "right",
-        "steps/s": "right",
-        "return": "right",
-        "crashed": "right",
-        "agreement": "right",
-    }.items():
-        shown.add_column(column, justify=justify, no_wrap=True)  # type: ignore[arg-type]  # a literal
-    for row in table.iter_rows(named=True):
-        agrees = [row["agreement_before"], row["agreement"]]
-        shown.add_row(
-            row["stage"],
-            f"{row['wall_s'] / 60:.1f} min",
-            _number(row["steps_per_s"], ",.0f"),
-            _number(row["return"], ".1f"),
-            _number(row["crashed"], ".0%"),
-            " → ".join(f"{share:.1%}" for share in agrees if share is not None),
-        )
-    return shown
-
-
-def _number(value: float | None, form: str) -> str:
-    return "" if value is None else f"{value:{form}}"

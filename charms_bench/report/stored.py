@@ -1,0 +1,57 @@
+"""Tables as a run folder keeps them: read again, not computed again."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import polars as pl
+import polars.selectors as cs
+
+from charms_bench.errors import RunFolderError
+from charms_bench.report.pairs import SCHEMA as PAIRS_SCHEMA
+from charms_bench.report.realism import SCHEMA as REALISM_SCHEMA
+from charms_bench.report.tables import LONG_SCHEMA
+
+TABLES: dict[str, Mapping[str, pl.DataType]] = {
+    "": LONG_SCHEMA,
+    "-realism": REALISM_SCHEMA,
+    "-pairs": PAIRS_SCHEMA,
+}
+"""What is written of a suite, by the end of its name: every cell, realism, pairs of egos."""
+
+
+def stored_tables(folder: Path, suite: str) -> dict[str, pl.DataFrame]:
+    """The tables of an evaluation, by the ends of their names (`TABLES`).
+
+    Args:
+        folder: The run folder.
+        suite: The suite's name.
+
+    Raises:
+        RunFolderError: The first, which every run has, is missing, or one is damaged.
+    """
+    paths = {end: folder / "tables" / f"{suite}{end}.csv" for end in TABLES}
+    if not paths[""].exists():
+        raise RunFolderError(
+            f"{paths['']}: no such file; a run writes its tables when it is finished, and "
+            f"`charms-bench rescore {folder}` writes them again"
+        )
+    return {end: read_table(path, TABLES[end]) for end, path in paths.items() if path.exists()}
+
+
+def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
+    """A CSV file with these columns; a number that is not finite is null.
+
+    Raises:
+        RunFolderError: It cannot be read, or has other columns.
+    """
+    try:
+        table = pl.read_csv(path, schema_overrides=schema, glob=False)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        reason = str(error).splitlines()[0]
+        raise RunFolderError(f"{path}: cannot be read: {reason}") from error
+    if table.columns != list(schema):
+        raise RunFolderError(
+            f"{path}: expected the columns {', '.join(schema)}, found {', '.join(table.columns)}"
+        )
+    numbers = cs.float()
+    return table.with_columns(pl.when(numbers.is_finite()).then(numbers))
