@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
@@ -175,8 +176,9 @@ def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Contesta
 
 def _serve(pipe: Connection, settings: SceneSettings, traffic: str) -> None:
     run = _batched(settings, traffic)
-    while True:
-        pipe.send(run(pipe.recv()))
+    with suppress(EOFError):  # nobody asks any more
+        while True:
+            pipe.send(run(pipe.recv()))
 
 
 def _reference(settings: SceneSettings, traffic: str) -> Contestant:
