@@ -27,14 +27,17 @@ def check_figure(path: Path) -> None:
         raise InputError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
 
 
-def panels(count: int, width: float, height: float) -> tuple[Figure, Sequence[Any]]:
-    """A figure of axes side by side, each of this size in inches."""
-    figure = Figure(figsize=(width * count, height), layout="constrained")
+def panels(
+    count: int, width: float, height: float, stacked: bool = False
+) -> tuple[Figure, Sequence[Any]]:
+    """A figure of axes side by side, or one above the other, each of this size in inches."""
+    rows, columns = (count, 1) if stacked else (1, count)
+    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    (row,) = figure.subplots(1, count, squeeze=False)
-    for axes in row:
+    every = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in every:
         axes.spines[["top", "right"]].set_visible(False)
-    return figure, list(row)
+    return figure, every
 
 
 def take_text_as_it_is(figure: Figure) -> None:

@@ -1,5 +1,6 @@
 """Every ego against every traffic: who is good in whose company, as matrices."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +36,12 @@ def write_matrices(markdown: Path, figure: Path, long: pl.DataFrame) -> None:
     save(draw_matrices(long), figure)
 
 
-def draw_matrices(long: pl.DataFrame) -> Figure:
-    """The matrices of a table as heat maps, side by side."""
+def draw_matrices(long: pl.DataFrame, metrics: Sequence[str] = tuple(SHOWN)) -> Figure:
+    """The matrices of a table as heat maps, side by side; of some of `SHOWN`."""
     egos, traffics, found = _found(long)
-    drawing, row = panels(len(SHOWN), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
-    for axes, (metric, (title, factor, form, colours)) in zip(row, SHOWN.items(), strict=True):
+    drawing, row = panels(len(metrics), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
+    for axes, metric in zip(row, metrics, strict=True):
+        title, factor, form, colours = SHOWN[metric]
         values = found[metric]["value"] * factor
         corners = (np.arange(len(traffics) + 1) - 0.5, np.arange(len(egos) + 1) - 0.5)
         axes.pcolormesh(*corners, values, cmap=colours)

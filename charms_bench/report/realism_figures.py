@@ -65,9 +65,13 @@ def draw_distributions(
         panel.set_yscale("function", functions=(np.sqrt, np.square))
         panel.set_ylim(0, 1.05 * np.max([*areas, *lines]))
     axes[0].set_ylabel(f"share of vehicles per {unit}\n(square-root scale)")
-    figure.suptitle(TITLE[quantity], fontsize=11)
+    if len(people) > 1:
+        figure.suptitle(TITLE[quantity], fontsize=11)
     named = axes[0].get_legend_handles_labels()
-    figure.legend(*named, loc="outside lower center", ncols=min(len(named[1]), 3), frameon=False)
+    columns = min(len(named[1]), 1 + len(people))
+    figure.legend(
+        *named, loc="outside lower center", ncols=min(columns, 3), frameon=False, fontsize=9
+    )
     return figure
 
 

@@ -47,16 +47,25 @@ def write_tradeoff(path: Path, long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS)
     save(draw_tradeoff(long, tradeoff), path)
 
 
-def draw_tradeoff(long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> Figure:
+def draw_tradeoff(
+    long: pl.DataFrame,
+    tradeoff: Tradeoff = OF_EGOS,
+    width: float = 8.6,
+    height: float = 5.2,
+) -> Figure:
     """The cells of a table with their 95 % intervals.
+
+    Points carry their names, or numbers of a list where they are of several groups.
 
     Args:
         long: `tables.LONG_SCHEMA`.
         tradeoff: What is drawn.
+        width: Of the figure, inches.
+        height: Likewise.
     """
     cells = _cells(long, tradeoff)
     names = cells[tradeoff.names].unique(maintain_order=True).to_list()
-    figure, (axes,) = panels(1, 8.6, 5.2)
+    figure, (axes,) = panels(1, width, height)
     texts: list[Annotation] = []
     grouped = "traffic" if tradeoff.names == "agent" else "agent"
     groups = cells[grouped].unique(maintain_order=True).to_list()
@@ -76,8 +85,8 @@ def draw_tradeoff(long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> Figure:
             label=group,
         )
         for name, left, up in zip(part[tradeoff.names], x, y, strict=True):
-            number = str(names.index(name) + 1)
-            texts.append(axes.annotate(number, (left, up), fontsize=8, color=colour))
+            label = name if len(groups) == 1 else str(names.index(name) + 1)
+            texts.append(axes.annotate(label, (left, up), fontsize=8, color=colour))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(_root, np.square))
     top = axes.get_ylim()[1]
@@ -85,11 +94,19 @@ def draw_tradeoff(long: pl.DataFrame, tradeoff: Tradeoff = OF_EGOS) -> Figure:
     axes.set_yticks([share for share in TICKS if share < top])
     axes.margins(x=0.12)
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
-    axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label} (square-root scale)")
-    listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
-    axes.text(1.02, 1.0, listed, transform=axes.transAxes, va="top", fontsize=8, linespacing=1.5)
+    axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label}\n(square-root scale)")
     if len(groups) > 1:
-        axes.legend(title=grouped, frameon=False, fontsize=8, loc="upper left")
+        listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
+        place = {"transform": axes.transAxes, "va": "top"}
+        axes.text(1.02, 1.0, listed, fontsize=8, linespacing=1.5, **place)
+        axes.legend(
+            title=grouped,
+            frameon=False,
+            fontsize=8,
+            title_fontsize=8,
+            loc="lower left",
+            bbox_to_anchor=(1.0, 0.0),
+        )
     take_text_as_it_is(figure)
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)

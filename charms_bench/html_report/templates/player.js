@@ -1,0 +1,192 @@
+// Replays: an episode on a canvas, its readings, and a cursor through its timelines.
+"use strict";
+
+const BITS = { crashed: 1, brakes: 2, left: 4, right: 8 };
+const EGO_AT = 0.38; // of the canvas' width
+const SHOULDER_M = 1, DASH_M = 6, DASH_EVERY_M = 18, MARK_EVERY_M = 20;
+const SCALE_PX = 24; // under the road
+
+async function unpack(packed) {
+  const bytes = Uint8Array.from(atob(packed.data), (character) => character.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const numbers = new Int32Array(await new Response(stream).arrayBuffer());
+  const columns = {};
+  let start = 0;
+  for (const [name, unit, width] of packed.columns) {
+    const values = numbers.subarray(start, start + packed.frames * width);
+    for (let i = width; i < values.length; i++) values[i] += values[i - width];
+    columns[name] = { values, unit, width };
+    start += values.length;
+  }
+  const read = (name, frame, vehicle = 0) => {
+    const { values, unit, width } = columns[name];
+    return values[frame * width + vehicle] * unit;
+  };
+  const between = (name, moment, vehicle) => {
+    const frame = Math.min(Math.floor(moment), packed.frames - 1);
+    const next = Math.min(frame + 1, packed.frames - 1);
+    const here = read(name, frame, vehicle);
+    return here + (read(name, next, vehicle) - here) * (moment - frame);
+  };
+  const others = packed.agent.filter((_, vehicle) => vehicle !== packed.ego);
+  const driven = [...new Set(others)].sort((a, b) => a - b);
+  return { ...packed, last: packed.frames - 1, read, between, driven };
+}
+
+function letterOf(replay, agent) {
+  return String.fromCharCode(65 + (replay.driven.indexOf(agent) % 26));
+}
+
+class Road {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d");
+    this.readColours();
+  }
+
+  readColours() {
+    const style = getComputedStyle(this.canvas);
+    const colour = (name) => {
+      this.canvas.style.color = `var(--${name})`; // which alone resolves light or dark
+      return style.color;
+    };
+    this.colours = {
+      asphalt: colour("asphalt"), paint: colour("paint"), marks: colour("pale"),
+      ego: colour("ego"), rim: colour("rim"), onVehicle: colour("on-vehicle"),
+      wreck: colour("wreck"), brake: colour("brake"), indicator: colour("indicator"),
+      agents: [0, 1, 2, 3, 4, 5, 6, 7].map((k) => colour(`agent-${k}`)),
+      font: style.fontFamily,
+    };
+  }
+
+  draw(replay, moment) {
+    const { canvas, pen } = this;
+    const width = canvas.clientWidth;
+    this.scale = width / Math.min(110, Math.max(46, width / 8)); // px a metre
+    const roadPx = (replay.lanes * replay.lane_m + 2 * SHOULDER_M) * this.scale;
+    const height = Math.round(roadPx + SCALE_PX);
+    const ratio = window.devicePixelRatio || 1;
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+      canvas.style.height = `${height}px`;
+    }
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, width, height);
+    this.from = replay.between("x", moment, replay.ego) - (EGO_AT * width) / this.scale;
+    this.top = -replay.lane_m / 2 - SHOULDER_M;
+    this.drawRoad(replay, width, roadPx);
+    for (let vehicle = 0; vehicle < replay.vehicles; vehicle++) {
+      if (vehicle !== replay.ego) this.drawVehicle(replay, moment, vehicle, width);
+    }
+    this.drawVehicle(replay, moment, replay.ego, width);
+  }
+
+  at(x, y) {
+    return [(x - this.from) * this.scale, (y - this.top) * this.scale];
+  }
+
+  drawRoad(replay, width, roadPx) {
+    const { pen, colours, scale } = this;
+    pen.fillStyle = colours.asphalt;
+    pen.fillRect(0, 0, width, roadPx);
+    pen.strokeStyle = colours.paint;
+    pen.lineWidth = 2;
+    for (let border = 0; border <= replay.lanes; border++) {
+      const [, y] = this.at(0, (border - 0.5) * replay.lane_m);
+      const solid = border === 0 || border === replay.lanes;
+      pen.setLineDash(solid ? [] : [DASH_M * scale, (DASH_EVERY_M - DASH_M) * scale]);
+      pen.lineDashOffset = this.from * scale;
+      pen.beginPath();
+      pen.moveTo(0, y);
+      pen.lineTo(width, y);
+      pen.stroke();
+    }
+    pen.setLineDash([]);
+    pen.fillStyle = colours.marks;
+    pen.font = `11px ${colours.font}`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    const first = Math.ceil(this.from / MARK_EVERY_M) * MARK_EVERY_M;
+    for (let mark = first; mark < this.from + width / scale; mark += MARK_EVERY_M) {
+      const [x] = this.at(mark, 0);
+      pen.fillRect(x, roadPx, 1, 4);
+      pen.fillText(`${mark.toLocaleString("en")} m`, x, roadPx + 14);
+    }
+  }
+
+  drawVehicle(replay, moment, vehicle, width) {
+    const { pen, colours, scale } = this;
+    const [x, y] = this.at(
+      replay.between("x", moment, vehicle), replay.between("y", moment, vehicle));
+    if (x < -60 || x > width + 60) return;
+    const flags = replay.read("flags", Math.floor(moment), vehicle);
+    const isEgo = vehicle === replay.ego;
+    const long = (replay.length_m / 2) * scale;
+    const wide = (replay.width_m / 2) * scale;
+    pen.save();
+    pen.translate(x, y);
+    pen.rotate(replay.between("heading", moment, vehicle));
+    pen.beginPath();
+    if (isEgo) {
+      // An arrow, so that it is known by its shape too.
+      const corners = [[-long, -wide], [long * 0.62, -wide], [long, 0], [long * 0.62, wide], [-long, wide]];
+      corners.forEach((corner, k) => (k ? pen.lineTo(...corner) : pen.moveTo(...corner)));
+      pen.closePath();
+    } else {
+      pen.roundRect(-long, -wide, 2 * long, 2 * wide, [2, wide * 0.6, wide * 0.6, 2]);
+    }
+    const place = replay.driven.indexOf(replay.agent[vehicle]);
+    pen.fillStyle = isEgo ? colours.ego : colours.agents[place % colours.agents.length];
+    pen.fill();
+    if (isEgo) {
+      pen.lineWidth = 2;
+      pen.strokeStyle = colours.rim;
+      pen.stroke();
+    }
+    if (flags & BITS.brakes) {
+      pen.fillStyle = colours.brake;
+      for (const side of [-1, 0.4]) pen.fillRect(-long, side * wide, 0.2 * long, 0.6 * wide);
+    }
+    if (flags & (BITS.left | BITS.right)) {
+      pen.fillStyle = colours.indicator;
+      const edge = flags & BITS.left ? -wide * 1.45 : wide;
+      for (const end of [-long, long * 0.5]) pen.fillRect(end, edge, 0.5 * long, 0.45 * wide);
+    }
+    if (flags & BITS.crashed) {
+      pen.strokeStyle = colours.wreck;
+      pen.lineWidth = 3;
+      pen.beginPath();
+      for (const side of [-1, 1]) {
+        pen.moveTo(-1.1 * long, -1.3 * side * wide);
+        pen.lineTo(1.1 * long, 1.3 * side * wide);
+      }
+      pen.stroke();
+    }
+    pen.restore();
+    pen.fillStyle = colours.onVehicle;
+    pen.font = `600 ${Math.max(9, Math.min(12, wide * 1.25))}px ${colours.font}`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    pen.fillText(isEgo ? "EGO" : letterOf(replay, replay.agent[vehicle]) + vehicle, x, y + 0.5);
+  }
+}
+
+function readingsOf(replay, frame) {
+  const read = (name) => replay.read(name, frame);
+  const known = (name, digits, unit) =>
+    read(name) < 0 ? "–" : `${read(name).toFixed(digits)}${unit}`;
+  const action = read("action"), aside = read("target") - read("lane");
+  const crashed = replay.read("flags", frame, replay.ego) & BITS.crashed;
+  const steered = aside ? `to the ${aside < 0 ? "left" : "right"}` : "keeps its lane";
+  const acceleration = read("acceleration");
+  return {
+    "decision": crashed ? "crashed" : action >= 0 ? replay.actions[action] : steered,
+    "reward": known("reward", 2, ""),
+    "speed": `${read("speed").toFixed(1)} m/s`,
+    "acceleration": `${acceleration < 0 ? "−" : "+"}${Math.abs(acceleration).toFixed(1)} m/s²`,
+    "gap ahead": known("ahead", 1, " m"),
+    "gap behind": known("behind", 1, " m"),
+    "TTC": known("ttc", 1, " s"),
+  };
+}

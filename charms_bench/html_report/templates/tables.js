@@ -1,0 +1,106 @@
+// Tables that sort, numbers that say what they are, and the choice of light or dark.
+"use strict";
+
+function valueOf(row, column) {
+  const cell = row.cells[column];
+  if (cell.tagName === "TH") return cell.textContent.trim().toLowerCase();
+  return "value" in cell.dataset ? Number(cell.dataset.value) : null;
+}
+
+function compare(a, b) {
+  return typeof a === "string" ? a.localeCompare(b, undefined, { numeric: true }) : a - b;
+}
+
+function sortBy(button) {
+  const header = button.closest("th");
+  const body = header.closest("table").tBodies[0];
+  const descending = header.getAttribute("aria-sort") === "ascending";
+  for (const other of header.parentElement.cells) other.removeAttribute("aria-sort");
+  header.setAttribute("aria-sort", descending ? "descending" : "ascending");
+  const rows = [...body.rows].map((row) => [valueOf(row, header.cellIndex), row]);
+  rows.sort(([a], [b]) => {
+    if (a === null || b === null) return (a === null) - (b === null); // none is last both ways
+    return descending ? compare(b, a) : compare(a, b);
+  });
+  body.append(...rows.map(([, row]) => row));
+}
+
+for (const button of document.querySelectorAll("button.sort")) {
+  button.addEventListener("click", () => sortBy(button));
+}
+
+const card = document.getElementById("card");
+
+function explain(link) {
+  const definition = document.getElementById(decodeURIComponent(link.hash.slice(1)));
+  const cell = link.closest("td");
+  const value = document.getElementById("card-value");
+  const copy = (name, part) => {
+    const nodes = definition.querySelector(part).cloneNode(true).childNodes;
+    document.getElementById(name).replaceChildren(...nodes);
+  };
+  copy("card-name", "dt");
+  copy("card-text", "dd");
+  value.hidden = !cell;
+  if (cell) {
+    const who = [...cell.parentElement.querySelectorAll("th")].map((each) => each.textContent);
+    const text = (part) => cell.querySelector(part)?.textContent.replace("◇", "").trim();
+    const said = [
+      text(".interval") && `95 % interval ${text(".interval")}`,
+      link.dataset.n && `n = ${link.dataset.n}`,
+      text(".paper") && `${text(".paper")} (ours less theirs ${link.dataset.difference})`,
+    ];
+    value.textContent = [`${who.join(" in ")}: ${link.textContent}`, ...said.filter(Boolean)].join(", ");
+  }
+  card.showPopover();
+  const at = link.getBoundingClientRect();
+  const left = Math.min(at.left, window.innerWidth - card.offsetWidth - 12);
+  const below = at.bottom + 8 + card.offsetHeight < window.innerHeight;
+  card.style.left = `${Math.max(12, left)}px`;
+  card.style.top = `${below ? at.bottom + 8 : Math.max(12, at.top - card.offsetHeight - 8)}px`;
+}
+
+if ("showPopover" in card) {
+  for (const link of document.querySelectorAll("a.number, a.define")) {
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      explain(link);
+    });
+  }
+  document.getElementById("card-close").addEventListener("click", () => card.hidePopover());
+}
+
+const theme = document.getElementById("theme");
+const prefersDark = matchMedia("(prefers-color-scheme: dark)");
+let isDark = prefersDark.matches;
+
+function showTheme(chosen) {
+  if (chosen) document.documentElement.dataset.theme = isDark ? "dark" : "light";
+  theme.textContent = isDark ? "Light" : "Dark";
+  theme.setAttribute("aria-label", `${theme.textContent} page`);
+  document.dispatchEvent(new Event("themechange"));
+}
+
+theme.hidden = false;
+theme.addEventListener("click", () => {
+  isDark = !isDark;
+  showTheme(true);
+});
+prefersDark.addEventListener("change", () => {
+  isDark = prefersDark.matches;
+  delete document.documentElement.dataset.theme;
+  showTheme(false);
+});
+showTheme(false);
+
+// Paper has no folds.
+const folded = [];
+window.addEventListener("beforeprint", () => {
+  for (const each of document.querySelectorAll("details:not([open])")) {
+    each.open = true;
+    folded.push(each);
+  }
+});
+window.addEventListener("afterprint", () => {
+  for (const each of folded.splice(0)) each.open = false;
+});
