@@ -28,6 +28,7 @@ LAYERS = (
     {"verify", "bench", "replay", "comparison"},
     {"happenings", "animation"},
     {"edge_cases"},
+    {"html_report"},
     {"cli"},
     {"__main__"},
 )

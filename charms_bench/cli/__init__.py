@@ -17,6 +17,7 @@ from charms_bench.cli import new_agent  # noqa: F401
 from charms_bench.cli import engines  # noqa: F401
 from charms_bench.cli import episodes  # noqa: F401
 from charms_bench.cli import compare  # noqa: F401
+from charms_bench.cli import report  # noqa: F401
 from charms_bench.cli import rescore  # noqa: F401
 from charms_bench.cli import data  # noqa: F401
 from charms_bench.cli import export  # noqa: F401
