@@ -67,7 +67,7 @@ def observation_of(like: ObservationLike) -> Observation:
 def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
     """The observation of a name, or of `{type: name, option: value}`; raises likewise."""
     options = dict(like) if isinstance(like, Mapping) else {"type": like}
-    name = str(options.pop("type", None))
+    name = str(options.pop("type", None))[:80]
     if name not in OBSERVATIONS:
         raise InputError(f"no observation named '{name}'. {suggestion(name, OBSERVATIONS)}")
     try:

@@ -2,6 +2,7 @@
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from charms_bench.profile import PROFILES
 from charms_bench.registry import make_agent
 from charms_bench.scene import SceneSettings
 from charms_bench.simulation import RUNNING, TIME, Simulation
+from charms_bench.suite import load_suite
 from charms_bench.traffic import OneAgent
 
 EXAMPLE: dict[str, Any] = {
@@ -37,6 +39,7 @@ EXAMPLE: dict[str, Any] = {
     "target_update_interval": 50,
 }
 """The DQN of highway-env's documentation."""
+GUIDE = Path(__file__).parent.parent.parent / "docs" / "highway-env.md"
 STOCK = {"lanes": 4, "traffic_vehicles": 50, "duration_s": 40.0}
 SMALL = {"lanes": 3, "traffic_vehicles": 12, "duration_s": 12.0}
 
@@ -102,6 +105,21 @@ def test_an_untrained_one_does_in_a_small_scene(tmp_path: Path) -> None:
             assert here(path, seed, engine, **SMALL) == expected
         seen |= set(expected[0])
     assert len(seen) > 1
+
+
+def test_the_suite_of_the_guide_is_stock_highway(tmp_path: Path) -> None:
+    (text,) = re.findall(r"```yaml\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    (tmp_path / "highway.yaml").write_text(text)
+    scene = load_suite(tmp_path / "highway.yaml").scene
+    assert (scene.profile, scene.ego_slots) == (PROFILES["highway-env"], 1)
+    config = gymnasium.make("highway-v0").unwrapped.config
+    assert scene.lanes == config["lanes_count"]
+    assert scene.traffic_vehicles == config["vehicles_count"]
+    assert scene.density == config["vehicles_density"]
+    assert scene.simulation_hz == config["simulation_frequency"]
+    assert scene.decision_hz == config["policy_frequency"]
+    assert scene.duration_s == config["duration"]
+    assert config["observation"] == {"type": Kinematics.name}
 
 
 @pytest.mark.slow
