@@ -1,14 +1,17 @@
-"""A run folder: its manifest and its shards, written whole or not at all."""
+"""A run folder: its manifest and its shards, each written whole or not at all.
 
+A shard is finished once its checksums are there, which are written last, as a file of its own in
+the format of `sha256sum`; what does not match them is simulated again.
+"""
+
+import hashlib
 import json
 import os
 import platform
 import re
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
@@ -18,11 +21,15 @@ import polars as pl
 
 from charms_bench import __version__
 from charms_bench.errors import RunFolderError
+from charms_bench.lock import locked
+from charms_bench.metrics import METRIC_SETS
 from charms_bench.suite import PRESENTATION, Suite
 
 MANIFEST = "manifest.json"
 KINDS = ("steps", "counts", "episodes")
 """The kinds of rows of a shard, as `Recording` has them, each in a folder of its own."""
+CHECKSUMS = "checksums"
+"""The folder of their checksums."""
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
@@ -57,6 +64,11 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         raise RunFolderError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
+def write_bytes(path: Path, data: bytes) -> None:
+    """Puts a file in its place, whole; see `write_atomically`."""
+    write_atomically(path, lambda partial: partial.write_bytes(data))
+
+
 @dataclass(frozen=True)
 class Shard:
     """A fixed number of episodes of a cell; its key names everything its rows depend on."""
@@ -79,25 +91,42 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def open_for(self, suite: Suite, engine: str) -> None:
-        """Makes the folder this suite's; one that holds another run is left alone.
+    @contextmanager
+    def opened_for(self, suite: Suite, engine: str) -> Iterator[None]:
+        """Makes the folder this suite's, and this process's alone; another run is left as it is.
 
         Raises:
-            RunFolderError: It holds another run, or cannot be read or written.
+            RunFolderError: It holds another run, or one that is at work, or cannot be read or
+                written.
         """
-        manifest = self.path / MANIFEST
-        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
-        ours = {"suite": fields, "engine": engine}
-        if manifest.exists():
-            theirs = self.manifest()
-            for difference in _differences({key: theirs.get(key) for key in ours}, ours):
-                raise RunFolderError(
-                    f"{self.path} holds another run: {difference}; "
-                    "choose another folder with --output, or delete this one"
-                )
-        elif self.path.exists() and any(self.path.iterdir()):
+        if self._holds_something_else():
             raise RunFolderError(
                 f"{self.path} is not empty and holds no run; choose another with --output"
+            )
+        with locked(self.path):
+            if (self.path / MANIFEST).exists():
+                self._refuse_another(suite, engine)
+            for folder in ("", *KINDS, CHECKSUMS, "tables", "figures"):
+                for left in (self.path / folder).glob(".*.partial"):
+                    left.unlink()
+            yield
+
+    def _holds_something_else(self) -> bool:
+        """A run that was killed before it wrote its manifest has left hidden files alone."""
+        return (
+            self.path.exists()
+            and not (self.path / MANIFEST).exists()
+            and any(not path.name.startswith(".") for path in self.path.iterdir())
+        )
+
+    def _refuse_another(self, suite: Suite, engine: str) -> None:
+        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
+        ours = {"suite": fields, "engine": engine}
+        theirs = self.manifest()
+        for difference in _differences({key: theirs.get(key) for key in ours}, ours):
+            raise RunFolderError(
+                f"{self.path} holds another run: {difference}; "
+                "choose another folder with --output, or delete this one"
             )
 
     def write_manifest(self, suite: Suite, engine: str, agents: dict[str, Any]) -> None:
@@ -109,6 +138,7 @@ class RunFolder:
             "suite_sha256": suite.fingerprint(),
             "engine": engine,
             "agents": agents,
+            "metric_sets": {each.name: each.version for each in METRIC_SETS},
             "versions": {name: version(name) for name in _RECORDED_VERSIONS},
             "machine": {
                 "python": platform.python_version(),
@@ -118,7 +148,7 @@ class RunFolder:
             },
         }
         text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-        write_atomically(self.path / MANIFEST, lambda path: path.write_text(text, encoding="utf-8"))
+        write_bytes(self.path / MANIFEST, text.encode())
 
     def manifest(self) -> dict[str, Any]:
         """What `write_manifest` wrote.
@@ -155,27 +185,35 @@ class RunFolder:
         """The finished shards in it, by cell and seed; their `key` is only its beginning.
 
         Raises:
-            RunFolderError: A file has another name than shards have.
+            RunFolderError: A file has another name than shards have, or is damaged.
         """
         found = []
-        for path in sorted((self.path / "episodes").glob("*.parquet")):
+        for path in sorted((self.path / CHECKSUMS).glob("*.sha256")):
             match = re.fullmatch(r"(\d{3,})-(\d{9,})-([0-9a-f]{16})", path.stem)
             if match is None:
                 raise RunFolderError(f"{path}: is no shard of a run; delete it")
             cell, first_seed, key = match.groups()
-            with _reading(path):
-                episodes = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-            found.append(Shard(int(cell), int(first_seed), episodes, key))
+            rows = self._read("episodes", path.stem)
+            found.append(Shard(int(cell), int(first_seed), len(rows), key))
         return tuple(found)
 
     def has(self, shard: Shard) -> bool:
         """Whether the shard is finished."""
-        return all(self._file(kind, shard).exists() for kind in KINDS)
+        return self._checksums(shard.name).exists()
+
+    def is_whole(self, shard: Shard) -> bool:
+        """Whether the shard is finished and every byte of it as it was written."""
+        return self._files(shard.name) is not None
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
-        """Writes a finished shard."""
+        """Writes a finished shard.
+
+        Raises:
+            RunFolderError: The folder cannot be written to.
+        """
         for kind in KINDS:
-            write_atomically(self._file(kind, shard), partial(_write_bytes, files[kind]))
+            write_bytes(self._file(kind, shard.name), files[kind])
+        write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
 
     def take(self, shards: Iterable[Shard], other: Path) -> None:
         """Copies the shards that another run has finished, whatever their cells are there.
@@ -186,17 +224,11 @@ class RunFolder:
         has_some = False
         for shard in shards:
             seed_and_key = shard.name.partition("-")[2]
-            found = {
-                kind: path
-                for kind in KINDS
-                for path in (other / kind).glob(f"*-{seed_and_key}.parquet")
-            }
-            if len(found) < len(KINDS):
-                continue
-            has_some = True
-            if not self.has(shard):
-                for kind, path in found.items():
-                    write_atomically(self._file(kind, shard), partial(shutil.copyfile, path))
+            for path in (other / CHECKSUMS).glob(f"*-{seed_and_key}.sha256"):
+                files = RunFolder(other)._files(path.stem)
+                has_some = has_some or files is not None
+                if files is not None and not self.is_whole(shard):
+                    self.write(shard, files)
         if not has_some:
             raise RunFolderError(
                 f"{other}: holds no rows of this suite; expected a run of the same version, with "
@@ -207,41 +239,55 @@ class RunFolder:
         """The rows, one of `KINDS`, of some shards.
 
         Raises:
-            RunFolderError: A file is missing or damaged.
+            RunFolderError: A file is missing or is not as it was written.
         """
-        frames = []
-        for shard in shards:
-            path = self._file(kind, shard)
-            with _reading(path):
-                frames.append(pl.read_parquet(path, glob=False))
-        return pl.concat(frames)
+        return pl.concat([self._read(kind, shard.name) for shard in shards])
+
+    def _read(self, kind: str, name: str) -> pl.DataFrame:
+        path, checksums = self._file(kind, name), self._checksums(name)
+        try:
+            data, lines = path.read_bytes(), checksums.read_bytes().splitlines()
+        except OSError as error:
+            raise RunFolderError(
+                f"{error.filename}: cannot be read: {error.strerror}; run the suite again"
+            ) from error
+        if _checksum(kind, name, data) not in lines:
+            raise RunFolderError(
+                f"{path}: has changed since it was written, by {checksums}; run the suite again"
+            )
+        return pl.read_parquet(BytesIO(data))
+
+    def _files(self, name: str) -> ShardFiles | None:
+        """The files of a shard; none where they are not as they were written."""
+        try:
+            files = {kind: self._file(kind, name).read_bytes() for kind in KINDS}
+            kept = self._checksums(name).read_bytes()
+        except OSError:
+            return None
+        return files if kept == _checksums(name, files) else None
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Removes shards of the folder that are no longer part of the run."""
-        names = {f"{shard.name}.parquet" for shard in shards}
-        for kind in KINDS:
-            for path in sorted((self.path / kind).glob("*.parquet")):
-                if path.name not in names:
+        names = {shard.name for shard in shards}
+        for folder in (CHECKSUMS, *KINDS):
+            for path in sorted((self.path / folder).glob("*.*")):
+                if path.stem not in names:
                     path.unlink()
 
-    def _file(self, kind: str, shard: Shard) -> Path:
-        return self.path / kind / f"{shard.name}.parquet"
+    def _file(self, kind: str, name: str) -> Path:
+        return self.path / kind / f"{name}.parquet"
+
+    def _checksums(self, name: str) -> Path:
+        return self.path / CHECKSUMS / f"{name}.sha256"
 
 
-def _write_bytes(data: bytes, path: Path) -> None:
-    path.write_bytes(data)
+def _checksums(name: str, files: ShardFiles) -> bytes:
+    """What `sha256sum` says of a shard's files, asked in the run folder."""
+    return b"".join(_checksum(kind, name, files[kind]) + b"\n" for kind in KINDS)
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Says of which file it is that polars cannot read it."""
-    try:
-        yield
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = str(error).splitlines()[0]
-        raise RunFolderError(
-            f"{path}: cannot be read: {reason}; delete it and run again"
-        ) from error
+def _checksum(kind: str, name: str, data: bytes) -> bytes:
+    return f"{hashlib.sha256(data).hexdigest()}  {kind}/{name}.parquet".encode()
 
 
 def _differences(theirs: Any, ours: Any, at: str = "") -> list[str]:

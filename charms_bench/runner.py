@@ -15,7 +15,7 @@ import numpy as np
 from charms_bench import __version__
 from charms_bench.agent import Agent, Policy
 from charms_bench.engine import EngineName
-from charms_bench.errors import RunFolderError, SuiteError
+from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.registry import AGENTS, TRAFFIC, find, plugins
 from charms_bench.report.realism import TrafficCounts
 from charms_bench.report.tables import CellRows
@@ -25,6 +25,9 @@ from charms_bench.workers import in_processes, use_exact_maths
 
 SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
 """Enough scenes for the compiled engine to be fast; few enough to lose little by a kill."""
+
+SHARD_LIMIT_S = 1800.0
+"""Far more than any shard needs whose agents answer at all."""
 
 Progress = Callable[[Cell, int], None]
 """Told of every finished shard: its cell and its number of episodes."""
@@ -124,6 +127,8 @@ def run(
     workers: int | None = None,
     progress: Progress = lambda cell, episodes: None,
     rows: Path | None = None,
+    shard_limit_s: float = SHARD_LIMIT_S,
+    notice: Callable[[str], None] = lambda what: None,
 ) -> Run:
     """Runs what is missing of a suite in the folder `output`.
 
@@ -134,32 +139,39 @@ def run(
         workers: Processes; by default one a core.
         progress: Told of every shard, those that were there first.
         rows: Another run's folder, whose finished shards are taken where they are the same.
+        shard_limit_s: How long a shard may take.
+        notice: Told of what went wrong and was put right.
 
     Raises:
         CharmsBenchError: As soon as something is wrong; finished shards are kept.
     """
     folder = RunFolder(output)
-    folder.open_for(suite, engine)
-    shards, agents = plan(suite, engine)
-    folder.write_manifest(suite, engine, agents)
-    if rows is not None:
-        folder.take(shards, rows)
-    missing = []
-    for shard in shards:
-        if folder.has(shard):
-            progress(suite.cells[shard.cell], shard.episodes)
-        else:
+    with folder.opened_for(suite, engine):
+        shards, agents = plan(suite, engine)
+        folder.write_manifest(suite, engine, agents)
+        if rows is not None:
+            folder.take(shards, rows)
+        missing = []
+        for shard in shards:
+            if folder.is_whole(shard):
+                progress(suite.cells[shard.cell], shard.episodes)
+                continue
             missing.append(shard)
-    if missing:
+            if folder.has(shard):
+                notice(f"{_title(suite, shard)}: changed since they were written; simulated again")
         if engine == "highway-env":
             use_exact_maths()
         count = min(workers or os.cpu_count() or 1, len(missing))
         work, title = partial(run_shard, suite, engine), partial(_title, suite)
-        with closing(in_processes(work, missing, count, title)) as finished:
-            for shard, files in finished:
-                folder.write(shard, files)
-                progress(suite.cells[shard.cell], shard.episodes)
-    folder.drop_others(shards)
+        with closing(in_processes(work, missing, count, title, shard_limit_s, notice)) as finished:
+            try:
+                for shard, files in finished:
+                    folder.write(shard, files)
+                    progress(suite.cells[shard.cell], shard.episodes)
+            except CharmsBenchError as error:
+                error.add_note(f"finished shards are in {output}; the same command goes on there")
+                raise
+        folder.drop_others(shards)
     return Run(suite, folder, shards)
 
 

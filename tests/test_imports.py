@@ -14,7 +14,7 @@ TRAINING = Path("agents/charms_agents/training")
 ONLY_FOR_TRAINING = {"torch", "stable_baselines3", "onnx", "tensorboard"}
 LAYERS = (
     {"errors", "compiled", "profile"},
-    {"scene", "workers"},
+    {"scene", "workers", "lock"},
     {"agent", "traffic"},
     {"registry", "kinematics", "document", "engine", "metrics", "following"},
     {"observation"},

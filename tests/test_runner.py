@@ -49,7 +49,7 @@ def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> Non
     run(suite(), tmp_path / "one", workers=1)
     run(suite(), tmp_path / "two", workers=2)
     assert files(tmp_path / "one") == files(tmp_path / "two")
-    assert len(files(tmp_path / "one")) == 1 + 2 * 3 * 3  # manifest; 2 cells of 3 shards, 3 kinds
+    assert len(files(tmp_path / "one")) == 2 + 2 * 3 * 4  # manifest, lock; 2 cells of 3 shards
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -79,7 +79,7 @@ def test_a_run_is_read_from_a_copy_of_its_folder_alone(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_shards")
 def test_a_run_that_is_not_finished_says_how_much_is_missing(tmp_path: Path) -> None:
     run(suite(), tmp_path, workers=1)
-    max((tmp_path / "episodes").iterdir()).unlink()
+    max((tmp_path / "checksums").iterdir()).unlink()
     with pytest.raises(RunFolderError, match="20 of 25 episodes of outside_policy"):
         open_run(tmp_path)
 
@@ -100,7 +100,12 @@ def test_rows_of_another_run_are_taken_whatever_their_cells_are(
     idm, outside = SMALL["egos"]  # type: ignore[misc]
     turned = suite(suite="turned", episodes=20, egos=[{**outside, "label": "Outside"}, idm])
     expected = run(turned, tmp_path / "simulated", workers=1)
-    monkeypatch.setattr(runner, "in_processes", None)  # so that nothing can be simulated
+
+    def simulate(work: object, tasks: list[object], *others: object) -> Iterator[None]:
+        assert not tasks
+        yield from ()
+
+    monkeypatch.setattr(runner, "in_processes", simulate)
     run(turned, tmp_path / "taken", rows=tmp_path / "one")
     assert len(expected.shards) == 4
     for kind in ("episodes", "steps", "counts"):
@@ -148,7 +153,10 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
     finished = run(suite(episodes=2), tmp_path, workers=1)
     path = next((tmp_path / "steps").iterdir())
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: .*delete it"):
+    with pytest.raises(RunFolderError, match=rf"{path.name}: has changed since.*sha256; run the"):
+        finished.cells()
+    path.unlink()
+    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
         finished.cells()
 
 

@@ -30,7 +30,8 @@ def main() -> None:
     try:
         app()
     except CharmsBenchError as error:
-        err.print(f"[bold red]error:[/] {plain(str(error))}", soft_wrap=True, highlight=False)
+        what = "; ".join([str(error), *getattr(error, "__notes__", ())])
+        err.print(f"[bold red]error:[/] {plain(what)}", soft_wrap=True, highlight=False)
         sys.exit(2)
     except BrokenPipeError:  # whoever reads has seen enough, `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

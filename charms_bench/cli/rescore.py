@@ -16,6 +16,7 @@ def rescore(
     as_json: Json = False,
 ) -> None:
     """Compute a run's metrics again from its rows, and write its tables again; no simulation."""
+    from charms_bench.lock import locked
     from charms_bench.metric_sets import metric_sets as find
     from charms_bench.report.tables import build_table, render_terminal, write_tables
     from charms_bench.runner import open_run
@@ -23,8 +24,9 @@ def rescore(
     sets = find(metric_sets or [])
     opened = open_run(run)
     suite = opened.suite
-    table = build_table(opened.cells(), suite.scene, suite.seed, sets)
-    write_tables(run / "tables", suite.suite, table, sets)
+    with locked(run):
+        table = build_table(opened.cells(), suite.scene, suite.seed, sets)
+        write_tables(run / "tables", suite.suite, table, sets)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
         return

@@ -12,6 +12,7 @@ from charms_bench.cli.terminal import (
     Workers,
     app,
     interruptible,
+    note,
     out,
     plain,
     progress,
@@ -41,6 +42,15 @@ def run(
             metavar="RUN", help="Another run's folder; episodes that are the same are taken over."
         ),
     ] = None,
+    shard_limit: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            metavar="SECONDS",
+            help="What a worker may take for a part of a cell, its start included; by default "
+            "half an hour.",
+        ),
+    ] = None,
     only: Annotated[
         str | None, typer.Option(help="One stage of a training suite, with what it needs.")
     ] = None,
@@ -54,7 +64,9 @@ def run(
 
     document = Document(suite)
     if "pipeline" in document.data:
-        refused = {"--episodes": episodes, "--seed": seed, "--rows": rows}
+        refused = {
+            "--episodes": episodes, "--seed": seed, "--rows": rows, "--shard-limit": shard_limit
+        }  # fmt: skip
         for option in (name for name, value in refused.items() if value is not None):
             raise InputError(f"{option} is for evaluations; {suite} is a training")
         folder = output or Path("runs") / suite.stem
@@ -66,22 +78,31 @@ def run(
 
     from charms_bench import runner
     from charms_bench.human.reference import read_references
+    from charms_bench.lock import locked
     from charms_bench.report.reports import write_reports
     from charms_bench.report.tables import render_terminal
     from charms_bench.suite import suite_of
 
-    loaded = suite_of(document)
     changes = {"episodes": episodes, "seed": seed}
-    loaded = loaded.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    document.data |= {name: value for name, value in changes.items() if value is not None}
+    loaded = suite_of(document)
     references = read_references(loaded.references, loaded.folder)
     folder = output or Path("runs") / loaded.suite
     total = loaded.episodes * len(loaded.cells)
     with interruptible(f"finished shards are in {folder}"), progress("episodes", total) as bar:
         finished = runner.run(
-            loaded, folder, engine, workers, lambda cell, count: bar(cell.ego.title, count), rows
+            loaded,
+            folder,
+            engine,
+            workers,
+            lambda cell, count: bar(cell.ego.title, count),
+            rows,
+            shard_limit or runner.SHARD_LIMIT_S,
+            note,
         )
-    following = finished.following() if references else []
-    table, files = write_reports(loaded, folder, finished.cells(), following, references)
+    with interruptible(f"all rows are in {folder}"), locked(folder):
+        following = finished.following() if references else []
+        table, files = write_reports(loaded, folder, finished.cells(), following, references)
     if as_json:
         print(json.dumps(table.to_dicts(), indent=2))
     else:

@@ -1,8 +1,12 @@
 """What all commands share: the app, its two streams, options, progress."""
 
+import os
+import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -40,7 +44,15 @@ SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE", help="The suite's YA
 
 @contextmanager
 def interruptible(what_is_left: str) -> Iterator[None]:
-    """Turns Ctrl-C into a sentence about what is left, and exit code 130."""
+    """Turns Ctrl-C and SIGTERM into a sentence about what is left, and exit code 130 or 143."""
+    arrived = signal.SIGINT
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal arrived
+        arrived = signal.Signals(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
     except KeyboardInterrupt:
@@ -48,9 +60,12 @@ def interruptible(what_is_left: str) -> Iterator[None]:
             f"interrupted; {plain(what_is_left)}, and the same command goes on from there",
             highlight=False,
         )
-        raise typer.Exit(130) from None
+        raise typer.Exit(128 + arrived) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
+            soft_wrap=True,
 @contextmanager
 def progress(unit: str, total: int) -> Iterator[Callable[[str, int], None]]:
     """A bar with rate and remaining time on a terminal; a line every tenth elsewhere."""
@@ -106,5 +121,10 @@ def _bar(unit: str) -> "Progress":
 def plain(text: str) -> str:
     """Text as it is: what users wrote is never markup."""
     from rich.markup import escape
+
+def note(what: str) -> None:
+    """Says something beside the results."""
+    err.print(plain(what), highlight=False, soft_wrap=True)
+
 
     return escape(text)
