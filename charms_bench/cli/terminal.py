@@ -1,8 +1,6 @@
 """What all commands share: the app, its two streams, options, progress."""
 
-import os
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,13 +57,13 @@ def interruptible(what_is_left: str) -> Iterator[None]:
         err.print(
             f"interrupted; {plain(what_is_left)}, and the same command goes on from there",
             highlight=False,
+            soft_wrap=True,
         )
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-            soft_wrap=True,
 @contextmanager
 def progress(unit: str, total: int) -> Iterator[Callable[[str, int], None]]:
     """A bar with rate and remaining time on a terminal; a line every tenth elsewhere."""
@@ -118,13 +116,13 @@ def _bar(unit: str) -> "Progress":
     )
 
 
-def plain(text: str) -> str:
-    """Text as it is: what users wrote is never markup."""
-    from rich.markup import escape
-
 def note(what: str) -> None:
     """Says something beside the results."""
     err.print(plain(what), highlight=False, soft_wrap=True)
 
+
+def plain(text: str) -> str:
+    """Text as it is: what users wrote is never markup."""
+    from rich.markup import escape
 
     return escape(text)
