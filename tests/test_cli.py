@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from charms_bench.cli.terminal import progress
+
+FOR_TERMINALS = {"FORCE_COLOR", "PY_COLORS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
 SUITE = """\
 suite: small
 title: A [bold]small[/] suite
@@ -26,14 +29,19 @@ traffics:
 
 
 def charms_bench(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+    """What became of a command whose output goes into a file, as in CI."""
+    environment = {key: value for key, value in os.environ.items() if key not in FOR_TERMINALS}
+    finished = subprocess.run(
         [sys.executable, "-m", "charms_bench", *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
         cwd=cwd,
-        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
+        env={**environment, "COLUMNS": "100", "GITHUB_ACTIONS": "true"},
     )
+    found = re.findall(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", finished.stdout + finished.stderr)
+    assert not found, "no control codes outside a terminal"
+    return finished
 
 
 @pytest.fixture
@@ -54,7 +62,6 @@ def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> 
     assert re.search(r"IDM\s+\d+\.\d+", result.stdout)
     assert "paper 23.67" in result.stdout
     assert (suite_file.parent / "runs" / "small" / "tables" / "small.csv").exists()
-    assert "\x1b" not in result.stdout + result.stderr
 
 
 def test_a_suite_with_references_says_where_its_realism_is(suite_file: Path) -> None:
@@ -213,6 +220,87 @@ def test_what_a_traffic_cannot_be_asked_is_one_message(arguments: list[str], mes
     assert "Traceback" not in result.stderr
 
 
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    result = charms_bench("run", write(folder, "stackelberg"), "--output", folder / "run")
+    assert result.returncode == 0, result.stderr
+    return folder / "run"
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("show", "A [bold]small[/] suite\n2 × 1 cells of 6 episodes, seeds from 0, engine batched"),
+        ("compare", "differences are separated from 0"),
+        ("edge-cases", "what happened"),
+    ],
+)
+def test_what_is_printed_of_a_run_can_go_into_a_file(
+    finished_run: Path, command: str, says: str
+) -> None:
+    options = ["--agents", "IDM", "stackelberg"] if command == "compare" else []
+    result = charms_bench(command, finished_run, *options)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert says in result.stdout
+
+
+def test_show_prints_the_tables_as_json_or_those_of_a_metric(finished_run: Path) -> None:
+    everything = json.loads(charms_bench("show", finished_run, "--json").stdout)
+    stored = (finished_run / "tables" / "small.csv").read_text()
+    assert len(everything["tables"]["small"]) == stored.count("\n") - 1
+    speed = json.loads(charms_bench("show", finished_run, "--metric=tet", "--json").stdout)
+    assert [row["metric"] for row in speed["tables"]["small"]] == ["tet", "tet"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["RUN", "--metric", "sped_mean"], "no metric named 'sped_mean'"),
+        (["EMPTY"], "holds no evaluation (manifest.json) and no finished training (stages.csv)"),
+        (["EMPTY", "--all"], "is no evaluation; --metric and --all are for those"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_message(
+    finished_run: Path, tmp_path: Path, options: list[str], message: str
+) -> None:
+    places = {"RUN": finished_run, "EMPTY": tmp_path}
+    result = charms_bench("show", *(places.get(option, option) for option in options))
+    assert (result.returncode, result.stdout) == (2, "")
+    assert message in result.stderr
+
+
+def test_colours_asked_for_in_a_file_bring_no_bar_that_moves(suite_file: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "charms_bench", "run", "suite.yaml"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=suite_file.parent,
+        env={**os.environ, "FORCE_COLOR": "1"},
+    )
+    assert result.stderr.splitlines() == ["6 of 12 episodes", "12 of 12 episodes"]
+    assert not re.search(r"\r|\x1b\[\?|\x1b\[\d*[A-K]", result.stdout)
+
+
+def test_a_log_in_ascii_has_question_marks_and_no_traceback(finished_run: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "charms_bench", "show", str(finished_run)],
+        capture_output=True,
+        check=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert b"2 ? 1 cells" in result.stdout
+
+
+def test_many_episodes_are_a_line_every_tenth(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("episodes", 100_000) as tell:
+        for _ in range(100_000):
+            tell("[bold]an ego[/]", 1)
+    lines = capsys.readouterr().err.splitlines()
+    assert (len(lines), lines[0]) == (10, "10,000 of 100,000 episodes")
+
+
 def test_verify_compares_a_suites_cells(suite_file: Path) -> None:
     result = charms_bench("verify", "--suite", suite_file, "--episodes", 2)
     assert result.returncode == 0, result.stdout + result.stderr
@@ -222,6 +310,8 @@ def test_verify_compares_a_suites_cells(suite_file: Path) -> None:
 def test_bench_prints_ratios() -> None:
     result = charms_bench("bench", "--seconds", "0.1", "--rounds", "1", "--json")
     rows = json.loads(result.stdout)
+    assert "batched, 21 vehicles, 1 thread" in result.stderr.splitlines()
+    assert "Traceback" not in result.stderr
     assert {"batched", "highway-env engine", "highway-env"} <= {row["name"] for row in rows}
     reference = next(row for row in rows if row["name"] == "highway-env")
     assert reference["times_highway_env"] == 1.0

@@ -3,6 +3,7 @@
 Heavy imports stay inside commands, so that `--help` is quick.
 """
 
+import io
 import os
 import sys
 
@@ -12,6 +13,7 @@ from charms_bench.errors import CharmsBenchError
 # In the order of `--help`.
 # isort: off
 from charms_bench.cli import run  # noqa: F401
+from charms_bench.cli import show  # noqa: F401
 from charms_bench.cli import plugins  # noqa: F401
 from charms_bench.cli import new_agent  # noqa: F401
 from charms_bench.cli import engines  # noqa: F401
@@ -27,6 +29,9 @@ from charms_bench.cli import export  # noqa: F401
 
 def main() -> None:
     """Runs the command line; a user's mistake is a message and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a log in ASCII gets question marks, no traceback
     try:
         app()
     except CharmsBenchError as error:

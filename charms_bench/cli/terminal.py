@@ -1,6 +1,8 @@
 """What all commands share: the app, its two streams, options, progress."""
 
+import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from typer import rich_utils
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -21,8 +24,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-out = Console()
-err = Console(stderr=True)
+# A file has no width of its own; 80 would cut tables.
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
+# FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
+err = Console(stderr=True, force_interactive=None if sys.stderr.isatty() else False)
+rich_utils.FORCE_TERMINAL = None  # Typer would take GitHub's log for a terminal
 
 Json = Annotated[bool, typer.Option("--json", help="Print nothing but JSON on standard output.")]
 Workers = Annotated[
@@ -67,7 +73,7 @@ def interruptible(what_is_left: str) -> Iterator[None]:
 @contextmanager
 def progress(unit: str, total: int) -> Iterator[Callable[[str, int], None]]:
     """A bar with rate and remaining time on a terminal; a line every tenth elsewhere."""
-    if not err.is_terminal:
+    if not err.is_interactive:
         yield _lines(unit, total)
         return
     with _bar(unit) as progress:
@@ -122,7 +128,7 @@ def note(what: str) -> None:
 
 
 def plain(text: str) -> str:
-    """Text as it is: what users wrote is never markup."""
+    """Text as it is: what users wrote is no markup, and moves no cursor."""
     from rich.markup import escape
 
-    return escape(text)
+    return escape("".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text))
