@@ -94,8 +94,7 @@ def bench(
     from charms_bench.bench import bench_environments
 
     def tell(name: str) -> None:
-        if err.is_terminal:
-            err.print(f"[dim]{name}[/]", highlight=False)
+        err.print(f"[dim]{name}[/]", highlight=False)
 
     if environments:
         results = bench_environments(environments, vehicles, traffic, seconds, rounds, tell)
