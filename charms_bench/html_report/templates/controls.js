@@ -146,7 +146,7 @@
     }
   });
   player.addEventListener("keydown", (event) => {
-    const steers = event.target === scrub || event.target === part("road");
+    const steers = event.target.matches("#scrub, #road, .timelines");
     const step = event.shiftKey ? replay.hz : 1;
     const keys = {
       " ": toggle,
