@@ -16,7 +16,7 @@ from charms_agents.training.rewards import (
 )
 from handmade_scene import place, simulation_of
 
-from charms_bench.agent import FASTER, IDLE
+from charms_bench.agent import FASTER, IDLE, LANE_LEFT
 from charms_bench.simulation import OFF_ROAD, REAR_END, SIDE, TIME, Simulation
 
 SAFE = Weights(safety=1.0, efficiency=0.8, comfort=0.2)
@@ -119,6 +119,17 @@ def test_the_first_decision_is_not_comfortable() -> None:
 
 
 @pytest.mark.parametrize("ending", [REAR_END, SIDE, OFF_ROAD])
+def test_a_decision_for_another_lane_costs_what_it_is_told_to_once() -> None:
+    reward = StyleReward(SAFE, 0.0, lane_change_cost=0.25)
+    free = StyleReward(SAFE, 0.0)
+    before = simulation_of((500.0, 1, 28.0))
+    prepared = reward.prepare(before, np.array([LANE_LEFT]))
+    place(before.scene, (500.0, 1, 28.0), target_lane=0)
+    assert free(before, prepared) - reward(before, prepared) == pytest.approx(0.25)
+    under_way = reward.prepare(before, IDLING)
+    assert reward(before, under_way) == pytest.approx(free(before, under_way))
+
+
 @pytest.mark.parametrize("svo", SVO_ANGLES_RAD)
 def test_a_crash_or_leaving_the_road_costs_ten(ending: int, svo: Svo) -> None:
     simulation = simulation_of((500.0, 1, 33.0))
