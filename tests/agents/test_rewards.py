@@ -118,7 +118,6 @@ def test_the_first_decision_is_not_comfortable() -> None:
     assert reward_of(simulation_of((500.0, 1, 33.0)), "egoistic") == pytest.approx(1.8 / 2)
 
 
-@pytest.mark.parametrize("ending", [REAR_END, SIDE, OFF_ROAD])
 def test_a_decision_for_another_lane_costs_what_it_is_told_to_once() -> None:
     reward = StyleReward(SAFE, 0.0, lane_change_cost=0.25)
     free = StyleReward(SAFE, 0.0)
@@ -130,6 +129,7 @@ def test_a_decision_for_another_lane_costs_what_it_is_told_to_once() -> None:
     assert reward(before, under_way) == pytest.approx(free(before, under_way))
 
 
+@pytest.mark.parametrize("ending", [REAR_END, SIDE, OFF_ROAD])
 @pytest.mark.parametrize("svo", SVO_ANGLES_RAD)
 def test_a_crash_or_leaving_the_road_costs_ten(ending: int, svo: Svo) -> None:
     simulation = simulation_of((500.0, 1, 33.0))
