@@ -39,6 +39,7 @@ traffics: [{traffic: idm_mobil}]
 """
 SMALL_SHARDS = """\
 import signal
+from charms_bench import runner
 from charms_bench.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever who starts this has ignored
 runner.SHARD_EPISODES["batched"] = 5
