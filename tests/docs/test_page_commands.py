@@ -1,0 +1,110 @@
+"""Every command of every page does what it is for, in a copy of the project and made short."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from trios import busy_road, write_trio
+from written import PAGES, ROOT, blocks, commands
+
+pytestmark = pytest.mark.slow
+
+ELSEWHERE = {
+    "plugins.md": "tests/test_plugin_guide.py",
+    "highway-env.md": "tests/agents/test_stock_dqn.py",
+}
+"""Pages whose examples need one another, and the test that runs them all."""
+NOT_RUN = {
+    "pip install .": "what runs this test is an installed wheel",
+    "pip install '.[train]'": "so does the test's environment have the extra",
+    "pip install tox": "tox runs this test",
+    "tox": "tox runs this test",
+    "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_readme.py trains ppo.zip for it",
+}
+"""Commands that are not run here, and why."""
+SHORTENED = [
+    # 1,800 episodes take minutes.
+    (r"charms-bench run suites/(?!train)\S+( --rows \S+)?", r"\g<0> --episodes 2"),
+    # An hour, and recordings that nobody may pass on: see `short_training` and `recordings`.
+    (
+        r"(charms-bench run suites/train.yaml) --recordings FOLDER",
+        r"\1 --recordings recordings --only charms_efficient_egoistic",
+    ),
+    # 1,026 episodes of highway-env.
+    (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
+    (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
+    # The run above has two episodes.
+    (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
+]
+"""What is run instead: the pattern of a whole command, and what takes its place."""
+
+
+def short_training(suites: Path) -> None:
+    """Trainings of a few hundred decisions, and of an epoch."""
+    for path in suites.glob("train*.yaml"):
+        text = path.read_text(encoding="utf-8")
+        for key, value in {"steps": 400, "learning_starts": 100, "curve_steps": 100, "epochs": 1,
+                           "replay_buffer": 500, "scenes": 4}.items():  # fmt: skip
+            text = re.sub(rf"\b{key}: [\d_]+", f"{key}: {value}", text)
+        path.write_text(text, encoding="utf-8")
+
+
+def recordings(folder: Path) -> None:
+    """Human driving that nobody drove."""
+    folder.mkdir()
+    write_trio(folder, busy_road())
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """What a newcomer has: the files that commands name."""
+    for name in ("suites", "tools", "docs"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    shutil.copy(ROOT / "README.md", tmp_path)
+    short_training(tmp_path / "suites")
+    recordings(tmp_path / "recordings")
+    return tmp_path
+
+
+def shortened(command: str) -> str:
+    for pattern, instead in SHORTENED:
+        if re.fullmatch(pattern, command):
+            return re.sub(pattern, instead, command)
+    return command
+
+
+def test_every_command_of_every_page_does_what_it_is_for(project: Path) -> None:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
+    done = set()
+    for page in PAGES:
+        if page.name in ELSEWHERE:
+            continue
+        for block in blocks(page):
+            for command in commands(block):
+                if command in done or command in NOT_RUN:
+                    continue
+                finished = subprocess.run(
+                    ["bash", "-c", shortened(command)],
+                    cwd=project,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                )
+                said = finished.stdout + finished.stderr
+                assert finished.returncode == 0, f"{page.name}:{block.line}: {command}\n{said}"
+                assert "Traceback" not in said, f"{page.name}:{block.line}: {command}\n{said}"
+                done.add(command)
+    assert len(done) > 10
+
+
+def test_what_is_not_run_here_is_on_a_page_or_run_by_the_test_that_is_named() -> None:
+    written = {command for page in PAGES for block in blocks(page) for command in commands(block)}
+    assert set(NOT_RUN) <= written
+    for page, test in ELSEWHERE.items():
+        assert page in (ROOT / test).read_text(encoding="utf-8")

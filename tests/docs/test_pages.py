@@ -1,0 +1,48 @@
+"""The pages say what there is."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+from written import PAGES, ROOT, blocks, spans
+
+from charms_bench.cli import app
+from charms_bench.metrics import METRIC_SETS
+
+KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_names_its_language(page: Path) -> None:
+    unnamed = [block.line for block in blocks(page) if not block.language]
+    assert not unnamed, "a block of commands is ```sh, and what they print is ```text"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
+    for span in spans(page):
+        if not re.match(r"charms-bench [a-z]", span):
+            continue
+        _, name, *arguments = shlex.split(span)
+        assert name in KNOWN, span
+        options = {option for parameter in KNOWN[name].params for option in parameter.opts}
+        asked = {word.partition("=")[0] for word in arguments if word.startswith("--")}
+        takes_any = KNOWN[name].context_settings.get("ignore_unknown_options")
+        assert takes_any or asked <= {*options, "--help"}, span
+
+
+def test_every_metric_is_explained() -> None:
+    explained = set(spans(ROOT / "docs" / "metrics.md"))
+    formulas = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+    explained |= set(re.findall(r"\\text\{(\w+)\}", formulas))
+    names = {metric.name for metric_set in METRIC_SETS for metric in metric_set.metrics}
+    assert names <= explained
+
+
+def test_every_suite_is_described() -> None:
+    text = (ROOT / "docs" / "suites.md").read_text(encoding="utf-8")
+    headings = " ".join(re.findall("^## (.*)$", text, re.MULTILINE))
+    for suite in (ROOT / "suites").glob("*.yaml"):
+        assert re.search(rf"\b{suite.stem}\b", headings), suite.name

@@ -1,0 +1,52 @@
+"""What the pages of the project say: fenced blocks, commands, code in lines."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent.parent
+PAGES = [
+    ROOT / name for name in ("README.md", "docs/index.md", "docs/suites.md", "docs/training.md")
+]
+PAGES += sorted({ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")} - set(PAGES))
+"""In the order in which commands are run: what a later page needs, an earlier one has made."""
+FENCE = re.compile(r"^( *)```([^\n`]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
+OF_A_SHELL = {"sh", "bash", "console", "shell"}
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    page: Path
+    line: int
+    language: str
+    """Empty where the page names none."""
+    text: str
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    """The fenced blocks of a page."""
+    written = page.read_text(encoding="utf-8")
+    for found in FENCE.finditer(written):
+        line = written.count("\n", 0, found.start()) + 2
+        yield Block(page, line, found[2].partition(" ")[0], found[3])
+
+
+def commands(block: Block) -> list[str]:
+    """The commands of a block for a shell, in order; in `console` those behind a prompt."""
+    if block.language not in OF_A_SHELL:
+        return []
+    lines = block.text.replace("\\\n", " ").splitlines()
+    if block.language == "console":
+        lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+    parts = [part.strip() for line in lines for part in line.split(" && ")]
+    return [" ".join(part.split()) for part in parts if part and not part.startswith("#")]
+
+
+def spans(page: Path) -> Iterator[str]:
+    """The code in the lines of a page."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for found in re.findall(r"`([^`]+)`", text):
+        yield " ".join(found.split())
