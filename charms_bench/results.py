@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
@@ -33,6 +34,12 @@ CHECKSUMS = "checksums"
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
+
+
+@cache
+def recorded_versions() -> dict[str, str]:
+    """The libraries that may decide what a row holds, or how it is written."""
+    return {name: version(name) for name in _RECORDED_VERSIONS}
 
 
 ShardFiles = Mapping[str, bytes]
@@ -139,7 +146,7 @@ class RunFolder:
             "engine": engine,
             "agents": agents,
             "metric_sets": {each.name: each.version for each in METRIC_SETS},
-            "versions": {name: version(name) for name in _RECORDED_VERSIONS},
+            "versions": recorded_versions(),
             "machine": {
                 "python": platform.python_version(),
                 "system": platform.system(),

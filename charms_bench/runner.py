@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import platform
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,12 +15,13 @@ import numpy as np
 
 from charms_bench import __version__
 from charms_bench.agent import Agent, Policy
+from charms_bench.code import code_sha256, harness_sha256
 from charms_bench.engine import EngineName
 from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
-from charms_bench.registry import AGENTS, TRAFFIC, find, plugins
+from charms_bench.registry import AGENTS, TRAFFIC, Plugin, find, plugins
 from charms_bench.report.realism import TrafficCounts
 from charms_bench.report.tables import CellRows
-from charms_bench.results import RunFolder, Shard, ShardFiles, in_parquet
+from charms_bench.results import RunFolder, Shard, ShardFiles, in_parquet, recorded_versions
 from charms_bench.suite import EVALUATION_SEEDS, AgentSpec, Cell, Suite
 from charms_bench.workers import in_processes, use_exact_maths
 
@@ -98,26 +100,36 @@ def plan(suite: Suite, engine: EngineName) -> tuple[tuple[Shard, ...], dict[str,
         )
     agents: dict[str, Any] = {}
     shards = []
-    for index, cell in enumerate(suite.cells):
-        identities = _identities(cell, suite.folder)
-        agents |= identities
-        inputs = {
-            "version": __version__,
-            "engine": engine,
-            "scene": suite.scene.model_dump(mode="json"),
-            "ego": cell.ego.agent.key,
-            "traffic": cell.traffic.traffic.model_dump(mode="json"),
-            "agents": identities,
-        }
-        size = SHARD_EPISODES[engine]
+    size = SHARD_EPISODES[engine]
+    for index in range(len(suite.cells)):
+        agents |= _inputs(suite, engine, index)["agents"]
         for start in range(0, suite.episodes, size):
-            shard = {
-                "first_seed": suite.seed + start,
-                "episodes": min(size, suite.episodes - start),
-            }
-            key = hashlib.sha256(json.dumps([inputs, shard], sort_keys=True).encode())
-            shards.append(Shard(cell=index, key=key.hexdigest(), **shard))
+            episodes = min(size, suite.episodes - start)
+            shards.append(_shard(suite, engine, index, suite.seed + start, episodes))
     return tuple(shards), agents
+
+
+def _shard(suite: Suite, engine: EngineName, cell: int, first_seed: int, episodes: int) -> Shard:
+    """A shard, its key made of all that decides its rows."""
+    described = {"first_seed": first_seed, "episodes": episodes}
+    inputs = json.dumps([_inputs(suite, engine, cell), described], sort_keys=True)
+    key = hashlib.sha256(inputs.encode()).hexdigest()
+    return Shard(cell=cell, first_seed=first_seed, episodes=episodes, key=key)
+
+
+def _inputs(suite: Suite, engine: EngineName, index: int) -> dict[str, Any]:
+    """What decides the rows of a cell, but for the seeds: settings, weights and code."""
+    cell = suite.cells[index]
+    return {
+        "charms_bench": __version__,
+        "code_sha256": harness_sha256(),
+        "versions": recorded_versions(),
+        "engine": engine,
+        "scene": suite.scene.model_dump(mode="json"),
+        "ego": cell.ego.agent.key,
+        "traffic": cell.traffic.traffic.model_dump(mode="json"),
+        "agents": _identities(cell, suite.folder),
+    }
 
 
 def run(
@@ -176,10 +188,20 @@ def run(
 
 
 def run_shard(suite: Suite, engine: EngineName, shard: Shard) -> ShardFiles:
-    """Simulates one shard: the files of its rows; a pure function of what its key names."""
+    """Simulates one shard: the files of its rows; a pure function of what its key names.
+
+    Raises:
+        RunFolderError: What its key names is not what is installed here now.
+        CharmsBenchError: An agent cannot be made, or fails.
+    """
     from charms_bench.recording import Recording
     from charms_bench.simulation import Simulation
 
+    if _shard(suite, engine, shard.cell, shard.first_seed, shard.episodes) != shard:
+        raise RunFolderError(
+            f"{_title(suite, shard)}: the code, a library or a network is another on "
+            f"{platform.node()} now than when the run began; run the suite again"
+        )
     cell = suite.cells[shard.cell]
     ego = cell.ego.agent
     traffic = cell.traffic.traffic.make()
@@ -207,26 +229,34 @@ def _title(suite: Suite, shard: Shard) -> str:
 
 def _identities(cell: Cell, folder: Path) -> dict[str, Any]:
     """What tells each agent of a cell from any other version of it."""
+    return dict(_identified(cell.model_dump_json(), folder))
+
+
+@lru_cache
+def _identified(cell_json: str, folder: Path) -> dict[str, Any]:
+    """Found out once a process, which keeps the code that it has."""
+    cell = Cell.model_validate_json(cell_json)
     traffic = cell.traffic.traffic
     specs = [cell.ego.agent, *(AgentSpec(name=name) for name in traffic.make().agents)]
-    identities = {spec.key: _identity(spec, folder) for spec in specs}
+    identities: dict[str, Any] = {spec.key: _identity(spec, folder) for spec in specs}
     installed = plugins(TRAFFIC)
     if traffic.name in installed:
-        plugin = installed[traffic.name]
-        identities[f"traffic {traffic.name}"] = {
-            "distribution": plugin.distribution,
-            "version": plugin.version,
-        }
+        identities[f"traffic {traffic.name}"] = _origin(installed[traffic.name])
     return identities
 
 
 def _identity(spec: AgentSpec, folder: Path) -> dict[str, str]:
     agent = _agent(spec, folder)
     identity = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
-    if spec.name is not None:
-        plugin = find(AGENTS, spec.name)
-        identity |= {"distribution": plugin.distribution, "version": plugin.version}
-    return identity
+    return identity if spec.name is None else identity | _origin(find(AGENTS, spec.name))
+
+
+def _origin(plugin: Plugin) -> dict[str, str]:
+    return {
+        "distribution": plugin.distribution,
+        "version": plugin.version,
+        "code_sha256": code_sha256(plugin.entry_point.module),
+    }
 
 
 def _agent(spec: AgentSpec, folder: Path) -> Agent:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from charms_bench.code import ROW_MODULES
+
 HARNESS = Path("charms_bench")
 PLUGINS = (Path("baselines/charms_baselines"), Path("agents/charms_agents"))
 TRAINING = Path("agents/charms_agents/training")
 ONLY_FOR_TRAINING = {"torch", "stable_baselines3", "onnx", "tensorboard"}
 LAYERS = (
-    {"errors", "compiled", "profile"},
+    {"errors", "compiled", "profile", "code"},
     {"scene", "workers", "lock"},
     {"agent", "traffic"},
     {"registry", "kinematics", "document", "engine", "metrics", "following"},
@@ -86,6 +88,19 @@ def test_imports_within_the_harness_point_one_way(path: Path) -> None:
 def test_every_module_of_the_harness_has_its_layer(path: Path) -> None:
     own = ".".join(path.with_suffix("").parts)
     assert own == "charms_bench.__init__" or layer_of(own) >= 0
+
+
+def test_the_code_that_decides_rows_is_part_of_every_shards_key() -> None:
+    seen: set[str] = set()
+    unseen = {"recording", "simulation", "onnx_policy"}
+    while unseen:
+        name = unseen.pop()
+        seen.add(name)
+        for path in modules(HARNESS / name) or [HARNESS / f"{name}.py"]:
+            parts = [module.split(".") for module, _ in imported(path)]
+            unseen |= {rest[0] for root, *rest in parts if root == HARNESS.name and rest} - seen
+    only_read_or_refuse = {"errors", "document", "registry", "files", "onnx_file"}
+    assert seen - only_read_or_refuse == set(ROW_MODULES)
 
 
 def test_help_imports_nothing_heavy() -> None:
