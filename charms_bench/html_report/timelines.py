@@ -20,7 +20,7 @@ def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Mark
     """The ego's timelines, one above the other."""
     figure, axes = panels(4, 5.6, 1.0, stacked=True)
     # Fixed margins: the cursor of the page has to know where the axes are.
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)
     figure.subplots_adjust(LEFT, 0.09, RIGHT, 0.955, hspace=0.28)
     t_s, ego = replay.t_s, replay.ego
     gaps, ttc, speed, reward = axes
