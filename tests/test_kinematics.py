@@ -66,7 +66,7 @@ options_of_highway_env = st.fixed_dictionaries(
     },
 )
 SCENES = {
-    "stock": lambda: engine_after(5, 0, "highway-env", lanes=4, traffic_vehicles=20, ego_slots=1),
+    "stock": lambda: engine_after(5, 0, "highway-env", lanes=4, traffic_vehicles=15, ego_slots=1),
     "dense": lambda: engine_after(8, 1, "charms", traffic_vehicles=12, density=3.0),
     "sparse": lambda: engine_after(3, 2, "charms", traffic_vehicles=3, density=0.2, ego_slots=1),
 }
@@ -77,7 +77,7 @@ def engine(request: pytest.FixtureRequest) -> HighwayEnvEngine:
     return SCENES[request.param]()
 
 
-@hypothesis_settings(derandomize=True, deadline=None, max_examples=25)
+@hypothesis_settings(derandomize=True, deadline=None, max_examples=15)
 @given(options=options_of_highway_env)
 def test_every_option_is_highway_envs_to_the_last_bit(
     engine: HighwayEnvEngine, options: dict[str, Any]
