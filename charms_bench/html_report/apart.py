@@ -7,7 +7,8 @@ from matplotlib.figure import Figure
 from charms_bench.figures import INK, panels
 from charms_bench.html_report.svg import COLOURS, MARKERS
 
-ACROSS, UP = ("speed_mean", "mean speed, m/s"), ("dhw_mean", "mean headway to the leader, m")
+PLACED = {"speed_mean": "mean speed, m/s", "dhw_mean": "mean headway to the leader, m"}
+"""What egos are placed by, across and up: metrics, and the axes' words."""
 
 
 def draw_places(long: pl.DataFrame) -> Figure:
@@ -15,9 +16,7 @@ def draw_places(long: pl.DataFrame) -> Figure:
     first = long.unique(["agent", "metric"], keep="first", maintain_order=True)
     figure, (axes,) = panels(1, 5.4, 4.2)
     for k, name in enumerate(first["agent"].unique(maintain_order=True)):
-        x, y = (
-            first.filter(agent=name, metric=metric).row(0, named=True) for metric, _ in (ACROSS, UP)
-        )
+        x, y = (first.filter(agent=name, metric=metric).row(0, named=True) for metric in PLACED)
         if x["value"] is None or y["value"] is None:
             continue
         axes.errorbar(
@@ -31,7 +30,7 @@ def draw_places(long: pl.DataFrame) -> Figure:
             markersize=6.5,
             label=name,
         )
-    axes.set(xlabel=ACROSS[1], ylabel=UP[1])
+    axes.set(**dict(zip(("xlabel", "ylabel"), PLACED.values(), strict=True)))
     figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     return figure
 

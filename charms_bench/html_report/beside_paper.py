@@ -22,19 +22,18 @@ def draw_beside_paper(long: pl.DataFrame) -> list[Figure]:
 
 
 def _row(rows: pl.DataFrame, metrics: Sequence[str]) -> Figure:
-    cells = rows.select("agent", "traffic").unique(maintain_order=True)
-    by = "agent" if cells["agent"].n_unique() > 1 else "traffic"
-    names = rows[by].unique(maintain_order=True).to_list()
+    rows = rows.with_columns(name=_names(rows))
+    names = rows["name"].unique(maintain_order=True).to_list()
     figure, axes = panels(PANELS, 2.4, 0.9 + 0.27 * len(names))
     for panel in axes[len(metrics) :]:
         panel.remove()
     for k, (panel, metric) in enumerate(zip(axes, metrics, strict=False)):
-        found = {row[by]: row for row in rows.filter(metric=metric).iter_rows(named=True)}
-        for place, name in enumerate(names):
-            row = found[name]
+        for row in rows.filter(metric=metric).iter_rows(named=True):
+            place = names.index(row["name"])
             if row["low"] is not None:
                 panel.plot([row["low"], row["high"]], [place, place], color=COLOURS[0], lw=3.5)
-            panel.plot(row["value"], place, "o", color=COLOURS[0], markersize=5)
+            if row["value"] is not None:
+                panel.plot(row["value"], place, "o", color=COLOURS[0], markersize=5)
             if row["paper"] is not None:
                 panel.plot(
                     row["paper"], place, "D", markersize=6.5, markerfacecolor="none",
@@ -50,3 +49,12 @@ def _row(rows: pl.DataFrame, metrics: Sequence[str]) -> Figure:
         panel.locator_params(axis="x", nbins=4)
         panel.set_title(metric, fontsize=9)
     return figure
+
+
+def _names(rows: pl.DataFrame) -> pl.Expr:
+    """What a cell is called: by its ego, its traffic, or both where both differ."""
+    if rows["traffic"].n_unique() == 1:
+        return pl.col("agent")
+    if rows["agent"].n_unique() == 1:
+        return pl.col("traffic")
+    return pl.format("{} in {}", "agent", "traffic")

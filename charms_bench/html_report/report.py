@@ -61,6 +61,7 @@ def write_report(
             "title": sections[0].title if len(sections) == 1 else "Driving behaviour, measured",
             "sections": sections,
             "replays": shown,
+            "named": len(named),
             "definitions": definitions_of(sections),
             "provenance": [_provenance(source) for source in sources],
             "version": __version__,

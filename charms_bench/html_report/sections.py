@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from charms_bench.html_report.apart import draw_places, draw_separations
+from charms_bench.html_report.apart import PLACED, draw_places, draw_separations
 from charms_bench.html_report.beside_paper import draw_beside_paper
 from charms_bench.html_report.definitions import Definition, define_distances, define_paired
 from charms_bench.html_report.learning import draw_curves
@@ -115,6 +116,7 @@ def _pictures(source: Evaluation) -> list[Picture]:
                 wide=True,
             )
         )
+    standard = long.filter(pl.col("metric_set").str.starts_with("standard-"))
     if _is_crossplay(suite):
         pictures += [
             _picture(
@@ -124,9 +126,11 @@ def _pictures(source: Evaluation) -> list[Picture]:
                 draw_matrices(long, [metric]),
             )
             for metric in SHOWN
+            if _has(standard, metric)
         ]
-    if len(suite.cells) > 1:
-        of_egos = len(suite.egos) > 1
+    of_egos = len(suite.egos) > 1
+    tradeoff = OF_EGOS if of_egos else OF_TRAFFICS
+    if len(suite.cells) > 1 and _has(long, tradeoff.across, tradeoff.share):
         pictures.append(
             _picture(
                 f"{key}-tradeoff",
@@ -134,27 +138,35 @@ def _pictures(source: Evaluation) -> list[Picture]:
                 "With 95 % intervals. Further right and further down is better."
                 if of_egos
                 else "With 95 % intervals.",
-                draw_tradeoff(long, OF_EGOS if of_egos else OF_TRAFFICS, *WIDE),
+                draw_tradeoff(long, tradeoff, *WIDE),
                 wide=True,
             )
         )
     if "-pairs" in source.tables:
-        pictures += [
-            _picture(
-                f"{key}-places",
-                "Styles apart: where each stands",
-                "Mean speed and mean headway to the leader, with 95 % intervals.",
-                draw_places(long),
-            ),
+        if _has(long, *PLACED):
+            pictures.append(
+                _picture(
+                    f"{key}-places",
+                    "Styles apart: where each stands",
+                    "Mean speed and mean headway to the leader, with 95 % intervals.",
+                    draw_places(long),
+                )
+            )
+        pictures.append(
             _picture(
                 f"{key}-separations",
                 "Styles apart: pair by pair",
                 "In how many metrics the two differ by more than chance (Holm-corrected p < 0.05), "
                 f"of {source.tables['-pairs']['metric'].n_unique()}.",
                 draw_separations(source.tables["-pairs"]),
-            ),
-        ]
+            )
+        )
     return pictures + _realism(source)
+
+
+def _has(long: pl.DataFrame, *metrics: str) -> bool:
+    """Whether all of these were measured; a run may be scored by other metrics."""
+    return set(metrics) <= set(long.drop_nulls("value")["metric"])
 
 
 def _realism(source: Evaluation) -> list[Picture]:
