@@ -30,7 +30,7 @@ def report(
         ),
     ] = None,
     suite_folder: Annotated[
-        Path, typer.Option(help="Where the suites were, at which paths of their networks start.")
+        Path, typer.Option(help="Where the suites were, at which paths in them start.")
     ] = Path(),
     as_json: Json = False,
 ) -> None:

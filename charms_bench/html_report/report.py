@@ -37,7 +37,7 @@ def write_report(
         output: The HTML file.
         top: How many of the most critical episodes of all runs to replay.
         episodes: More episodes, as RUN:EPISODE[:EGO[:TRAFFIC]].
-        suite_folder: Where paths of networks in suites start.
+        suite_folder: Where paths in suites start, of networks and of recordings.
 
     Returns:
         What is in it, for JSON.
@@ -53,7 +53,9 @@ def write_report(
     named = [asked(text, runs) for text in episodes]
     shown = [_for_page(each) for each in choose(runs, top, named, suite_folder)]
     sections = [
-        evaluation_section(source) if isinstance(source, Evaluation) else training_section(source)
+        evaluation_section(source, suite_folder)
+        if isinstance(source, Evaluation)
+        else training_section(source)
         for source in sources
     ]
     page = render(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import polars as pl
 from markupsafe import Markup
@@ -48,8 +49,8 @@ class Section:
     """Whether the figures say more than the tables."""
 
 
-def evaluation_section(source: Evaluation) -> Section:
-    """A run of a suite."""
+def evaluation_section(source: Evaluation, folder: Path) -> Section:
+    """A run of a suite; relative paths in it start at `folder`."""
     suite, long = source.run.suite, source.tables[""]
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     tables = chosen_tables(long, suite.columns)
@@ -69,7 +70,7 @@ def evaluation_section(source: Evaluation) -> Section:
             f"run folder {source.path.name}",
         ),
         tables=tuple(tables),
-        pictures=tuple(_pictures(source)),
+        pictures=tuple(_pictures(source) + _realism(source, folder)),
         more=tuple(more),
         drawn_first=_is_crossplay(suite),
     )
@@ -161,7 +162,7 @@ def _pictures(source: Evaluation) -> list[Picture]:
                 draw_separations(source.tables["-pairs"]),
             )
         )
-    return pictures + _realism(source)
+    return pictures
 
 
 def _has(long: pl.DataFrame, *metrics: str) -> bool:
@@ -169,12 +170,12 @@ def _has(long: pl.DataFrame, *metrics: str) -> bool:
     return set(metrics) <= set(long.drop_nulls("value")["metric"])
 
 
-def _realism(source: Evaluation) -> list[Picture]:
+def _realism(source: Evaluation, folder: Path) -> list[Picture]:
     suite = source.run.suite
     if not suite.references:
         return []
     following = source.run.following()
-    references = read_references(suite.references, suite.folder)
+    references = read_references(suite.references, folder)
     return [
         _picture(
             f"{source.key}-{quantity}-{k}",
