@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 TRIES = 3
 """Workers that a task may cost before it is given up."""
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
 
 
 def in_processes(
@@ -133,7 +133,7 @@ def _answered(
 
 
 def _start(work: Callable[[Any], Any]) -> _Worker:
-    os.environ |= dict.fromkeys(_THREADS, "1")
+    os.environ |= dict.fromkeys(THREADS, "1")
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(work, theirs))
@@ -143,8 +143,9 @@ def _start(work: Callable[[Any], Any]) -> _Worker:
 
 
 def _serve(work: Callable[[Any], Any], connection: Connection) -> None:
-    """A worker's life."""
+    """A worker's life, which ends when the parent says so and not by a signal to all alike."""
     start_worker()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     while True:
         try:
             task = connection.recv()

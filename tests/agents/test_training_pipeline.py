@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,10 @@ onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training import pipeline
 from charms_agents.training.progress import Tell
+from charms_agents.training.stage import Interrupted
 
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.lock import locked
 from charms_bench.onnx_policy import OnnxPolicy
 
 SUITE = """\
@@ -196,6 +198,31 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(
     assert json.loads(str(stored["numbers"]))["counters"]["num_timesteps"] == 200
     pipeline.run(suite, tmp_path)
     assert_same_training(finished, tmp_path)
+
+
+def test_sigterm_waits_for_a_checkpoint_and_then_does_what_it_would_have_done() -> None:
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    stops = []
+
+    def train(stop: Callable[[], bool]) -> None:
+        stops.append(stop())
+        signal.raise_signal(signal.SIGTERM)
+        stops.append(stop())
+        raise Interrupted
+
+    try:
+        with pytest.raises(KeyboardInterrupt), pipeline._stop_on_signals() as stop:
+            train(stop)
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert stops == [False, True]
+
+
+def test_a_training_keeps_out_of_a_folder_in_use(suite: Path, tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(RunFolderError, match="another run is at work there"):
+        pipeline.run(suite, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
 
 
 @pytest.mark.parametrize("length", [0, 100, 5000])

@@ -26,6 +26,7 @@ from charms_bench.document import Document
 from charms_bench.errors import InputError
 from charms_bench.human.highd import find_trios
 from charms_bench.human.samples import fingerprint
+from charms_bench.lock import locked
 from charms_bench.registry import make_agent
 from charms_bench.report.training import render_stages
 
@@ -61,9 +62,7 @@ def run(
     def say(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    data = None
-    if suite.human is not None and set(names) & set(suite.human.stages):
-        data = _human_data(suite_file, suite.human, output, recordings)
+    data: HumanData | None = None
 
     def make_job(name: str, finished: Mapping[str, StageFolder]) -> AnyJob:
         if name in suite.human_stages:
@@ -72,17 +71,18 @@ def run(
         return _job(name, suite, finished)
 
     needs = {name: suite.needs[name] for name in names}
-    with _stop_on_ctrl_c() as stop, progress(console) as tell:
-        try:
+    with locked(output):
+        if suite.human is not None and set(names) & set(suite.human.stages):
+            data = _human_data(suite_file, suite.human, output, recordings)
+        with _stop_on_signals() as stop, progress(console) as tell:
             folders = run_stages(
                 needs, make_job, output, suite_sha256, workers or os.cpu_count() or 1,
                 tell, say, stop,
             )  # fmt: skip
-        except Interrupted:
-            raise KeyboardInterrupt from None
-    write_curves(output, suite, folders)
-    folders = {name: folders[name] for name in names}
-    Console().print(render_stages(write_summary(output, folders)))
+        write_curves(output, suite, folders)
+        folders = {name: folders[name] for name in names}
+        summary = write_summary(output, folders)
+    Console().print(render_stages(summary))
 
 
 def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:
@@ -139,19 +139,29 @@ def _weights_sha256(agent: str) -> str:
 
 
 @contextmanager
-def _stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Turns the first Ctrl-C into a wish that the training grants; a second one ends it at once."""
-    wished = threading.Event()
+def _stop_on_signals() -> Iterator[Callable[[], bool]]:
+    """Turns the first Ctrl-C or SIGTERM into a wish that the training grants.
+
+    Once it has, the signal does what it would have done; a second one does at once.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    wished: list[int] = []
 
     def wish(number: int, frame: FrameType | None) -> None:
-        wished.set()
+        wished.append(number)
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, before[signal.SIGTERM])
 
-    if threading.current_thread() is not threading.main_thread():
-        yield wished.is_set
-        return
-    before = signal.signal(signal.SIGINT, wish)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, wish)
     try:
-        yield wished.is_set
+        yield lambda: bool(wished)
+    except Interrupted:
+        signal.raise_signal(wished[0])
+        raise KeyboardInterrupt from None
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

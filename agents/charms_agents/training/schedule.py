@@ -105,6 +105,8 @@ def run_stages(
             for future in done:
                 ended(running.pop(future), future.result())
     except BrokenProcessPool as error:
+        if stop():  # a signal to all processes alike
+            raise Interrupted from error
         raise RunFolderError(
             f"a stage's process died; checkpoints are in {output}, "
             "and the same command goes on from there"
