@@ -1,5 +1,6 @@
 """Tables as a run folder keeps them: read again, not computed again."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +18,8 @@ TABLES: dict[str, Mapping[str, pl.DataType]] = {
     "-pairs": PAIRS_SCHEMA,
 }
 """What is written of a suite, by the end of its name: every cell, realism, pairs of egos."""
+
+CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
 def stored_tables(folder: Path, suite: str) -> dict[str, pl.DataFrame]:
@@ -39,19 +42,31 @@ def stored_tables(folder: Path, suite: str) -> dict[str, pl.DataFrame]:
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    """A CSV file with these columns; a number that is not finite is null.
+    """A CSV file with these columns; see `read_csv`.
 
     Raises:
         RunFolderError: It cannot be read, or has other columns.
     """
-    try:
-        table = pl.read_csv(path, schema_overrides=schema, glob=False)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = str(error).splitlines()[0]
-        raise RunFolderError(f"{path}: cannot be read: {reason}") from error
+    table = read_csv(path, schema)
     if table.columns != list(schema):
         raise RunFolderError(
             f"{path}: expected the columns {', '.join(schema)}, found {', '.join(table.columns)}"
         )
+    return table
+
+
+def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.DataFrame:
+    """A CSV file that can be shown: a number that is not finite is null.
+
+    Raises:
+        RunFolderError: It cannot be read, or has control characters in it.
+    """
+    try:
+        table = pl.read_csv(path, schema_overrides=schema, infer_schema_length=None, glob=False)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+    words = [*table.columns, *(word for column in table.select(cs.string()) for word in column)]
+    if strange := [word for word in words if CONTROL_CODES.search(word or "")]:
+        raise RunFolderError(f"{path}: has control characters: {strange[0]!a}; write it again")
     numbers = cs.float()
     return table.with_columns(pl.when(numbers.is_finite()).then(numbers))

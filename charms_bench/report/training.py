@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import polars as pl
-import polars.selectors as cs
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.bars import Scale, line
+from charms_bench.report.stored import read_csv
 
 STAGES, CURVES = "stages.csv", "curves.csv"
 WIDEST = 44
@@ -37,15 +37,11 @@ def stored_training(folder: Path) -> dict[str, pl.DataFrame]:
         path = folder / name
         if not path.exists():
             continue
-        try:
-            table = pl.read_csv(path, infer_schema_length=None, glob=False)
-        except (OSError, pl.exceptions.PolarsError) as error:
-            raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
+        table = read_csv(path)
         if "stage" not in table.columns:
             found = ", ".join(table.columns)
             raise RunFolderError(f"{path}: expected a column 'stage', found {found}")
-        numbers = cs.float()
-        tables[path.stem] = table.with_columns(pl.when(numbers.is_finite()).then(numbers))
+        tables[path.stem] = table
     return tables
 
 

@@ -13,6 +13,8 @@ from written import PAGES, ROOT, blocks, commands
 
 pytestmark = pytest.mark.slow
 
+CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
+"""Nothing goes into a file but text."""
 ELSEWHERE = {
     "plugins.md": "tests/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
@@ -95,7 +97,7 @@ def test_every_command_of_every_page_does_what_it_is_for(project: Path) -> None:
                     check=False,
                 )
                 said = finished.stdout + finished.stderr
-                if finished.returncode or "Traceback" in said:
+                if finished.returncode or re.search(f"Traceback|{CONTROL_CODES}", said):
                     failed.append(f"{page.name}:{block.line}: {command}\n{said}")
     assert len(done) > 2 * len(NOT_RUN)
     assert not failed, "\n".join(failed)

@@ -100,6 +100,7 @@ def test_a_run_without_tables_is_told_what_writes_them(tmp_path: Path) -> None:
         ("agent,value\nIDM,1\n", "expected the columns agent, traffic, metric_set"),
         (EGO.replace("24.0,23.5", "fast,23.5"), "cannot be read: could not parse `fast`"),
         ("", "cannot be read"),
+        (EGO.replace("CHARMS", "\x1b[2J"), r"has control characters: '\\x1b\[2J'"),
     ],
 )
 def test_a_damaged_table_is_named(tmp_path: Path, text: str, message: str) -> None:
@@ -139,6 +140,12 @@ def test_a_training_shows_its_stages_and_curves(tmp_path: Path) -> None:
     assert ["first", "10", "▃█", "40"] in shown
     assert ["first", "1", "█▃", "0.25"] in shown
     assert ["imitation", "0.253", "▁█", "0.448"] in shown
+
+
+def test_a_stage_that_would_move_the_cursor_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "stages.csv").write_text(STAGES.replace("imitation", "\x1b[2J"))
+    with pytest.raises(RunFolderError, match="has control characters"):
+        training.stored_training(tmp_path)
 
 
 def test_a_table_of_no_stages_is_refused(tmp_path: Path) -> None:
