@@ -9,6 +9,7 @@
     │   └── DataError       recorded driving is missing, damaged or of no use
     ├── AgentError          an agent raised or answered with something unusable
     └── WorkerError         a worker process died again and again, or took too long
+        └── ClusterError    a cluster cannot be reached or used, or is gone
 
 The command line prints the message of any of these and exits with 2.
 """
@@ -48,3 +49,7 @@ class AgentError(CharmsBenchError):
 
 class WorkerError(CharmsBenchError):
     """A worker process died again and again, or took too long."""
+
+
+class ClusterError(WorkerError):
+    """A cluster cannot be reached or used, or is gone."""

@@ -4,12 +4,12 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -33,6 +33,28 @@ SHARD_LIMIT_S = 1800.0
 
 Progress = Callable[[Cell, int], None]
 """Told of every finished shard: its cell and its number of episodes."""
+
+
+class Elsewhere(Protocol):
+    """Runs shards on other machines."""
+
+    def __call__(
+        self,
+        suite: Suite,
+        agents: Mapping[str, Any],
+        shards: Sequence[Shard],
+        title: Callable[[Shard], str],
+        limit_s: float,
+    ) -> Generator[tuple[Shard, ShardFiles], None, None]:
+        """Each shard with its files, as they finish; closing it ends the others.
+
+        Args:
+            suite: Whose shards they are.
+            agents: Who takes part; see `plan`.
+            shards: What is to be run, on the batched engine.
+            title: What a shard is called in messages.
+            limit_s: How long a shard may take.
+        """
 
 
 @dataclass(frozen=True)
@@ -141,6 +163,7 @@ def run(
     rows: Path | None = None,
     shard_limit_s: float = SHARD_LIMIT_S,
     notice: Callable[[str], None] = lambda what: None,
+    elsewhere: Elsewhere | None = None,
 ) -> Run:
     """Runs what is missing of a suite in the folder `output`.
 
@@ -153,6 +176,7 @@ def run(
         rows: Another run's folder, whose finished shards are taken where they are the same.
         shard_limit_s: How long a shard may take.
         notice: Told of what went wrong and was put right.
+        elsewhere: Runs the shards, instead of processes on this machine.
 
     Raises:
         CharmsBenchError: As soon as something is wrong; finished shards are kept.
@@ -175,7 +199,11 @@ def run(
             use_exact_maths()
         count = min(workers or os.cpu_count() or 1, len(missing))
         work, title = partial(run_shard, suite, engine), partial(_title, suite)
-        with closing(in_processes(work, missing, count, title, shard_limit_s, notice)) as finished:
+        if elsewhere is None:
+            ran = in_processes(work, missing, count, title, shard_limit_s, notice)
+        else:
+            ran = elsewhere(suite, agents, missing, title, shard_limit_s)
+        with closing(ran) as finished:
             try:
                 for shard, files in finished:
                     folder.write(shard, files)

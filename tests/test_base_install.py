@@ -1,4 +1,4 @@
-"""The base install evaluates without torch or anything else of the extra `train`."""
+"""The base install evaluates without torch or anything else of the extras."""
 
 import json
 import os
@@ -13,8 +13,8 @@ SUITE = Path(__file__).parent.parent / "suites" / "ego.yaml"
 
 @pytest.fixture
 def without_torch(tmp_path: Path) -> dict[str, str]:
-    """An environment in which importing a library of the extra `train` fails."""
-    for name in ("torch", "stable_baselines3", "onnx", "tensorboard"):
+    """An environment in which importing a library of an extra fails."""
+    for name in ("torch", "stable_baselines3", "onnx", "tensorboard", "dask", "distributed"):
         missing = f"raise ModuleNotFoundError('{name} is not installed', name='{name}')\n"
         (tmp_path / f"{name}.py").write_text(missing)
     return {**os.environ, "PYTHONPATH": str(tmp_path)}
@@ -55,4 +55,11 @@ def test_what_needs_torch_says_how_to_install_it(
     finished = called(without_torch, *arguments)
     assert finished.returncode == 2
     assert "pip install 'charms-bench[train]'" in finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+def test_a_cluster_says_how_to_install_what_it_needs(without_torch: dict[str, str]) -> None:
+    finished = called(without_torch, "run", str(SUITE), "--cluster", "tcp://127.0.0.1:8786")
+    assert finished.returncode == 2
+    assert "pip install 'charms-bench[cluster]'" in finished.stderr
     assert "Traceback" not in finished.stderr

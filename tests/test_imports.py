@@ -27,7 +27,7 @@ LAYERS = (
     {"human", "metric_sets", "ego_env"},
     {"report"},
     {"runner"},
-    {"verify", "bench", "replay", "comparison"},
+    {"verify", "bench", "replay", "comparison", "cluster"},
     {"happenings", "animation"},
     {"edge_cases"},
     {"html_report"},

@@ -51,6 +51,12 @@ def run(
             "half an hour.",
         ),
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Run on the Dask cluster whose scheduler is at tcp://HOST:8786."
+        ),
+    ] = None,
     only: Annotated[
         str | None, typer.Option(help="One stage of a training suite, with what it needs.")
     ] = None,
@@ -65,7 +71,8 @@ def run(
     document = Document(suite)
     if "pipeline" in document.data:
         refused = {
-            "--episodes": episodes, "--seed": seed, "--rows": rows, "--shard-limit": shard_limit
+            "--episodes": episodes, "--seed": seed, "--rows": rows, "--shard-limit": shard_limit,
+            "--cluster": cluster,
         }  # fmt: skip
         for option in (name for name, value in refused.items() if value is not None):
             raise InputError(f"{option} is for evaluations; {suite} is a training")
@@ -75,8 +82,13 @@ def run(
     for option, given in {"--only": only, "--recordings": recordings}.items():
         if given is not None:
             raise InputError(f"{option} is for trainings; {suite} is an evaluation")
+    if cluster is not None and engine != "batched":
+        raise InputError("--cluster runs the engine batched; the reference runs on this machine")
+    if cluster is not None and workers is not None:
+        raise InputError("--workers are processes on this machine; a cluster has its own")
 
     from charms_bench import runner
+    from charms_bench.cluster.client import on_cluster
     from charms_bench.human.reference import read_references
     from charms_bench.lock import locked
     from charms_bench.report.reports import write_reports
@@ -88,6 +100,7 @@ def run(
     loaded = suite_of(document)
     references = read_references(loaded.references, loaded.folder)
     folder = output or Path("runs") / loaded.suite
+    elsewhere = None if cluster is None else on_cluster(cluster)
     total = loaded.episodes * len(loaded.cells)
     with interruptible(f"finished shards are in {folder}"), progress("episodes", total) as bar:
         finished = runner.run(
@@ -99,6 +112,7 @@ def run(
             rows,
             shard_limit or runner.SHARD_LIMIT_S,
             note,
+            elsewhere,
         )
     with interruptible(f"all rows are in {folder}"), locked(folder):
         following = finished.following() if references else []

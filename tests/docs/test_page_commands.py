@@ -18,6 +18,7 @@ CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 ELSEWHERE = {
     "plugins.md": "tests/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
+    "cluster.md": "tests/test_cluster.py",
 }
 """Pages whose examples need one another, and the test that runs them all."""
 NOT_RUN = {
