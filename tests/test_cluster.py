@@ -1,4 +1,4 @@
-"""Runs on a cluster as docs/cluster.md starts one: the bytes of home, whatever becomes of workers."""
+"""Runs on a cluster as docs/cluster.md starts one: the bytes of home, whatever workers do."""
 
 import hashlib
 import os
