@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import yaml
 
+from charms_bench.document import value_of
 from charms_bench.errors import CharmsBenchError, InputError, RegistryError
 from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
 from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
@@ -58,15 +58,16 @@ def _metric_set(text: str) -> MetricSet:
 
 
 def _options(text: str, given: str) -> dict[str, Any]:
+    name = text.partition(":")[0]
     options = {}
     for part in filter(None, given.split(",")):
         key, equals, value = part.partition("=")
         if not equals or not key.isidentifier():
             raise InputError(f"metric set '{text}': expected NAME:OPTION=VALUE, found '{part}'")
         try:
-            options[key] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise InputError(f"metric set '{text}': {key}: cannot be read: '{value}'") from error
+            options[key] = value_of(value)
+        except ValueError as error:
+            raise InputError(f"metric set '{name}': {key}: cannot be read: {error}") from error
     return options
 
 

@@ -1,5 +1,6 @@
 """A network in an ONNX file as a policy."""
 
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,19 @@ import numpy as np
 
 from charms_bench.agent import ACTIONS, Actions, Observation, Observations, Policy
 from charms_bench.errors import InputError, ModelError
+from charms_bench.files import read_limited
 from charms_bench.observation import observation_described
+from charms_bench.onnx_file import problem_of
 
 SIZE_LIMIT_BYTES = 64 * 2**20
-_EXTERNAL_DATA = b"\x0a\x08location\x12"
-"""How every tensor outside the file begins to name its place (TensorProto.external_data)."""
+MEMORY_LIMIT_BYTES = 2 * 2**30
+"""Of all networks of a process, together with what they compute."""
 
 
 class OnnxPolicy(Policy):
     """Takes the action of the highest value.
+
+    Nothing but arithmetic runs, in bounded memory; see `onnx_file.OPERATORS`.
 
     The model is one file with one input, `(batch, rows, columns)` of its observation or
     `(batch, rows * columns)`, and one output `(batch, 5)`, both float32, and runs on one thread.
@@ -27,7 +32,7 @@ class OnnxPolicy(Policy):
         decision_hz: Decisions a second; by default those in the file's metadata, or 3.
 
     Raises:
-        ModelError: The file is missing, too large, broken or of another shape.
+        ModelError: The file is missing, too large, broken, of another shape or not just arithmetic.
     """
 
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
@@ -38,6 +43,7 @@ class OnnxPolicy(Policy):
         self.observation = _observation(self.path, self._session)
         self._input, self._shape = _input(self.path, self._session, self.observation.shape)
         self.decision_hz = decision_hz or _decision_hz(self.path, self._session)
+        self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
 
     @property
     def weights_sha256(self) -> str:
@@ -48,10 +54,22 @@ class OnnxPolicy(Policy):
         return actions
 
     def values(self, observations: Observations) -> np.ndarray[Any, np.dtype[np.float32]]:
-        """The network's output (M, 5) for observations (M, rows, columns)."""
+        """The network's output (M, 5) for observations (M, rows, columns).
+
+        Raises:
+            ModelError: It cannot be computed, has another shape, or some of it is no number.
+        """
         inputs = observations.reshape(-1, *self._shape)
         values: np.ndarray[Any, np.dtype[np.float32]]
-        (values,) = self._session.run(None, {self._input: inputs})
+        try:
+            (values,) = self._session.run(None, {self._input: inputs})
+        except Exception as error:  # onnxruntime's errors share no public base
+            raise ModelError(f"{self.path}: cannot be computed: {_reason(error)}") from error
+        expected = (len(observations), len(ACTIONS))
+        if values.shape != expected:
+            raise ModelError(f"{self.path}: gives values {values.shape}; expected {expected}")
+        if np.isnan(values).any():
+            raise ModelError(f"{self.path}: gives values that are no numbers")
         return values
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -60,31 +78,46 @@ class OnnxPolicy(Policy):
 
 def _read(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
-        if size > SIZE_LIMIT_BYTES:
-            raise ModelError(
-                f"{path}: {size:,} bytes; a policy may have {SIZE_LIMIT_BYTES:,} at most"
-            )
-        data = path.read_bytes()
+        data = read_limited(path, SIZE_LIMIT_BYTES)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
-    if _EXTERNAL_DATA in data:
-        raise ModelError(f"{path}: keeps tensors in other files; save it as a single file")
+    if problem := problem_of(data):
+        raise ModelError(f"{path}: {problem}")
     return data
 
 
 def _session(path: Path, data: bytes) -> Any:
     import onnxruntime
 
+    _bound_memory()
     options = onnxruntime.SessionOptions()
+    options.add_session_config_entry("session.use_env_allocators", "1")
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 4  # what is wrong with the model is said in the exception
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors share no public base
-        reason = str(error).splitlines()[0]
-        raise ModelError(f"{path}: is no model onnxruntime can load: {reason}") from error
+        raise ModelError(f"{path}: is no model onnxruntime can load: {_reason(error)}") from error
+
+
+@cache
+def _bound_memory() -> None:
+    """Gives this process's networks one place to take their memory from."""
+    import onnxruntime
+
+    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    memory = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
+    arena = onnxruntime.OrtArenaCfg({"max_mem": MEMORY_LIMIT_BYTES})
+    onnxruntime.create_and_register_allocator(memory, arena)
+
+
+def _reason(error: Exception) -> str:
+    """What an error of onnxruntime's says, without where in its sources it arose."""
+    text = str(error).splitlines()[0]
+    if "BFCArena" in text:
+        return f"it takes more than {MEMORY_LIMIT_BYTES:,} bytes of memory"
+    return text.rpartition("Status Message: ")[2][:300]
 
 
 def _decision_hz(path: Path, session: Any) -> float:

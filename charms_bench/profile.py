@@ -5,13 +5,15 @@ Two are built in: `charms`, the constants of the CHARMS paper and its release, a
 field. The names in brackets are highway-env's.
 """
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+# Within these, no quantity of a simulation leaves what floating-point numbers hold.
+Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9)]
+Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 class FrozenModel(BaseModel):
@@ -74,7 +76,7 @@ class Profile(FrozenModel):
     """What FASTER and SLOWER change the target speed by, without `target_speeds_mps`."""
     target_speed_min_mps: Finite
     target_speed_max_mps: Positive
-    target_speeds_mps: tuple[float, ...] = Field(default=(), strict=False)
+    target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
     """Evenly spaced target speeds between which FASTER and SLOWER choose [target_speeds]."""
     spawn_speed_low: Positive = 0.7
     """Smallest initial speed of the traffic, as a share of the speed limit."""
@@ -100,6 +102,8 @@ class Profile(FrozenModel):
             raise ValueError("idm_mobil.exponent_low exceeds idm_mobil.exponent_high")
         if len(self.target_speeds_mps) == 1:
             raise ValueError("target_speeds_mps needs none or at least two speeds")
+        if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
+            raise ValueError("target_speeds_mps do not grow")
         return self
 
 

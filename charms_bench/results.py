@@ -22,15 +22,25 @@ import polars as pl
 
 from charms_bench import __version__
 from charms_bench.errors import RunFolderError
+from charms_bench.files import read_limited
+from charms_bench.following import COUNT_SCHEMA
 from charms_bench.lock import locked
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.scene import DECISIONS_LIMIT
 from charms_bench.suite import PRESENTATION, Suite
 
 MANIFEST = "manifest.json"
-KINDS = ("steps", "counts", "episodes")
+SCHEMAS = {"steps": STEP_SCHEMA, "counts": COUNT_SCHEMA, "episodes": EPISODE_SCHEMA}
+KINDS = tuple(SCHEMAS)
 """The kinds of rows of a shard, as `Recording` has them, each in a folder of its own."""
+FILE_LIMIT_BYTES = 2**30
+ROWS_LIMIT = 150 * DECISIONS_LIMIT
+"""Of a shard, which can say in a few bytes that it repeats one without end."""
 CHECKSUMS = "checksums"
 """The folder of their checksums."""
+NETWORKS = "networks"
+"""The folder of the networks that a suite gives by path, each named by its hash."""
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
 _RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
@@ -113,18 +123,21 @@ class RunFolder:
         with locked(self.path):
             if (self.path / MANIFEST).exists():
                 self._refuse_another(suite, engine)
-            for folder in ("", *KINDS, CHECKSUMS, "tables", "figures"):
+            for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
                 for left in (self.path / folder).glob(".*.partial"):
                     left.unlink()
             yield
 
     def _holds_something_else(self) -> bool:
         """A run that was killed before it wrote its manifest has left hidden files alone."""
-        return (
-            self.path.exists()
-            and not (self.path / MANIFEST).exists()
-            and any(not path.name.startswith(".") for path in self.path.iterdir())
-        )
+        try:
+            return (
+                self.path.exists()
+                and not (self.path / MANIFEST).exists()
+                and any(not path.name.startswith(".") for path in self.path.iterdir())
+            )
+        except OSError as error:
+            raise RunFolderError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _refuse_another(self, suite: Suite, engine: str) -> None:
         fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
@@ -165,10 +178,10 @@ class RunFolder:
         """
         path = self.path / MANIFEST
         try:
-            manifest = json.loads(path.read_text(encoding="utf-8"))
+            manifest = json.loads(read_limited(path, FILE_LIMIT_BYTES))
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise RunFolderError(f"{path}: is no JSON: {error}") from error
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
@@ -253,25 +266,58 @@ class RunFolder:
     def _read(self, kind: str, name: str) -> pl.DataFrame:
         path, checksums = self._file(kind, name), self._checksums(name)
         try:
-            data, lines = path.read_bytes(), checksums.read_bytes().splitlines()
+            data = read_limited(path, FILE_LIMIT_BYTES)
+            lines = read_limited(checksums, FILE_LIMIT_BYTES).splitlines()
         except OSError as error:
             raise RunFolderError(
-                f"{error.filename}: cannot be read: {error.strerror}; run the suite again"
+                f"{error.filename or path}: cannot be read: {error.strerror}; run the suite again"
             ) from error
         if _checksum(kind, name, data) not in lines:
             raise RunFolderError(
                 f"{path}: has changed since it was written, by {checksums}; run the suite again"
             )
-        return pl.read_parquet(BytesIO(data))
+        try:
+            table = pl.scan_parquet(BytesIO(data))
+            if (
+                table.collect_schema() == SCHEMAS[kind]
+                and table.select(pl.len()).collect().item() <= ROWS_LIMIT
+            ):
+                return table.collect()
+        except pl.exceptions.PolarsError as error:
+            raise RunFolderError(f"{path}: is no Parquet file; run the suite again") from error
+        raise RunFolderError(f"{path}: holds other rows than runs write; run the suite again")
 
     def _files(self, name: str) -> ShardFiles | None:
         """The files of a shard; none where they are not as they were written."""
         try:
-            files = {kind: self._file(kind, name).read_bytes() for kind in KINDS}
-            kept = self._checksums(name).read_bytes()
+            files = {kind: read_limited(self._file(kind, name), FILE_LIMIT_BYTES) for kind in KINDS}
+            kept = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
         except OSError:
             return None
         return files if kept == _checksums(name, files) else None
+
+    def keep_network(self, network: Path, sha256: str) -> None:
+        """Copies a network that the suite gives by its path, so that the folder holds all it had.
+
+        Raises:
+            RunFolderError: It is no longer the one of this hash, or the folder cannot be written.
+        """
+        kept = self._network(sha256)
+        data = network.read_bytes()
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
+        if not kept.exists() or kept.read_bytes() != data:
+            write_bytes(kept, data)
+
+    def network(self, key: str) -> Path | None:
+        """The copy of the network that an agent is, by its key; none where there is none."""
+        agents = self.manifest().get("agents")
+        identity = agents.get(key) if isinstance(agents, dict) else None
+        sha256 = identity.get("weights_sha256") if isinstance(identity, dict) else None
+        if re.fullmatch(r"[0-9a-f]{64}", str(sha256)) is None:
+            return None
+        kept = self._network(str(sha256))
+        return kept if kept.exists() else None
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Removes shards of the folder that are no longer part of the run."""
@@ -280,6 +326,9 @@ class RunFolder:
             for path in sorted((self.path / folder).glob("*.*")):
                 if path.stem not in names:
                     path.unlink()
+
+    def _network(self, sha256: str) -> Path:
+        return self.path / NETWORKS / f"{sha256}.onnx"
 
     def _file(self, kind: str, name: str) -> Path:
         return self.path / kind / f"{name}.parquet"

@@ -12,6 +12,8 @@ from charms_bench.registry import AGENTS, TRAFFIC, plugins
 TEMPLATES = Path(__file__).with_name("templates")
 _NAME = re.compile(r"[a-z](?:[a-z0-9_]{0,48}[a-z0-9])?")
 """What can be an agent, a module and a distribution."""
+_OF_PYTEST = ("tests", "conftest")
+"""Files of which pytest, which runs the tests that come with an agent, thinks otherwise."""
 
 
 def new_agent(name: str, folder: Path) -> tuple[Path, ...]:
@@ -51,6 +53,8 @@ def _check_name(name: str) -> None:
             f"'{name}' cannot be the name of a module; expected up to 50 lower-case letters, "
             "digits and _, the first a letter and the last no _"
         )
+    if name in _OF_PYTEST:
+        raise InputError(f"'{name}' is something else to pytest; choose another name")
     for group in (AGENTS, TRAFFIC):
         if taken := plugins(group).get(name):
             raise InputError(

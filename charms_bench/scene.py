@@ -17,6 +17,8 @@ Ints = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
 Vehicles = tuple[Ints, ...]
 """M vehicles: their scenes (M,) and their places in them (M,); indexes any `[B, N]` array."""
+DECISIONS_LIMIT = 20_000
+"""Of an episode, almost two hours at the usual 3 Hz."""
 
 
 class SceneSettings(FrozenModel):
@@ -43,7 +45,11 @@ class SceneSettings(FrozenModel):
             raise ValueError(
                 f"ego_slots {self.ego_slots} exceeds the {self.vehicles} vehicles of a scene"
             )
-        if round(self.duration_s * self.decision_hz) < 1:
+        if not self.duration_s * self.decision_hz <= DECISIONS_LIMIT:
+            raise ValueError(
+                f"duration_s is longer than {DECISIONS_LIMIT:,} decisions, which are kept in memory"
+            )
+        if self.decisions < 1:
             raise ValueError("duration_s is shorter than one decision")
         return self
 

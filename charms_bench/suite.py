@@ -6,18 +6,38 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
 from charms_bench.agent import Agent
 from charms_bench.document import Document, Location
-from charms_bench.errors import RegistryError
+from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.profile import PROFILES, Finite, FrozenModel, Profile
 from charms_bench.registry import AGENTS, find, make_agent, make_traffic, suggestion
 from charms_bench.scene import SceneSettings
 from charms_bench.traffic import Mixture, Traffic
 
-Name = Annotated[str, Field(min_length=1, max_length=80)]
+
+def _printable(text: str) -> str:
+    """Refuses what would move a terminal's cursor or turn the direction of writing."""
+    if not text.isprintable():
+        raise ValueError("expected characters that can be printed, on one line")
+    return text
+
+
+def _path(value: object) -> object:
+    if isinstance(value, str) and (len(value) > 1000 or not value.isprintable()):
+        raise ValueError("expected a path of up to 1,000 characters that can be printed")
+    return value
+
+
+Line = Annotated[str, Field(max_length=1000), AfterValidator(_printable)]
+Name = Annotated[str, Field(min_length=1, max_length=80), AfterValidator(_printable)]
+FilePath = Annotated[Path, Field(strict=False), BeforeValidator(_path)]
+EPISODES_LIMIT = 10_000_000
+"""Of a suite, in all cells."""
+ENTRIES_LIMIT = 100
+"""Egos of a suite, and traffics."""
 EVALUATION_SEEDS = 1_000_000_000
 """Episodes of evaluations have seeds below this, those of trainings above."""
 REFERENCES = Path(__file__).with_name("human") / "references"
@@ -31,7 +51,7 @@ class AgentSpec(FrozenModel):
 
     name: Name | None = None
     options: dict[str, Any] = Field(default={})
-    onnx: Path | None = Field(default=None, strict=False)
+    onnx: FilePath | None = None
     decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
 
     @model_validator(mode="before")
@@ -94,7 +114,7 @@ class ReferenceSpec(FrozenModel):
     """Human driving: shipped histograms by name, or a folder of recordings in highD's format."""
 
     name: Name | None = None
-    recordings: Path | None = Field(default=None, strict=False)
+    recordings: FilePath | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -185,18 +205,24 @@ class Suite(FrozenModel):
 
     suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     """Its name, which is also that of its tables."""
-    title: str = ""
-    episodes: Annotated[int, Field(ge=1, le=10_000_000)]
+    title: Line = ""
+    episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
     """The first episode's seed; the others follow."""
     scene: SuiteScene = SuiteScene()
-    egos: Annotated[tuple[EgoEntry, ...], Field(min_length=1, strict=False)]
-    traffics: Annotated[tuple[TrafficEntry, ...], Field(min_length=1, strict=False)]
-    columns: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    egos: Annotated[
+        tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
+    ]
+    traffics: Annotated[
+        tuple[TrafficEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
+    ]
+    columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
     """Metrics of the printed table; none: all that the paper reports."""
     pairs: bool = False
     """Whether tables also say how far the egos are apart, pair by pair."""
-    references: Annotated[tuple[ReferenceSpec, ...], Field(strict=False)] = ()
+    references: Annotated[
+        tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
+    ] = ()
     """Human driving that each traffic is held against."""
     folder: Path = Field(default=Path(), exclude=True, strict=False)
     """Where relative paths start: the suite file's folder."""
@@ -204,7 +230,9 @@ class Suite(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _remember_folder(cls, value: object, info: ValidationInfo) -> object:
-        if isinstance(value, dict) and info.context and "folder" not in value:
+        if isinstance(value, dict) and info.context:
+            if "folder" in value:
+                raise ValueError("folder: unknown key")
             return {**value, "folder": info.context["folder"]}
         return value
 
@@ -221,6 +249,15 @@ class Suite(FrozenModel):
             raise ValueError("references are for traffics; give one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
             raise ValueError("a reference stands here twice")
+        return self
+
+    @model_validator(mode="after")
+    def _is_bounded(self) -> "Suite":
+        total = self.episodes * len(self.egos) * len(self.traffics)
+        if total > EPISODES_LIMIT:
+            raise ValueError(
+                f"{total:,} episodes in all cells; expected {EPISODES_LIMIT:,} at most"
+            )
         return self
 
     @property
@@ -254,7 +291,7 @@ def suite_of(document: Document) -> Suite:
         for index, entry in enumerate(entries):
             try:
                 _check_names(entry)
-            except RegistryError as error:
+            except InputError as error:
                 raise document.error((what, index), str(error)) from error
         for index, entry in enumerate(entries):
             for metric in entry.paper:

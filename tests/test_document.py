@@ -47,7 +47,7 @@ def complaint(tmp_path: Path, text: str) -> str:
         ("lanes: 3", "lanes: 3\n  lanes: 4", "suite.yaml:6: the key 'lanes' stands here twice"),
         ("lanes: 3", "lanes: [3", "is not YAML"),
         ("lanes: 3", "lanes: &a 3\n  density: *a", "suite.yaml:6: aliases (*name) are not"),
-        ("lanes: 3", "lanes: !!python/name:os.system 3", "is not YAML"),
+        ("lanes: 3", "lanes: !!python/name:os.system 3", "suite.yaml:5: tags (!name) are not"),
         ("lanes: 3", "duration_s: 0.1", "duration_s is shorter than one decision"),
         ("lanes: 3", "decision_hz: 4", "simulation_hz 15 is no multiple of decision_hz 4"),
     ],
@@ -72,8 +72,8 @@ def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
 
 def test_an_enormous_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "suite.yaml"
-    path.write_bytes(b"#" * (2**20 + 1))
-    with pytest.raises(SuiteError, match="larger than 1,048,576 bytes"):
+    path.write_bytes(b"#" * (2**17 + 1))
+    with pytest.raises(SuiteError, match="larger than 131,072 bytes"):
         Document(path)
 
 

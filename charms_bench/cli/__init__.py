@@ -27,6 +27,10 @@ from charms_bench.cli import export  # noqa: F401
 # isort: on
 
 
+MESSAGE_LIMIT = 1000
+"""Characters of an error."""
+
+
 def main() -> None:
     """Runs the command line; a user's mistake is a message and exit code 2."""
     for stream in (sys.stdout, sys.stderr):
@@ -36,6 +40,8 @@ def main() -> None:
         app()
     except CharmsBenchError as error:
         what = "; ".join([str(error), *getattr(error, "__notes__", ())])
+        if len(what) > MESSAGE_LIMIT:  # somebody's file says something very long
+            what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
         err.print(f"[bold red]error:[/] {plain(what)}", soft_wrap=True, highlight=False)
         sys.exit(2)
     except BrokenPipeError:  # whoever reads has seen enough, `charms-bench ... | head`

@@ -14,8 +14,10 @@ def verify(
     suite: Annotated[
         Path | None, typer.Option(help="Compare a suite's cells, not the built-in cases.")
     ] = None,
-    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes of every case.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The first episode's seed.")] = 0,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, max=1_000_000, help="Episodes of every case.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**62, help="The first episode's seed.")] = 0,
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -77,11 +79,15 @@ def _print_comparisons(results: Any, differing: int) -> None:
 def bench(
     vehicles: Annotated[int, typer.Option(min=6, max=500, help="The ego included.")] = 21,
     traffic: Annotated[str, typer.Option(help="The traffic of this engine.")] = "idm_mobil",
-    seconds: Annotated[float, typer.Option(min=0.1, help="Of every measurement.")] = 2.0,
-    rounds: Annotated[int, typer.Option(min=1, help="Measurements of each contestant.")] = 3,
+    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="Of every measurement.")] = 2.0,
+    rounds: Annotated[
+        int, typer.Option(min=1, max=1000, help="Measurements of each contestant.")
+    ] = 3,
     environments: Annotated[
         int | None,
-        typer.Option(min=1, help="Gymnasium's vector environments instead, of so many each."),
+        typer.Option(
+            min=1, max=10_000, help="Gymnasium's vector environments instead, of so many each."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

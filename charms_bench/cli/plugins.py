@@ -71,7 +71,7 @@ def traffic(
 
 def _options(words: list[str]) -> dict[str, Any]:
     """What `--name value --other value` says, values as YAML reads them."""
-    import yaml
+    from charms_bench.document import value_of
 
     options = {}
     pairs = [word for each in words for word in (each.split("=", 1) if "--" in each else [each])]
@@ -79,8 +79,8 @@ def _options(words: list[str]) -> dict[str, Any]:
         raise InputError(f"expected options as --name value, got {' '.join(words)}")
     for option, value in zip(pairs[::2], pairs[1::2], strict=True):
         try:
-            options[option.removeprefix("--").replace("-", "_")] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
+            options[option.removeprefix("--").replace("-", "_")] = value_of(value)
+        except ValueError as error:
             raise InputError(f"{option}: {value} cannot be read: {error}") from error
     return options
 

@@ -25,9 +25,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 # A file has no width of its own; 80 would cut tables.
-out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
+out = Console(emoji=False, width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
 # FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
-err = Console(stderr=True, force_interactive=None if sys.stderr.isatty() else False)
+err = Console(stderr=True, emoji=False, force_interactive=None if sys.stderr.isatty() else False)
 rich_utils.FORCE_TERMINAL = None  # Typer would take GitHub's log for a terminal
 
 Json = Annotated[bool, typer.Option("--json", help="Print nothing but JSON on standard output.")]

@@ -70,6 +70,8 @@ _TRACKS_META: Columns = {
     "class": Text(),
     "drivingDirection": Numbers(UPPER, LOWER, whole=True),
 }
+_META_LIMIT_BYTES = 2**24
+"""A hundred times what the vehicles of a long recording need."""
 _RECORDING_META: Columns = {
     "frameRate": Numbers(-1e9, 1e9, "Hz"),
     "numVehicles": Numbers(0, 1e12, whole=True),
@@ -205,7 +207,7 @@ def read_recording(trio: Trio) -> Recording:
 
 def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
     """Frame rate, number of vehicles, and each direction's markings by image y."""
-    table = read_table(path, _RECORDING_META)
+    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES)
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
     row = table.row(0, named=True)
@@ -240,7 +242,7 @@ def _markings(path: Path, column: str, text: str | None) -> Floats:
 
 def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
     path = trio.tracks_meta
-    meta = read_table(path, _TRACKS_META).with_row_index("line", offset=2)
+    meta = read_table(path, _TRACKS_META, _META_LIMIT_BYTES).with_row_index("line", offset=2)
     if meta.height != vehicles:
         raise DataError(
             f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "

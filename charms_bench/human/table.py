@@ -8,12 +8,13 @@ from typing import NamedTuple
 import polars as pl
 
 from charms_bench.errors import DataError
+from charms_bench.files import size_of
 from charms_bench.registry import suggestion
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000
 """More than twice a long recording of highD; what bounds the memory of a table."""
-_HEADER_LIMIT_BYTES = 2**16
+_LINE_LIMIT_BYTES = 2**16
 
 
 class Numbers(NamedTuple):
@@ -36,15 +37,16 @@ class Text(NamedTuple):
 Columns = Mapping[str, Numbers | Text]
 
 
-def read_table(path: Path, columns: Columns) -> pl.DataFrame:
+def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> pl.DataFrame:
     """The named columns of a CSV file, in the order of the file; others are ignored.
 
-    Line `i + 2` of the file is row `i`. Every number is finite and within its range.
+    Line `i + 2` of the file is row `i`. Every number is finite and within its range. A file of
+    more than `limit` bytes is refused.
 
     Raises:
         DataError: The file cannot be read, lacks a column, or has a cell that may not be.
     """
-    header = _header(path)
+    header = _header(path, limit)
     for name in columns:
         if name not in header:
             known = suggestion(name, dict.fromkeys(header))
@@ -79,18 +81,18 @@ def read_table(path: Path, columns: Columns) -> pl.DataFrame:
     return table.with_columns(pl.col(whole).cast(pl.Int64))
 
 
-def _header(path: Path) -> list[str]:
+def _header(path: Path, limit: int) -> list[str]:
     try:
+        if size_of(path) > limit:
+            raise DataError(f"{path}: larger than {limit:,} bytes; split the recording")
         with path.open("rb") as file:
-            size = file.seek(0, 2)
-            file.seek(0)
-            first = file.readline(_HEADER_LIMIT_BYTES)
+            first = file.readline(_LINE_LIMIT_BYTES)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    if size > SIZE_LIMIT_BYTES:
-        raise DataError(f"{path}: larger than {SIZE_LIMIT_BYTES:,} bytes; split the recording")
     if not first.strip():
         raise DataError(f"{path}: line 1: empty; expected the names of the columns")
+    if len(first) == _LINE_LIMIT_BYTES:
+        raise DataError(f"{path}: line 1: longer than {_LINE_LIMIT_BYTES:,} bytes")
     return first.decode("utf-8-sig", errors="replace").rstrip("\r\n").split(",")
 
 
@@ -111,10 +113,13 @@ def _usable(values: pl.Series, cells: Numbers | Text) -> bool:
 
 def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: str) -> DataError:
     """The error of the first line that is wrong, found by reading line by line."""
-    with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
-        next(file)
-        for number, line in enumerate(file, start=2):
-            fields = line.rstrip("\r\n").split(",")
+    with path.open("rb") as file:
+        lines = iter(lambda: file.readline(_LINE_LIMIT_BYTES), b"")
+        next(lines)
+        for number, line in enumerate(lines, start=2):
+            if len(line) == _LINE_LIMIT_BYTES:
+                return DataError(f"{path}: line {number}: longer than {_LINE_LIMIT_BYTES:,} bytes")
+            fields = line.decode(errors="replace").rstrip("\r\n").split(",")
             if len(fields) != len(header):
                 return DataError(
                     f"{path}: line {number}: {len(fields)} fields, but the header has "

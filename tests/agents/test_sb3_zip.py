@@ -291,7 +291,7 @@ def test_a_bomb_within_the_weights_is_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_a_zip_of_very_many_members_is_refused(tmp_path: Path) -> None:
-    refused(zipped(tmp_path, **{f"m{i}": b"" for i in range(1001)}), "1,002 members")
+    refused(zipped(tmp_path, **{f"m{i}": b"" for i in range(1001)}), "more than 1,000 members")
 
 
 def test_a_view_that_repeats_a_number_is_refused(tmp_path: Path) -> None:

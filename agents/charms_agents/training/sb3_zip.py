@@ -6,13 +6,13 @@ loaded, and is never touched.
 """
 
 import json
+import pickletools
 import re
-import struct
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
-from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
+from typing import Any, NamedTuple
+from zipfile import ZipFile, ZipInfo, is_zipfile
 
 import numpy as np
 import torch
@@ -21,14 +21,17 @@ from charms_agents.training.export import export
 from charms_agents.training.network import ACTIVATIONS, Layers, layers_of, network_of
 from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
+from charms_bench.files import read_limited
 from charms_bench.kinematics import Kinematics
 from charms_bench.observation import Neighbours, neighbours
 from charms_bench.testing import example_scene
 
 WEIGHTS, DATA = "policy.pth", "data"
-FILE_LIMIT_BYTES = 2**30
-"""Of the zip, which may hold a replay buffer beside the weights."""
+FILE_LIMIT_BYTES = 256 * 2**20
+"""Of the zip, which holds the weights and what their optimiser knows of each."""
 LIMITS_BYTES = {WEIGHTS: 64 * 2**20, DATA: 8 * 2**20}
+PICKLE_LIMIT_BYTES = 2**20
+"""Of the part of `policy.pth` that says which tensors there are."""
 MEMBERS_LIMIT = 1000
 RATIO_LIMIT = 100
 """Deflate makes zeros about 1000 times smaller, and weights hardly smaller at all."""
@@ -38,6 +41,12 @@ _Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
 _POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
 _LOGITS = re.compile(r"action_net\.(weight|bias)")
 _VALUES = re.compile(r"(mlp_extractor\.value_net\.\d{1,3}|value_net)\.(weight|bias)")
+_OF_TENSORS = re.compile(
+    r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage"
+)
+"""What the pickle of a `state_dict` names."""
+_MEMBER = b"PK\x01\x02"
+"""With what a zip's entry of a member begins."""
 KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 """The activations that can be exported, by torch's name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
@@ -81,14 +90,16 @@ def export_zip(
             written.
         RunFolderError: The output cannot be written.
     """
+    facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
     read = _read(checkpoint)
     numbered, usual = _deciding(checkpoint, _tensors(checkpoint, read.weights))
     said = _activation(checkpoint, read.data, usual)
     network = network_of(_layers(checkpoint, numbered, observation), KINDS[said or usual])
     rows, columns = observation.shape
     sizes = [rows * columns, *(bias.size for _, bias in layers_of(network))]
+    name = checkpoint.name.encode(errors="replace").decode()
     provenance = {
-        "source": f"{checkpoint.name}, a Stable-Baselines3 checkpoint",
+        "source": f"{name}, a Stable-Baselines3 checkpoint",
         "source_sha256": read.sha256,
         "activation": said or f"{usual} (assumed)",
     }
@@ -111,39 +122,37 @@ def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
 def _read(path: Path) -> Checkpoint:
     """The hash of a checkpoint, and what is read of it."""
     try:
-        with path.open("rb") as file:
-            if file.seek(0, 2) > FILE_LIMIT_BYTES:
-                raise ModelError(f"{path}: larger than {FILE_LIMIT_BYTES:,} bytes")
-            if not is_zipfile(file):
-                raise ModelError(f"{path}: is no zip; expected what Stable-Baselines3 saves")
-            file.seek(0)
-            digest = sha256(file.read()).hexdigest()
-            members = _members(f"{path}: ", file)
-            for name, limit in LIMITS_BYTES.items():
-                read = [info for info in members if info.filename == name]
-                if len(read) > 1:
-                    raise ModelError(f"{path}: {name} is in it {len(read)} times")
-                _check_size(path, name, read, limit)
-            names = [info.filename for info in members]
-            if WEIGHTS not in names:
-                found = ", ".join(sorted(names)[:8]) or "nothing"
-                raise ModelError(f"{path}: has no {WEIGHTS}; it holds: {found}")
-            with ZipFile(file) as archive:
-                data = archive.read(DATA) if DATA in names else b""
-                return Checkpoint(digest, archive.read(WEIGHTS), data)
+        content = read_limited(path, FILE_LIMIT_BYTES)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (BadZipFile, RuntimeError, NotImplementedError, EOFError, struct.error) as error:
+    if not is_zipfile(BytesIO(content)):
+        raise ModelError(f"{path}: is no zip; expected what Stable-Baselines3 saves")
+    try:
+        members = _members(f"{path}: ", content)
+        for name, limit in LIMITS_BYTES.items():
+            read = [info for info in members if info.filename == name]
+            if len(read) > 1:
+                raise ModelError(f"{path}: {name} is in it {len(read)} times")
+            _check_size(path, name, read, limit)
+        names = [info.filename for info in members]
+        if WEIGHTS not in names:
+            found = ", ".join(name[:40] for name in sorted(names)[:8]) or "nothing"
+            raise ModelError(f"{path}: has no {WEIGHTS}; it holds: {found}")
+        with ZipFile(BytesIO(content)) as archive:
+            data = archive.read(DATA) if DATA in names else b""
+            return Checkpoint(sha256(content).hexdigest(), archive.read(WEIGHTS), data)
+    except ModelError:
+        raise
+    except Exception as error:  # whatever zipfile and its decompressors find wrong with it
         raise ModelError(f"{path}: {WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
 
 
-def _members(place: str, file: IO[bytes]) -> list[ZipInfo]:
+def _members(place: str, content: bytes) -> list[ZipInfo]:
     """What a zip holds, once it is found not to hold very many things."""
-    with ZipFile(file) as archive:
-        members = archive.infolist()
-    if len(members) > MEMBERS_LIMIT:
-        raise ModelError(f"{place}{len(members):,} members; expected at most {MEMBERS_LIMIT:,}")
-    return members
+    if content.count(_MEMBER) > MEMBERS_LIMIT:
+        raise ModelError(f"{place}more than {MEMBERS_LIMIT:,} members; a policy has a few dozen")
+    with ZipFile(BytesIO(content)) as archive:
+        return archive.infolist()
 
 
 def _check_size(path: Path, name: str, members: list[ZipInfo], limit: int) -> None:
@@ -252,7 +261,7 @@ def _layers(
         weight, bias = network[index]["weight"], network[index]["bias"]
         _check_layer(path, index, weight, bias, width, source)
         source = "as the layer before gives"
-        layers.append((weight.numpy(), bias.numpy()))
+        layers.append((weight.detach().resolve_neg().numpy(), bias.detach().resolve_neg().numpy()))
         width = weight.shape[0]
     if width != len(ACTIONS):
         raise ModelError(f"{path}: values {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
@@ -268,7 +277,7 @@ def _check_layer(
         plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
         if not plain or tensor.dtype != torch.float32:
             raise ModelError(f"{path}: layer {index} is {tensor.dtype}; expected torch.float32")
-    if weight.ndim != 2 or bias.shape != weight.shape[:1]:
+    if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.numel():
         shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
         raise ModelError(f"{path}: layer {index} is not linear: {shapes}")
     if weight.shape[1] != width:
@@ -284,10 +293,16 @@ def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
     """The tensors of a `policy.pth`; nothing but tensors is ever made."""
     if not is_zipfile(BytesIO(weights)):
         raise ModelError(f"{path}: {WEIGHTS} is not in torch's format of 2020 and later")
-    members = _members(f"{path}: {WEIGHTS}: ", BytesIO(weights))
-    _check_size(path, WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
     try:
+        members = _members(f"{path}: {WEIGHTS}: ", weights)
+        _check_size(path, WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
+        with ZipFile(BytesIO(weights)) as archive:
+            for info in members:
+                if info.filename.endswith(".pkl"):
+                    _check_pickle(path, info, archive)
         loaded = torch.load(BytesIO(weights), weights_only=True, map_location="cpu")
+    except ModelError:
+        raise
     except Exception as error:  # whatever torch finds wrong with it
         reason = str(error).strip().partition("\n")[0]
         raise ModelError(
@@ -300,3 +315,23 @@ def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
     ):
         raise ModelError(f"{path}: {WEIGHTS} holds no tensors by name")
     return loaded
+
+
+def _check_pickle(path: Path, info: ZipInfo, archive: ZipFile) -> None:
+    """Refuses a pickle that names anything but tensors.
+
+    torch would make no other object either, but an array of any size.
+
+    Raises:
+        ModelError: It does.
+        ValueError: It is no pickle.
+    """
+    if info.file_size > PICKLE_LIMIT_BYTES:
+        raise ModelError(f"{path}: {WEIGHTS}: {info.filename[:40]} is too large to be true")
+    for opcode, argument, _ in pickletools.genops(archive.read(info)):
+        names = "GLOBAL" in opcode.name or opcode.name.startswith(("EXT", "INST"))
+        if names and not _OF_TENSORS.fullmatch(str(argument)):
+            raise ModelError(
+                f"{path}: {WEIGHTS} holds something other than tensors, which is not loaded: "
+                f"{str(argument or opcode.name)[:80]}"
+            )

@@ -13,8 +13,8 @@ from charms_bench.errors import RegistryError
 from charms_bench.human.samples import SampleSettings
 from charms_bench.profile import FrozenModel, NonNegative, Positive
 from charms_bench.registry import AGENTS, find
+from charms_bench.suite import FilePath, Line, SuiteScene
 from charms_bench.suite import Name as AgentName
-from charms_bench.suite import SuiteScene
 
 FIRST_TRAINING_SEED = 2**40
 """Evaluations draw their scenes from seeds below 10^9, trainings from here on: none meet."""
@@ -23,6 +23,8 @@ EPISODES_OF_A_SEED = 2**32
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
+Width = Annotated[int, Field(ge=1, le=4096)]
+"""Neurons of a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -30,11 +32,11 @@ class Hyperparameters(FrozenModel):
     """Of Double DQN; steps are decisions of one ego."""
 
     learning_rate: Positive = 1e-4
-    batch_size: Count = 32
+    batch_size: Annotated[int, Field(ge=1, le=100_000)] = 32
     discount: Share = 0.99
-    replay_buffer: Count = 50_000
+    replay_buffer: Annotated[int, Field(ge=1, le=10_000_000)] = 50_000
     """Decisions kept."""
-    learning_starts: Annotated[int, Field(ge=0)] = 10_000
+    learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 10_000
     """Steps before the first gradient step, in which all actions are random."""
     steps_per_gradient_step: Count = 2
     target_update_steps: Count = 500
@@ -44,7 +46,7 @@ class Hyperparameters(FrozenModel):
     exploration_share: Share = 0.1
     """Share of all steps in which exploration falls from initial to final."""
     max_gradient_norm: Positive = 10.0
-    hidden_layers: Annotated[tuple[Count, ...], Field(strict=False, max_length=8)] = (256, 256)
+    hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] = (256, 256)
     scenes: Annotated[int, Field(ge=1, le=1000)] = 10
     """Episodes played side by side."""
     return_steps: Count = 1
@@ -95,7 +97,7 @@ class Supervised(FrozenModel):
     """Of learning from human driving; by default the paper's fine-tuning."""
 
     learning_rate: Positive = 1e-6
-    batch_size: Count = 128
+    batch_size: Annotated[int, Field(ge=1, le=100_000)] = 128
     epochs: Count = 8
     pull: NonNegative = 0.2
     """Lambda of eq. 11: how strongly weights are pulled to where they started."""
@@ -167,12 +169,12 @@ class HumanStage(FrozenModel):
 class Human(FrozenModel):
     """Recordings of human driving, and what learns from them."""
 
-    recordings: Path = Field(strict=False)
+    recordings: FilePath
     """Their folder; a relative path starts at the suite file's."""
     samples: SampleSettings = SampleSettings()
     fine_tuning: Supervised = Supervised()
     imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
-    stages: Annotated[dict[Name, HumanStage], Field(min_length=1)]
+    stages: Annotated[dict[Name, HumanStage], Field(min_length=1, max_length=100)]
 
     def settings_of(self, stage: HumanStage) -> Supervised:
         """How a stage learns."""
@@ -183,7 +185,7 @@ class TrainingSuite(FrozenModel):
     """The stages of a training, by the name of the network that each of them makes."""
 
     pipeline: Literal["charms"]
-    title: str = ""
+    title: Line = ""
     seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
@@ -193,7 +195,7 @@ class TrainingSuite(FrozenModel):
     checkpoint_s: Positive = 60.0
     """Seconds between two checkpoints."""
     weights: dict[Name, Weights]
-    stages: Annotated[dict[Name, Stage], Field(min_length=1)]
+    stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Those of reinforcement learning; `like` takes what is not given from another stage."""
     human: Human | None = None
 

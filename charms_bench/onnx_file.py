@@ -1,0 +1,132 @@
+"""What an ONNX file would have onnxruntime do, found out before onnxruntime sees it.
+
+The format is Protocol Buffers: a message is fields, each a number, a kind and a value, and a value
+may be a message again. Only what is asked about is looked at, at the numbers that `onnx.proto`
+gives them. https://protobuf.dev/programming-guides/encoding/
+"""
+
+from collections.abc import Iterator
+
+_ARITHMETIC = (
+    "Abs Add And ArgMax ArgMin AveragePool BatchNormalization Cast Ceil Celu Clip Concat Constant "
+    "ConstantOfShape Conv Cos CumSum Div Dropout Einsum Elu Equal Erf Exp Expand Flatten Floor GRU "
+    "Gather GatherElements GatherND Gelu Gemm GlobalAveragePool GlobalMaxPool Greater "
+    "GreaterOrEqual HardSigmoid HardSwish Identity InstanceNormalization LSTM LayerNormalization "
+    "LeakyRelu Less LessOrEqual Log LogSoftmax LpNormalization MatMul Max MaxPool Mean Min Mish "
+    "Mod Mul Neg Not OneHot Or PRelu Pad Pow RMSNormalization RNN Range Reciprocal ReduceL1 "
+    "ReduceL2 ReduceLogSumExp ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare "
+    "Relu Reshape Round ScatterElements ScatterND Selu Shape Sigmoid Sign Sin Size Slice Softmax "
+    "Softplus Softsign Split Sqrt Squeeze Sub Sum Swish Tanh ThresholdedRelu Tile TopK Transpose "
+    "Trilu Unsqueeze Where Xor"
+)
+OPERATORS = frozenset(_ARITHMETIC.split())
+"""What a policy may be made of: arithmetic, without loops, chance, texts or anybody's own code."""
+
+_GRAPH, _FUNCTIONS = 7, 25  # of a model
+_NODE, _INITIALIZER, _SPARSE_INITIALIZER = 1, 5, 15  # of a graph
+_OPERATOR, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # of a node
+_TENSOR, _SUBGRAPH, _TENSORS, _SUBGRAPHS, _SPARSE = 5, 6, 10, 11, (22, 23)  # of an attribute
+_TEXTS = {b"value_string", b"value_strings"}  # names of attributes
+_DATA_TYPE, _EXTERNAL_DATA, _DATA_LOCATION = 2, 13, 14  # of a tensor
+_STRING = 8
+
+
+def problem_of(data: bytes) -> str:
+    """Why a file is not to be loaded; empty where nothing speaks against it."""
+    try:
+        return next(_problems(memoryview(data)), "")
+    except (IndexError, ValueError):
+        return "is no ONNX file, or is damaged"
+
+
+def _problems(model: memoryview) -> Iterator[str]:
+    for number, graph in _fields(model):
+        if number == _FUNCTIONS:
+            yield "has functions of its own; save it with all of them inlined"
+        if number != _GRAPH:
+            continue
+        for kind, value in _fields(_message(graph)):
+            if kind == _NODE:
+                yield from _problems_of_node(_message(value))
+            elif kind == _INITIALIZER:
+                yield from _problems_of_tensor(_message(value))
+            elif kind == _SPARSE_INITIALIZER:
+                yield "has sparse tensors; save it with dense ones"
+
+
+def _problems_of_node(node: memoryview) -> Iterator[str]:
+    parts = list(_fields(node))
+    domains = [_text(value) for number, value in parts if number == _DOMAIN]
+    for name in (_text(value) for number, value in parts if number == _OPERATOR):
+        if name not in OPERATORS or any(domain not in ("", "ai.onnx") for domain in domains):
+            full = ".".join(filter(None, (*domains, name)))
+            yield f"has the operator '{full[:80]}'; a policy is made of ONNX's arithmetic"
+    for number, attribute in parts:
+        if number != _ATTRIBUTE:
+            continue
+        for kind, value in _fields(_message(attribute)):
+            if kind in (_TENSOR, _TENSORS):
+                yield from _problems_of_tensor(_message(value))
+            elif kind in (_SUBGRAPH, _SUBGRAPHS):
+                yield "has graphs within its graph"
+            elif kind in _SPARSE:
+                yield "has sparse tensors; save it with dense ones"
+            elif isinstance(value, memoryview) and bytes(value[:16]) in _TEXTS:
+                yield "has texts among its tensors"
+
+
+def _problems_of_tensor(tensor: memoryview) -> Iterator[str]:
+    for number, value in _fields(tensor):
+        if number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value):
+            yield "keeps tensors in other files; save it as a single file"
+        if number == _DATA_TYPE and value == _STRING:
+            yield "has texts among its tensors"
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """The number and value of each field.
+
+    Raises:
+        ValueError, IndexError: It is no message.
+    """
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        number, kind = tag >> 3, tag & 7
+        value: int | memoryview
+        if kind == 0:
+            value, at = _varint(message, at)
+        elif kind in (1, 5):
+            size = 8 if kind == 1 else 4
+            value, at = message[at : at + size], at + size
+        elif kind == 2:
+            size, at = _varint(message, at)
+            value, at = message[at : at + size], at + size
+        else:
+            raise ValueError(f"field {number} is of the kind {kind}")
+        if at > len(message) or not 0 < number < 2**29:
+            raise ValueError(f"field {number} is cut short")
+        yield number, value
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, and where it ends."""
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value & (2**64 - 1), at
+    raise ValueError("a number without end")
+
+
+def _message(value: int | memoryview) -> memoryview:
+    """A field's value where a message belongs."""
+    if isinstance(value, int):
+        raise ValueError("a number where a message belongs")
+    return value
+
+
+def _text(value: int | memoryview) -> str:
+    return bytes(_message(value)).decode(errors="replace")

@@ -1,0 +1,207 @@
+"""Zips for `export` that unpack without end, or would run code where they are trusted."""
+
+import io
+import os
+import pickle
+import struct
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from bad_input import CANARY, BadInput
+
+
+class Hostile:
+    """Makes the canary wherever it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (CANARY,)
+
+
+def state(**changes: Any) -> dict[str, Any]:
+    """The weights of a DQN with one hidden layer, with some changed; None leaves one out."""
+    tensors = {
+        "q_net.q_net.0.weight": torch.zeros(4, 35),
+        "q_net.q_net.0.bias": torch.zeros(4),
+        "q_net.q_net.2.weight": torch.zeros(5, 4),
+        "q_net.q_net.2.bias": torch.zeros(5),
+    }
+    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
+    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
+
+
+def saved(thing: Any, **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(thing, buffer, **options)
+    return buffer.getvalue()
+
+
+def zipped(method: int = zipfile.ZIP_STORED, **members: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(name.replace("__", "."), data)
+    return buffer.getvalue()
+
+
+def checkpoint(policy: Any = None, **members: bytes) -> bytes:
+    weights = policy if isinstance(policy, bytes) else saved(state() if policy is None else policy)
+    return zipped(policy__pth=weights, **members)
+
+
+def pickled(code: bytes) -> bytes:
+    """A `policy.pth` with a pickle of one's own."""
+    records = {"archive/data.pkl": code, "archive/version": b"3\n", "archive/data/0": bytes(16)}
+    return checkpoint(zipped(**{name.replace(".", "__"): data for name, data in records.items()}))
+
+
+def large(size: int) -> bytes:
+    return b"\x8a\x08" + struct.pack("<q", size)
+
+
+def tensor_of(numbers: int) -> bytes:
+    """A pickle of weights whose storage is said to hold so many numbers."""
+    storage = b"X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\x000X\x03\0\0\0cpu"
+    tensor = b"ctorch._utils\n_rebuild_tensor_v2\n((" + storage + large(numbers) + b"tQK\0"
+    tensor += b"(K\x05t(K\x01t\x89ccollections\nOrderedDict\n)RtR"
+    return b"\x80\x02}X\x14\0\0\0q_net.q_net.0.weight" + tensor + b"s."
+
+
+def patched(data: bytes, old: bytes, new: bytes) -> bytes:
+    assert old in data
+    return data.replace(old, new)
+
+
+def wrecked() -> bytes:
+    """A checkpoint whose packed weights are damaged."""
+    data = bytearray(zipped(zipfile.ZIP_DEFLATED, policy__pth=saved(state())))
+    data[60:160] = bytes(range(100))
+    return bytes(data)
+
+
+def bomb(name: str, size: int) -> bytes:
+    return zipped(zipfile.ZIP_DEFLATED, **{name: bytes(size)})
+
+
+def many_members(count: int) -> bytes:
+    return zipped(**{f"m{k}": b"" for k in range(count)})
+
+
+def quoted(name: bytes) -> bytes:
+    """A checkpoint with another name in place of `policy.pth`."""
+    return patched(checkpoint(), b"policy.pth", name)
+
+
+def encrypted() -> bytes:
+    data = checkpoint()
+    return patched(data, b"PK\x01\x02\x14\x03\x14\x00\x00", b"PK\x01\x02\x14\x03\x14\x00\x01")
+
+
+FILES: dict[str, Callable[[], bytes]] = {
+    "empty": lambda: b"",
+    "a text": lambda: b"not a zip",
+    "the end of a zip": lambda: b"PK\x05\x06" + bytes(18),
+    "a zip cut short": lambda: checkpoint()[:-30],
+    "a zip without its start": lambda: checkpoint()[100:],
+    "an empty zip": zipped,
+    "no weights": lambda: zipped(data=b"{}"),
+    "up and away": lambda: zipped(**{"____/____/up": b"x"}),
+    "a NUL in a name": lambda: quoted(b"policy\0pth"),
+    "no UTF-8 in a name": lambda: quoted(b"\xff\xfeicy.pth"),
+    "an escape sequence in a name": lambda: quoted(b"\x1b[2Jcy.pth"),
+    "encrypted": encrypted,
+    "damaged": wrecked,
+    "weights twice": lambda: patched(
+        zipped(policy__pth=saved(state()), policy__ptx=saved(state())), b"policy.ptx", b"policy.pth"
+    ),
+    "a bomb": lambda: bomb("policy.pth", 63 * 2**20),
+    "a larger bomb": lambda: bomb("policy.pth", 2**28),
+    "a bomb of bzip2": lambda: zipped(zipfile.ZIP_BZIP2, policy__pth=bytes(2**26)),
+    "a bomb in data": lambda: zipped(
+        zipfile.ZIP_DEFLATED, policy__pth=saved(state()), data=bytes(2**24)
+    ),
+    "a bomb in a bomb": lambda: checkpoint(bomb("archive/data.pkl", 2**26)),
+    "50,000 members": lambda: many_members(50_000),
+    "50,000 members inside": lambda: checkpoint(many_members(50_000)),
+    "a pickle that makes a folder": lambda: checkpoint(Hostile()),
+    "a pickle among the weights": lambda: checkpoint(state(q_net__q_net__0__bias=Hostile())),
+    "a bare pickle": lambda: checkpoint(pickle.dumps(Hostile())),
+    "an old pickle": lambda: checkpoint(saved(Hostile(), _use_new_zipfile_serialization=False)),
+    "weights of the old format": lambda: checkpoint(
+        saved(state(), _use_new_zipfile_serialization=False)
+    ),
+    "a TorchScript": lambda: pickled(b"c__torch__\nModel\n."),
+    "a bytearray of 32 GB": lambda: pickled(
+        b"\x80\x02c__builtin__\nbytearray\n" + large(2**35) + b"\x85R."
+    ),
+    "a tensor of 128 GB": lambda: pickled(b"\x80\x02ctorch\nTensor\n" + large(2**35) + b"\x85R."),
+    "a storage of 10^12 numbers": lambda: pickled(tensor_of(10**12)),
+    "a storage of 100 numbers more than there are": lambda: pickled(tensor_of(104)),
+    "a set of a bytearray": lambda: pickled(b"\x80\x02c__builtin__\nset\n)R."),
+    "a name from the stack": lambda: pickled(
+        b"\x80\x04\x8c\x02os\x8c\x05mkdir\x93\x8c\x06canary\x85R."
+    ),
+    "an instance": lambda: pickled(b"(S'canary'\nios\nmkdir\n."),
+    "a pickle without end": lambda: pickled(b"\x80\x02" + b"(" * 100_000),
+    "a pickle of 2 MB": lambda: pickled(b"\x80\x02" + b"N0" * 2**20 + b"N."),
+    "a text of 2^62 letters": lambda: pickled(b"\x80\x04\x8d" + struct.pack("<Q", 2**62) + b"x."),
+    "a place of 2^31": lambda: pickled(b"\x80\x02Nr\xff\xff\xff\x7f."),
+    "no pickle": lambda: pickled(b"hello"),
+    "nothing": lambda: pickled(b""),
+    "a number": lambda: checkpoint(7),
+    "a list": lambda: checkpoint([torch.zeros(5)]),
+    "numbers for names": lambda: checkpoint({3: torch.zeros(5)}),
+    "no tensors": lambda: checkpoint({}),
+    "one tensor": lambda: checkpoint(torch.zeros(5)),
+    "a layer without weights": lambda: checkpoint(state(q_net__q_net__0__weight=None)),
+    "25 numbers in": lambda: checkpoint(state(q_net__q_net__0__weight=torch.zeros(4, 25))),
+    "no numbers in": lambda: checkpoint(state(q_net__q_net__0__weight=torch.zeros(4, 0))),
+    "an empty layer": lambda: checkpoint(
+        state(
+            q_net__q_net__0__weight=torch.zeros(0, 35),
+            q_net__q_net__0__bias=torch.zeros(0),
+            q_net__q_net__2__weight=torch.zeros(5, 0),
+        )
+    ),
+    "a layer that repeats itself": lambda: checkpoint(
+        state(q_net__q_net__0__weight=torch.zeros(1).expand(4, 35))
+    ),
+    "a layer of whole numbers": lambda: checkpoint(
+        state(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.int64))
+    ),
+    "complex numbers": lambda: checkpoint(
+        state(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.complex64))
+    ),
+    "a sparse layer": lambda: checkpoint(
+        state(q_net__q_net__0__weight=torch.zeros(4, 35).to_sparse())
+    ),
+    "a layer that is nowhere": lambda: checkpoint(
+        state(q_net__q_net__0__weight=torch.zeros(4, 35, device="meta"))
+    ),
+    "weights that are no numbers": lambda: checkpoint(
+        state(q_net__q_net__0__bias=torch.full((4,), torch.nan))
+    ),
+    "three actions": lambda: checkpoint(
+        state(q_net__q_net__2__weight=torch.zeros(3, 4), q_net__q_net__2__bias=torch.zeros(3))
+    ),
+    "a layer 999": lambda: checkpoint(state(q_net__q_net__999__weight=torch.zeros(5, 5))),
+    "a convolution": lambda: checkpoint(
+        state(q_net__features_extractor__cnn__0__weight=torch.zeros(2, 3, 8, 8))
+    ),
+    "an activation of one's own": lambda: checkpoint(
+        data=b'{"policy_kwargs": {"activation_fn": "<class \'os.system\'>"}}'
+    ),
+}
+
+
+def _bad(title: str, content: Callable[[], bytes]) -> BadInput:
+    def make(folder: Path) -> Sequence[str]:
+        (folder / "model.zip").write_bytes(content())
+        return "export", "model.zip", "out.onnx"
+
+    return BadInput(f"checkpoint: {title}", make)
+
+
+CASES = tuple(_bad(*item) for item in FILES.items())

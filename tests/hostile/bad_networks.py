@@ -1,0 +1,256 @@
+"""ONNX files that read other files, run without end, or are not what they say."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bad_input import BadInput
+from bad_suites import BASE
+from onnx import TensorProto, helper, numpy_helper
+
+FLOAT = TensorProto.FLOAT
+WEIGHTS = numpy_helper.from_array(np.ones((35, 5), dtype=np.float32), "weights")
+LINEAR = helper.make_node("MatMul", ["observations", "weights"], ["values"])
+HIDDEN = helper.make_node("MatMul", ["observations", "weights"], ["hidden"])
+
+
+def network(
+    nodes: Sequence[Any] = (LINEAR,),
+    tensors: Sequence[Any] = (WEIGHTS,),
+    seen: Sequence[Any] = ("batch", 35),
+    valued: Sequence[Any] = ("batch", 5),
+    kind: int = FLOAT,
+    facts: dict[str, str] | None = None,
+    **more: Any,
+) -> Any:
+    """A model, by default of one linear layer, that takes part as it is."""
+    graph = helper.make_graph(
+        list(nodes),
+        "policy",
+        [helper.make_tensor_value_info("observations", kind, list(seen))],
+        [helper.make_tensor_value_info("values", kind, list(valued))],
+        list(tensors),
+        **more,
+    )
+    opsets = [helper.make_opsetid("", 17), helper.make_opsetid("com.example", 1)]
+    model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
+    helper.set_model_props(model, facts or {})
+    return model
+
+
+def outside(place: str) -> Any:
+    """Weights that are said to lie in another file."""
+    tensor = TensorProto(name="weights", data_type=FLOAT, dims=[35, 5])
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value=place)
+    return network(tensors=[tensor])
+
+
+def disguised(place: str) -> bytes:
+    """The same, with the word `location` written so that no search for bytes finds its length."""
+    plain = outside(place).SerializeToString()
+    entry = b"\x0a\x08location\x12" + bytes([len(place)]) + place.encode()
+    other = b"\x12" + bytes([len(place)]) + place.encode() + b"\x0a\x08location"
+    assert plain.count(entry) == 1
+    return plain.replace(entry, other)
+
+
+def announced(*dims: int, data: bytes = b"") -> Any:
+    return network(tensors=[TensorProto(name="weights", data_type=FLOAT, dims=dims, raw_data=data)])
+
+
+def added(*nodes: Any, tensors: Sequence[Any] = (), **more: Any) -> Any:
+    """A linear layer to which the sum of something called `large` is added."""
+    total = helper.make_node("ReduceSum", ["large"], ["total"], keepdims=0)
+    sum_ = helper.make_node("Add", ["hidden", "total"], ["values"])
+    return network([HIDDEN, *nodes, total, sum_], [WEIGHTS, *tensors], **more)
+
+
+def constant(name: str, values: Any) -> Any:
+    return numpy_helper.from_array(np.asarray(values), name)
+
+
+def sparse(length: int) -> Any:
+    one = numpy_helper.from_array(np.ones(1, dtype=np.float32), "large")
+    at = numpy_helper.from_array(np.zeros(1, dtype=np.int64), "places")
+    return helper.make_sparse_tensor(one, at, [length])
+
+
+def endless() -> Any:
+    inner = [
+        helper.make_node("Identity", ["again"], ["goes_on"]),
+        helper.make_node("Identity", ["before"], ["after"]),
+    ]
+    info = helper.make_tensor_value_info
+    body = helper.make_graph(
+        inner,
+        "body",
+        [
+            info("i", TensorProto.INT64, []),
+            info("again", TensorProto.BOOL, []),
+            info("before", FLOAT, ["batch", 5]),
+        ],
+        [info("goes_on", TensorProto.BOOL, []), info("after", FLOAT, ["batch", 5])],
+    )
+    loop = helper.make_node("Loop", ["times", "first", "hidden"], ["values"], body=body)
+    tensors = [WEIGHTS, constant("times", np.int64(2**62)), constant("first", True)]
+    return network([HIDDEN, loop], tensors)
+
+
+def nested(depth: int) -> bytes:
+    """Attributes in nodes in graphs in attributes, far deeper than any parser should go."""
+    data = b""
+    for _ in range(depth):
+        for tag in (b"\x32", b"\x2a", b"\x0a"):  # g of an attribute, of a node, of a graph
+            size, length = len(data), b""
+            while size > 127:
+                length, size = length + bytes([size & 127 | 128]), size >> 7
+            data = tag + length + bytes([size]) + data
+    return (
+        b"\x3a"
+        + bytes([0x80 | len(data) & 127, len(data) >> 7 & 127 | 128, len(data) >> 14])
+        + data
+    )
+
+
+def one_node(operator: str, domain: str = "", **attributes: Any) -> Any:
+    node = helper.make_node(operator, ["observations"], ["values"], domain=domain, **attributes)
+    return network([node])
+
+
+def with_function() -> Any:
+    model = network([helper.make_node("Mine", ["observations"], ["values"], domain="com.example")])
+    inner = [helper.make_node("Identity", ["a"], ["b"])]
+    opsets = [helper.make_opsetid("", 17)]
+    model.functions.append(helper.make_function("com.example", "Mine", ["a"], ["b"], inner, opsets))
+    return model
+
+
+MODELS: dict[str, Callable[[], Any]] = {
+    "weights in /etc/passwd": lambda: outside("/etc/passwd"),
+    "weights in the working directory": lambda: outside("suite.yaml"),
+    "weights up and away": lambda: outside("../../../../../../etc/passwd"),
+    "weights in /dev/zero": lambda: outside("/dev/zero"),
+    "weights elsewhere, disguised": lambda: disguised("suite.yaml"),
+    "weights elsewhere, in a node": lambda: added(
+        helper.make_node(
+            "Constant", [], ["large"], value=outside("suite.yaml").graph.initializer[0]
+        )
+    ),
+    "weights of a terabyte, announced": lambda: announced(2**20, 2**20, data=bytes(8)),
+    "weights of 2^124 numbers": lambda: announced(2**62, 2**62),
+    "weights of -5 rows": lambda: announced(-5, 35),
+    "weights of nothing": lambda: announced(35, 0),
+    "weights cut short": lambda: announced(35, 5, data=bytes(8)),
+    "weights of a shape that fits nothing": lambda: announced(3, 7, data=bytes(84)),
+    "zeros of 64 GiB": lambda: added(
+        helper.make_node("ConstantOfShape", ["size"], ["large"]),
+        tensors=[constant("size", np.array([2**34]))],
+    ),
+    "zeros of 2^62 numbers": lambda: added(
+        helper.make_node("ConstantOfShape", ["size"], ["large"]),
+        tensors=[constant("size", np.array([2**31, 2**31]))],
+    ),
+    "a product of 80 GB": lambda: added(
+        helper.make_node("MatMul", ["tall", "wide"], ["large"]),
+        tensors=[
+            constant("tall", np.ones((140_000, 1), np.float32)),
+            constant("wide", np.ones((1, 140_000), np.float32)),
+        ],
+    ),
+    "observations repeated 2^40 times": lambda: added(
+        helper.make_node("Tile", ["observations", "times"], ["large"]),
+        tensors=[constant("times", np.array([2**20, 2**20]))],
+    ),
+    "a sparse tensor of 32 GiB": lambda: added(sparse_initializer=[sparse(2**33)]),
+    "a sparse constant of 32 GiB": lambda: added(
+        helper.make_node("Constant", [], ["large"], sparse_value=sparse(2**33))
+    ),
+    "a loop without end": endless,
+    "somebody's own operator": lambda: one_node("Evil", "com.example"),
+    "an operator that runs Python": lambda: one_node("PyOp", "ai.onnx.contrib", code="import os"),
+    "an operator nobody knows": lambda: one_node("Evil"),
+    "an operator without a name": lambda: one_node(""),
+    "an operator with a name of 100,000 letters": lambda: one_node("E" * 100_000),
+    "onnxruntime's operators": lambda: one_node("EPContext", "com.microsoft", embed_mode=0),
+    "chance": lambda: one_node("RandomNormalLike"),
+    "texts": lambda: added(helper.make_node("Constant", [], ["large"], value_string="x" * 1000)),
+    "a tensor of texts": lambda: added(tensors=[helper.make_tensor("large", 8, [1], [b"x" * 99])]),
+    "functions": with_function,
+    "a wrong type of node": lambda: one_node("Conv"),
+    "five inputs": lambda: network(tensors=[], nodes=[LINEAR]),
+    "30 numbers in": lambda: network(seen=("batch", 30)),
+    "8 rows in": lambda: network(seen=("batch", 8, 5)),
+    "a picture in": lambda: network(seen=("batch", 3, 224, 224)),
+    "a fixed batch": lambda: network(seen=(1, 35)),
+    "a free width": lambda: network(seen=("batch", "width")),
+    "no shape": lambda: network(seen=()),
+    "64 dimensions": lambda: network(seen=("batch", *[1] * 63)),
+    "no numbers in": lambda: network(seen=("batch", 0)),
+    "4 values out": lambda: network(valued=("batch", 4)),
+    "doubles": lambda: network(kind=TensorProto.DOUBLE),
+    "texts in and out": lambda: network(kind=TensorProto.STRING),
+    "no nodes": lambda: network(nodes=[]),
+    "a node twice": lambda: network(nodes=[LINEAR, LINEAR]),
+    "nodes in a circle": lambda: network(
+        [
+            helper.make_node("Identity", ["b"], ["a"]),
+            helper.make_node("Identity", ["a"], ["b"]),
+            LINEAR,
+        ]
+    ),
+    "more values than vehicles": lambda: network(
+        [HIDDEN, helper.make_node("Concat", ["hidden", "hidden"], ["values"], axis=0)],
+        valued=("many", 5),
+    ),
+    "one vehicle's values for all": lambda: network(
+        [HIDDEN, helper.make_node("ReduceMax", ["hidden"], ["values"], axes=[0], keepdims=1)],
+        valued=("one", 5),
+    ),
+    "values that are no numbers": lambda: network(
+        [HIDDEN, helper.make_node("Mul", ["hidden", "nan"], ["values"])],
+        [WEIGHTS, constant("nan", np.array([np.nan], np.float32))],
+    ),
+    "no time between decisions": lambda: network(facts={"decision_hz": "inf"}),
+    "a rate of no number": lambda: network(facts={"decision_hz": "$(reboot)"}),
+    "a rate of 100,000 digits": lambda: network(facts={"decision_hz": "9" * 100_000}),
+    "an observation nobody knows": lambda: network(facts={"observation": "lidar"}),
+    "an observation of 10^9 rows": lambda: network(
+        facts={"observation": '{"name": "Kinematics", "vehicles_count": 1000000000}'}
+    ),
+    "an observation without end": lambda: network(facts={"observation": "{" * 100_000}),
+    "nested 10,000 deep": lambda: nested(10_000),
+    "empty": lambda: b"",
+    "a text": lambda: b"not a network",
+    "zeros": lambda: bytes(1000),
+    "a picture": lambda: b"\x89PNG\r\n\x1a\n" + bytes(1000),
+    "a number without end": lambda: b"\xff" * 1000,
+    "a length of 2^63": lambda: b"\x3a" + b"\xff" * 8 + b"\x7f" + b"x",
+    "a pickle": lambda: b"cos\nmkdir\n(S'canary'\ntR.",
+}  # fmt: skip
+
+
+def _cut_short(part: int, of: int) -> bytes:
+    data: bytes = network().SerializeToString()
+    return data[: len(data) * part // of]
+
+
+MODELS |= {f"{part} of 30 parts": partial(_cut_short, part, 30) for part in range(1, 30)}
+
+
+def _bad(title: str, model: Callable[[], Any]) -> BadInput:
+    def make(folder: Path) -> Sequence[str]:
+        made = model()
+        data = made if isinstance(made, bytes) else made.SerializeToString()
+        (folder / "policy.onnx").write_bytes(data)
+        (folder / "suite.yaml").write_text(
+            BASE.replace("agent: idm_mobil", "agent: {onnx: policy.onnx}")
+        )
+        return "run", folder / "suite.yaml", "--output", "run"
+
+    return BadInput(f"network: {title}", make)
+
+
+CASES = tuple(_bad(*item) for item in MODELS.items())

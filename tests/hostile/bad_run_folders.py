@@ -1,0 +1,130 @@
+"""Run folders that somebody has altered, and whose names lead elsewhere."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import polars as pl
+from bad_arguments import SUITE
+from bad_input import BadInput, charms_bench
+
+
+@cache
+def _whole() -> Path:
+    """A finished run that nobody has touched."""
+    folder = Path(mkdtemp(prefix="charms-bench-"))
+    (folder / "suite.yaml").write_text(SUITE)
+    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", folder=folder)
+    assert answer.code == 0, answer.err
+    return folder / "run"
+
+
+def _manifest(change: Callable[[dict[str, Any]], object]) -> Callable[[Path], object]:
+    def make(run: Path) -> None:
+        path = run / "manifest.json"
+        manifest = json.loads(path.read_text())
+        change(manifest)
+        path.write_text(json.dumps(manifest))
+
+    return make
+
+
+def _text(text: str) -> Callable[[Path], object]:
+    return lambda run: (run / "manifest.json").write_text(text)
+
+
+def _suite(**fields: Any) -> Callable[[Path], object]:
+    return _manifest(lambda manifest: manifest["suite"].update(fields))
+
+
+def _shard(kind: str) -> Callable[[Path], Path]:
+    return lambda run: next((run / kind).iterdir())
+
+
+def _instead(kind: str, make_file: Callable[[Path], object]) -> Callable[[Path], object]:
+    """Something else in place of a shard's file of one kind."""
+
+    def make(run: Path) -> None:
+        path = _shard(kind)(run)
+        path.unlink()
+        make_file(path)
+
+    return make
+
+
+def _many_rows(path: Path) -> None:
+    pl.DataFrame({"episode": pl.repeat(0, 10_000_000, eager=True)}).write_parquet(path)
+
+
+def _instead_of_manifest(make_file: Callable[[Path], object]) -> Callable[[Path], object]:
+    def make(run: Path) -> None:
+        (run / "manifest.json").unlink()
+        make_file(run / "manifest.json")
+
+    return make
+
+
+FOLDERS: dict[str, Callable[[Path], object]] = {
+    "no manifest": _instead_of_manifest(lambda path: None),
+    "an empty manifest": _text(""),
+    "a manifest that is a list": _text("[]"),
+    "a manifest that is a number": _text("9" * 5000),
+    "a manifest nested without end": _text("[" * 100_000),
+    "a manifest without a suite": _text("{}"),
+    "a manifest with a pickle": _text("cos\nmkdir\n(S'canary'\ntR."),
+    "a suite that is a list": _manifest(lambda manifest: manifest.update(suite=[])),
+    "a suite that is nothing": _manifest(lambda manifest: manifest.update(suite=None)),
+    "a suite called ../../x": _suite(suite="../../x"),
+    "a suite called /etc/passwd": _suite(suite="/etc/passwd"),
+    "a suite of another seed": _suite(seed=10**12),
+    "a suite without egos": _suite(egos=[]),
+    "a suite of unknown egos": _suite(egos=[{"agent": {"name": "nobody"}}] * 2),
+    "a suite with a duration of 10^308": _suite(scene={"duration_s": 1.7e308}),
+    "a suite with an unknown key": _suite(surprise=1),
+    "a title that clears the screen": _manifest(lambda manifest: manifest.update(title="\x1b[2J")),
+    "10^7 episodes announced": _manifest(lambda manifest: manifest.update(episodes=10**7)),
+    "no episodes announced": _manifest(lambda manifest: manifest.update(episodes=0)),
+    "episodes that are a text": _manifest(lambda manifest: manifest.update(episodes="2")),
+    "rows cut short": lambda run: os.truncate(_shard("steps")(run), 100),
+    "rows that are a text": _instead("episodes", lambda path: path.write_text("hello")),
+    "rows of another kind": _instead("steps", _many_rows),
+    "rows of 10^7 episodes": _instead("episodes", _many_rows),
+    "rows that are a folder": _instead("episodes", Path.mkdir),
+    "rows that are missing": _instead("steps", lambda path: None),
+    "rows that are a link to nowhere": _instead("steps", lambda path: path.symlink_to("nowhere")),
+    "rows that are a link to /etc/passwd": _instead(
+        "steps", lambda path: path.symlink_to("/etc/passwd")
+    ),
+    "a shard by another name": lambda run: _shard("checksums")(run).rename(
+        run / "checksums" / "0-0-.sha256"
+    ),
+    "checksums that are empty": _instead("checksums", Path.touch),
+    "checksums of something else": _instead(
+        "checksums", lambda path: path.write_text(f"{'0' * 64}  steps/x.parquet\n")
+    ),
+}  # fmt: skip
+COMMANDS: tuple[Sequence[object], ...] = (
+    ("rescore", "run"),
+    ("edge-cases", "run"),
+    ("replay", "run", 0),
+    ("compare", "run", "run"),
+)
+
+
+def _bad(title: str, change: Callable[[Path], object], command: Sequence[object]) -> BadInput:
+    def make(folder: Path) -> Sequence[object]:
+        shutil.copytree(_whole(), folder / "run")
+        change(folder / "run")
+        return command
+
+    return BadInput(f"{command[0]}: {title}", make)
+
+
+CASES = tuple(
+    _bad(title, change, command) for title, change in FOLDERS.items() for command in COMMANDS
+)

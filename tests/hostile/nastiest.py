@@ -1,0 +1,21 @@
+"""The ten nastiest inputs, as docs/hostile-input.md has them."""
+
+NASTIEST = {
+    "suite: a billion laughs": "A suite of 59 lists, each of four times the one before",
+    "suite: code: apply": "A suite whose title is `!!python/object/apply:os.mkdir [canary]`",
+    "a link to /dev/zero as a network": "A network that is a link to `/dev/zero`",
+    "network: weights elsewhere, disguised": "A network with its weights in another file, written "
+    "so that no search for the bytes finds it",
+    "network: a loop without end": "A network with a loop of 2^62 rounds",
+    "network: a product of 80 GB": "A network of 1 MB that multiplies its way to 80 GB",
+    "checkpoint: a pickle that makes a folder": "A checkpoint with a pickle that calls `os.mkdir`",
+    "checkpoint: a bytearray of 32 GB": "A checkpoint whose pickle asks for a `bytearray` of 32 "
+    "GB, which `torch.load(weights_only=True)` makes",
+    "recordings: 10^9 rows announced": "A recording that announces 10^9 rows",
+    "network: a sparse tensor of 32 GiB": "A network of 200 bytes with a sparse tensor of 32 GiB",
+}
+
+
+def described(title: str, said: str) -> str:
+    """An entry of the page."""
+    return f"- {NASTIEST[title]}:\n\n  ```\n  {said}\n  ```\n"

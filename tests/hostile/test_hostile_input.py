@@ -1,0 +1,129 @@
+"""Whatever is put in: exit code 2, one message, no traceback, and nothing that was asked for."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra 'train'")
+pytest.importorskip("onnx", reason="needs the extra 'train'")
+
+import bad_arguments
+import bad_checkpoints
+import bad_networks
+import bad_recordings
+import bad_run_folders
+import bad_suites
+from bad_input import CANARY, BadInput, charms_bench
+from bad_suites import BASE
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from nastiest import NASTIEST, described
+
+PAGE = Path(__file__).parents[2] / "docs" / "hostile-input.md"
+ALL: tuple[BadInput, ...] = (
+    *bad_arguments.CASES,
+    *bad_suites.CASES,
+    *bad_networks.CASES,
+    *bad_checkpoints.CASES,
+    *bad_recordings.CASES,
+    *bad_run_folders.CASES,
+)
+LONGEST = 1100
+SAMPLED = [
+    pytest.param(
+        case,
+        id=f"{k}",
+        marks=() if k % 4 == 0 and case not in bad_run_folders.CASES else pytest.mark.slow,
+    )
+    for k, case in enumerate(ALL)
+]
+"""A quarter, and all of them among the slow tests."""
+
+
+def refuses(case: BadInput, folder: Path) -> str:
+    """Runs a case, sees to it that it was refused as it should be, and returns what was said."""
+    arguments = case.make(folder)
+    answer = charms_bench(*arguments, folder=folder)
+    assert answer.code == 2, answer
+    words = answer.err.strip()
+    assert words.startswith(("error: ", "Usage: ")) or "\nerror: " in words
+    assert "Traceback" not in words
+    assert all(letter.isprintable() or letter == "\n" for letter in words)
+    assert len(words) < LONGEST
+    assert answer.out == ""
+    assert not (folder / CANARY).exists()
+    assert not (folder / "out.onnx").exists()
+    return words
+
+
+@pytest.mark.parametrize("case", SAMPLED)
+def test_bad_input_is_refused_in_words(case: BadInput, tmp_path: Path) -> None:
+    refuses(case, tmp_path)
+
+
+def test_there_are_many_kinds_of_bad_input() -> None:
+    assert len(ALL) >= 800
+    entered = {str(case.title.partition(":")[0]) for case in ALL}
+    assert entered >= {"suite", "network", "checkpoint", "recordings", "rescore", "replay"}
+
+
+@settings(
+    derandomize=True,
+    deadline=None,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    line=st.integers(0, len(BASE.splitlines()) - 1),
+    junk=st.recursive(
+        st.text("ab:-[]{}&*!%@#'\"\n\t 019.,|>?~\x00é\x1b", min_size=1, max_size=8),
+        lambda inner: st.lists(inner, max_size=3).map(lambda parts: f"[{', '.join(parts)}]"),
+    ),
+)
+def test_a_suite_with_junk_for_a_key_is_refused(tmp_path: Path, line: int, junk: str) -> None:
+    lines = BASE.splitlines()
+    lines.insert(line, f"{junk}: {junk}")
+    (tmp_path / "suite.yaml").write_text("\n".join(lines), newline="")
+    if "#" not in junk:  # what follows it may be a comment
+        refuses(BadInput("junk", lambda folder: ("run", "suite.yaml")), tmp_path)
+
+
+LIMITED = """\
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
+from charms_bench.cli import main
+main()
+"""
+BOMBS = (
+    "suite: a billion laughs", "suite: deep lists", "suite: base 60 without end",
+    "a link to /dev/zero as a suite", "a file of a terabyte as a network",
+    "network: zeros of 64 GiB", "network: a product of 80 GB", "network: a sparse tensor of 32 GiB",
+    "checkpoint: a bomb in a bomb", "checkpoint: a bytearray of 32 GB",
+    "recordings: 3,000,000 markings", "recordings: a terabyte",
+)  # fmt: skip
+NAMED = {case.title: case for case in ALL}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("title", BOMBS)
+def test_no_bomb_takes_memory(title: str, tmp_path: Path) -> None:
+    arguments: Sequence[object] = NAMED[title].make(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, *map(str, arguments)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "MemoryError" not in done.stderr
+
+
+@pytest.mark.parametrize("title", NASTIEST)
+def test_the_page_says_what_is_printed(title: str, tmp_path: Path) -> None:
+    said = refuses(NAMED[title], tmp_path).replace(f"{tmp_path}/", "")
+    assert described(title, said) in PAGE.read_text()
