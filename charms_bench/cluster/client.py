@@ -67,11 +67,17 @@ def _run_shards(
     title: Callable[[Shard], str],
     limit_s: float,
 ) -> Generator[tuple[Shard, ShardFiles], None, None]:
-    """See `Elsewhere`; without its client, a scheduler forgets the shards that are left."""
+    """See `Elsewhere`; without its client, a scheduler forgets the shards that are left.
+
+    Raises:
+        ClusterError: The cluster cannot be reached or used, or is gone.
+        CharmsBenchError: A worker raised it.
+    """
     if not shards:
         return
     plugins = {agent["distribution"] for agent in agents.values() if "distribution" in agent}
     distributions = sorted({"charms-bench", "distributed", *recorded_versions(), *plugins})
+    networks = _networks(suite)
     with _connected(address) as client:
         # Where there are no workers yet, one is waited for, or started because of this task.
         list(_finished(client, {client.submit(getpid, pure=False): "a first task"}, str, limit_s))
@@ -82,7 +88,7 @@ def _run_shards(
             software=_same_software(client, distributions),
             code_sha256=harness_sha256(),
             agents=agents,
-            networks=_networks(suite),
+            networks=networks,
             pure=False,
         )
         futures = client.map(run_shard, [astuple(shard) for shard in shards], job=job, pure=False)
@@ -93,7 +99,7 @@ def _run_shards(
 
 @contextmanager
 def _connected(address: str) -> Iterator["Client"]:
-    from distributed import Client, Security
+    from distributed import CancelledError, Client, Security
     from distributed.versions import VersionMismatchWarning
 
     if address.startswith("tls:") and not Security().get_connection_args("client")["ssl_context"]:
@@ -110,7 +116,10 @@ def _connected(address: str) -> Iterator["Client"]:
     except OSError as error:
         raise ClusterError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
-        yield client
+        try:
+            yield client
+        except (CancelledError, OSError) as error:
+            raise ClusterError(f"{address}: the scheduler is gone") from error
 
 
 def _same_software(client: "Client", distributions: Sequence[str]) -> dict[str, str | None]:
@@ -145,10 +154,10 @@ def _finished(
     """Takes futures out of `sent` as they finish: what they are of, and their results.
 
     Raises:
-        ClusterError: The cluster is gone, has no workers, or a shard is too much for it.
+        ClusterError: The cluster has no workers, or a shard is too much for it.
         CharmsBenchError: A worker raised it.
     """
-    from distributed import CancelledError, KilledWorker
+    from distributed import KilledWorker
 
     address = client.scheduler.address
     done: SimpleQueue[Future] = SimpleQueue()
@@ -177,8 +186,6 @@ def _finished(
         except KilledWorker as error:
             lost = f"{error.allowed_failures + 1} workers, the last at {error.last_worker.address}"
             raise ClusterError(f"{title(sent[future])}: has cost {lost}") from error
-        except CancelledError as error:
-            raise ClusterError(f"{address}: the scheduler is gone") from error
         finished_s = manned_s = time.monotonic()
         yield sent.pop(future), result
 
