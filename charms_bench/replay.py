@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.errors import ModelError, RunFolderError
+from charms_bench.agent import Agent
+from charms_bench.errors import RunFolderError
+from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.recording import Recording
 from charms_bench.registry import suggestion
 from charms_bench.runner import Run, plan
 from charms_bench.scene import Bools, Floats, Ints, SceneSettings
 from charms_bench.simulation import Simulation
-from charms_bench.suite import AgentSpec, Cell
+from charms_bench.suite import AgentSpec, Cell, EgoEntry
 
 TRAJECTORY_SCHEMA = pl.Schema(
     {
@@ -193,13 +195,19 @@ def _simulation(run: Run, cell: int, scenes: int, folder: Path) -> Simulation:
     ego = run.suite.cells[cell].ego.agent
     traffic = run.suite.cells[cell].traffic.traffic.make()
     agents = {name: AgentSpec(name=name).make(folder) for name in traffic.agents}
-    try:
-        agents[ego.key] = ego.make(folder)
-    except ModelError as error:
-        raise ModelError(
-            f"{error}; --suite-folder says where the suite was, at which its paths start"
-        ) from error
+    agents[ego.key] = _ego(run, ego, folder)
     return Simulation(run.suite.scene, scenes, ego.key, traffic, agents)
+
+
+def _ego(run: Run, ego: AgentSpec, folder: Path) -> Agent:
+    """The ego's agent; a network given by path is the one that the run folder holds."""
+    kept = None if ego.onnx is None else run.folder.network(ego.key)
+    if kept is None:
+        return ego.make(folder)
+    network = OnnxPolicy(kept, ego.decision_hz)
+    if network.weights_sha256 != kept.stem:
+        raise RunFolderError(f"{kept}: has changed since it was written; run the suite again")
+    return network
 
 
 def _frame(simulation: Simulation) -> dict[str, Any]:
@@ -230,7 +238,10 @@ def _check(run: Run, cell: int, folder: Path, stored: pl.DataFrame, again: pl.Da
 def _reason(run: Run, cell: int, folder: Path) -> str:
     """Why an episode may go another way than when the run was made."""
     manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
-    alone = {"egos": (chosen.ego,), "traffics": (chosen.traffic,), "folder": folder}
+    ego = chosen.ego
+    if ego.agent.onnx is not None:  # known by its hash; the traffic's agents are left to compare
+        ego = EgoEntry(agent=AgentSpec(name=chosen.traffic.traffic.make().agents[0]))
+    alone = {"egos": (ego,), "traffics": (chosen.traffic,), "folder": folder}
     _, agents = plan(run.suite.model_copy(update=alone), "batched")
     theirs = manifest.get("agents", {})
     changed = [name for name, identity in agents.items() if theirs.get(name) != identity]

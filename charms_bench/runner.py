@@ -185,6 +185,8 @@ def run(
     with folder.opened_for(suite, engine):
         shards, agents = plan(suite, engine)
         folder.write_manifest(suite, engine, agents)
+        for spec in (ego.agent for ego in suite.egos if ego.agent.onnx is not None):
+            folder.keep_network(suite.folder / str(spec.onnx), agents[spec.key]["weights_sha256"])
         if rows is not None:
             folder.take(shards, rows)
         missing = []

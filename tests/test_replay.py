@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from charms_bench.errors import ModelError, RunFolderError
+from charms_bench.errors import RunFolderError
 from charms_bench.replay import TRAJECTORY_SCHEMA, find_cells, replay
 from charms_bench.runner import Run, open_run, run
 from charms_bench.suite import Suite
@@ -106,13 +106,15 @@ def test_cells_are_found_by_their_titles(finished: Run) -> None:
         find_cells(finished, "Keep left", None)
 
 
-def test_networks_given_by_path_are_found_from_the_suites_folder(
+def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
     network_file: Callable[..., Path], tmp_path: Path
 ) -> None:
     network = network_file()
     own = {**SMALL, "egos": [{"agent": {"onnx": network.name}}], "folder": network.parent}
     run(Suite.model_validate(own), tmp_path / "run", workers=1)
-    opened = open_run(tmp_path / "run")
-    with pytest.raises(ModelError, match=r"policy\.onnx: cannot be read: .*--suite-folder says"):
+    network.unlink()
+    opened = open_run(Path(shutil.move(tmp_path / "run", tmp_path / "copy")))
+    assert replay(opened, 0, [10], tmp_path / "elsewhere")
+    network_file(np.ones((35, 5)), name=str(next((tmp_path / "copy" / "networks").iterdir())))
+    with pytest.raises(RunFolderError, match=r"\.onnx: has changed since it was written; run the"):
         replay(opened, 0, [10], tmp_path / "elsewhere")
-    assert replay(opened, 0, [10], network.parent)
