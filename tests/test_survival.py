@@ -237,7 +237,7 @@ import os, signal, time
 from pathlib import Path
 
 import numpy as np
-from charms_bench import IDLE, Policy
+from charms_bench.agent import IDLE, Policy
 
 
 class Fragile(Policy):
