@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-PATIENCE_S = 300.0
+PATIENCE_S = 900.0
 
 
 class DaskCluster:
@@ -36,11 +36,15 @@ class DaskCluster:
         return worker
 
     def stop(self) -> None:
-        """Ends every process that was started."""
+        """Ends every process that was started; a worker that simulates does not end by itself."""
         for process in reversed(self._processes):
             process.terminate()
-        for process in self._processes:
-            process.wait()
+        for process in reversed(self._processes):
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
     def _start(
         self, *arguments: str, packages: Path | None = None
