@@ -169,8 +169,10 @@ def edges(runs: Path) -> str:
 
 
 def fine_tuning(runs: Path) -> str:
-    """What learning from people did to each style."""
+    """What learning from people did to each style; nothing where no stage did."""
     stages = stored_training(runs / "train")["stages"].drop_nulls("agreement")
+    if stages.is_empty():
+        return ""
     lines = [
         [
             row["stage"].removeprefix("charms_").replace("_", " "),
@@ -211,11 +213,12 @@ def pages() -> list[Path]:
 def main(runs: Path) -> None:
     RESULTS.mkdir(exist_ok=True)
     for name, (folder, make) in TABLES.items():
-        if (runs / folder).is_dir():
-            (RESULTS / f"{name}.md").write_text(make(runs), encoding="utf-8")
-            print(f"docs/results/{name}.md: from {runs / folder}")
-        else:
-            print(f"docs/results/{name}.md: as it was, no {runs / folder}")
+        text = make(runs) if (runs / folder).is_dir() else ""
+        if text:
+            (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
+        print(
+            f"docs/results/{name}.md: {'from' if text else 'as it was, nothing in'} {runs / folder}"
+        )
     for page in pages():
         page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
 
