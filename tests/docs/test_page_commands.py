@@ -50,8 +50,8 @@ def short_training(suites: Path) -> None:
     """Trainings of a few hundred decisions, and of an epoch."""
     for path in suites.glob("train*.yaml"):
         text = path.read_text(encoding="utf-8")
-        for key, value in {"steps": 400, "learning_starts": 100, "curve_steps": 100, "epochs": 1,
-                           "replay_buffer": 500, "scenes": 4}.items():  # fmt: skip
+        for key, value in {"steps": 400, "learning_starts": 200, "curve_steps": 100, "epochs": 1,
+                           "replay_buffer": 500, "scenes": 10}.items():  # fmt: skip
             text = re.sub(rf"\b{key}: [\d_]+", f"{key}: {value}", text)
         path.write_text(text, encoding="utf-8")
 
@@ -59,7 +59,8 @@ def short_training(suites: Path) -> None:
 def recordings(folder: Path) -> None:
     """Human driving that nobody drove."""
     folder.mkdir()
-    write_trio(folder, busy_road())
+    for number in range(1, 5):
+        write_trio(folder, busy_road(), number)
 
 
 @pytest.fixture
