@@ -13,6 +13,7 @@ from charms_bench.figures import panels, save, take_text_as_it_is
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COLOURS = ("#2b6ca3", "#c1502e", "#4d8b31", "#8a5fa8", "#b5892b", "#3a9a96", "#7a7a7a")
+MARKERS = "osD^vPX"
 
 
 class Tradeoff(NamedTuple):
@@ -78,7 +79,7 @@ def draw_tradeoff(
             y,
             xerr=_reach(x, part["x_low"].to_numpy(), part["x_high"].to_numpy()),
             yerr=_reach(y, part["y_low"].to_numpy(), part["y_high"].to_numpy()),
-            fmt="o",
+            fmt=MARKERS[index % len(MARKERS)],
             color=colour,
             ecolor=colour,
             elinewidth=0.8,
@@ -86,7 +87,7 @@ def draw_tradeoff(
         )
         for name, left, up in zip(part[tradeoff.names], x, y, strict=True):
             label = name if len(groups) == 1 else str(names.index(name) + 1)
-            texts.append(axes.annotate(label, (left, up), fontsize=8, color=colour))
+            texts.append(axes.annotate(label, (left, up), fontsize=8))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(_root, np.square))
     top = axes.get_ylim()[1]

@@ -22,6 +22,7 @@ OPTIONS = (
 )  # fmt: skip
 REPLAY = "egos-1-3"
 HZ = 15
+PATIENCE_MS = 120_000
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def page(browser: Any) -> Iterator[Any]:
     """An empty page that fails the test if anything is complained of, or asked of a network."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(PATIENCE_MS)
     page = context.new_page()
     complaints: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
@@ -92,7 +94,9 @@ def test_a_number_says_on_a_click_what_it_is(page: Any, report: str) -> None:
 def test_a_replay_plays_and_pauses(page: Any, report: str) -> None:
     opened(page, report).locator("#play").click()
     still_near_the_start = re.compile(r"^0\.[0-4]")
-    playwright.expect(page.locator("#clock")).not_to_have_text(still_near_the_start)
+    playwright.expect(page.locator("#clock")).not_to_have_text(
+        still_near_the_start, timeout=PATIENCE_MS
+    )
     page.locator("#play").click()
     stopped = seconds(page)
     page.wait_for_timeout(300)
