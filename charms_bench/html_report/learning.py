@@ -57,7 +57,7 @@ def _draw(
             part[quantity],
             label=stage,
             color=COLOURS[place % len(COLOURS)],
-            linestyle=STYLES[place % len(STYLES)],
+            linestyle=STYLES[(place + place // len(COLOURS)) % len(STYLES)],
             linewidth=1.4,
         )
     axes.set(xlabel=across, ylabel=words)
