@@ -109,7 +109,10 @@ class _Loader(yaml.SafeLoader):
         event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
             raise _refused("aliases (*name) are not supported", event)
-        if event.tag is not None:
+        if (
+            isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)
+            and event.tag is not None
+        ):
             raise _refused("tags (!name) are not supported", event)
         if self._depth == DEPTH_LIMIT:
             raise _refused(f"nested more than {DEPTH_LIMIT} deep", event)

@@ -130,7 +130,7 @@ def test_an_observation_that_does_not_exist_is_refused() -> None:
     class Psychic(Always):
         observation = "tomorrow"
 
-    with pytest.raises(InputError, match="no observation named 'tomorrow'. Known: neigh"):
+    with pytest.raises(InputError, match=r"no observation named 'tomorrow'\. Known: neigh"):
         simulate(Psychic(), SceneSettings())
 
 
