@@ -18,4 +18,4 @@ NASTIEST = {
 
 def described(title: str, said: str) -> str:
     """An entry of the page."""
-    return f"- {NASTIEST[title]}:\n\n  ```\n  {said}\n  ```\n"
+    return f"- {NASTIEST[title]}:\n\n  ```text\n  {said}\n  ```\n"
