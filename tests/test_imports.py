@@ -15,7 +15,7 @@ PLUGINS = (Path("baselines/charms_baselines"), Path("agents/charms_agents"))
 TRAINING = Path("agents/charms_agents/training")
 ONLY_FOR_TRAINING = {"torch", "stable_baselines3", "onnx", "tensorboard"}
 LAYERS = (
-    {"errors", "compiled", "profile", "code"},
+    {"errors", "compiled", "profile", "code", "files", "onnx_file"},
     {"scene", "workers", "lock"},
     {"agent", "traffic"},
     {"registry", "kinematics", "document", "engine", "metrics", "following"},
