@@ -48,6 +48,7 @@ def _panel(name: str, suite: TrainingSuite) -> str:
 def _figure(panels: Mapping[str, Mapping[str, pl.DataFrame]]) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import EngFormatter
 
     figure = Figure(figsize=(5.6 * len(panels), 4.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -58,6 +59,7 @@ def _figure(panels: Mapping[str, Mapping[str, pl.DataFrame]]) -> Any:
             points = table.drop_nulls(y)
             axes.plot(points[x], points[y], label=name.replace("_", " "), linewidth=1.2)
         axes.set(title=title, xlabel=x, ylabel=y.removesuffix("_mean"))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
