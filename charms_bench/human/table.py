@@ -49,7 +49,8 @@ def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> p
     header = _header(path, limit)
     for name in columns:
         if name not in header:
-            known = suggestion(name, dict.fromkeys(header))
+            readable = [each[:40] for each in header[:40] if each.isprintable()]
+            known = suggestion(name, dict.fromkeys(readable))
             raise DataError(f"{path}: line 1: no column '{name}'. {known}")
         if header.count(name) > 1:
             raise DataError(f"{path}: line 1: the column '{name}' stands here twice")

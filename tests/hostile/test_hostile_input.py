@@ -49,7 +49,7 @@ def refuses(case: BadInput, folder: Path) -> str:
     answer = charms_bench(*arguments, folder=folder)
     assert answer.code == 2, answer
     words = answer.err.strip()
-    assert words.startswith(("error: ", "Usage: ")) or "\nerror: " in words
+    assert words.startswith(("error: ", "Usage: ", "╭─ Error")) or "\nerror: " in words
     assert "Traceback" not in words
     assert all(letter.isprintable() or letter == "\n" for letter in words)
     assert len(words) < LONGEST
