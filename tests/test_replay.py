@@ -11,6 +11,7 @@ import pytest
 
 from charms_bench.errors import RunFolderError
 from charms_bench.replay import TRAJECTORY_SCHEMA, find_cells, replay
+from charms_bench.results import KINDS, in_parquet
 from charms_bench.runner import Run, open_run, run
 from charms_bench.suite import Suite
 
@@ -75,11 +76,12 @@ def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: Run) ->
 
 
 def test_an_episode_that_goes_another_way_is_refused(copied: Run) -> None:
-    path = next((copied.folder.path / "steps").glob("000-*.parquet"))
-    rows = pl.read_parquet(path)
+    shard, folder = copied.shards[0], copied.folder
+    rows = folder.read("steps", [shard])
     later = (pl.col("episode") == 12) & (pl.col("step") >= 4)
     faster = pl.when(later).then(pl.col("speed") + 1).otherwise("speed").alias("speed")
-    rows.with_columns(faster).write_parquet(path)
+    files = {kind: in_parquet(folder.read(kind, [shard])) for kind in KINDS}
+    folder.write(shard, files | {"steps": in_parquet(rows.with_columns(faster))})
     with pytest.raises(
         RunFolderError, match="episode 12 of idm_mobil goes another way now: step 4, speed was"
     ):

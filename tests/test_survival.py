@@ -111,7 +111,8 @@ def test_killed_at_random_moments_a_run_ends_as_if_nothing_had_happened(
         # A first one may hit the start, or a shard half written; workers are killed or orphaned.
         time.sleep(rng.uniform(0.0, 0.2) if more else rng.uniform(0.0, 3.0))
         (os.killpg if rng.random() < 0.5 else os.kill)(victim.pid, signal.SIGKILL)
-        assert victim.wait() in (-signal.SIGKILL, 0)
+        with victim:
+            assert victim.wait() in (-signal.SIGKILL, 0)
     assert ended(start(suite_file, killed))[0] == 0
     assert files(killed) == files(tmp_path / "undisturbed")
 

@@ -62,7 +62,9 @@ def run(
     def say(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    data: HumanData | None = None
+    data = None
+    if suite.human is not None and set(names) & set(suite.human.stages):
+        data = _human_data(suite_file, suite.human, output, recordings)
 
     def make_job(name: str, finished: Mapping[str, StageFolder]) -> AnyJob:
         if name in suite.human_stages:
@@ -72,8 +74,8 @@ def run(
 
     needs = {name: suite.needs[name] for name in names}
     with locked(output):
-        if suite.human is not None and set(names) & set(suite.human.stages):
-            data = _human_data(suite_file, suite.human, output, recordings)
+        if data is not None:
+            data.load()
         with _stop_on_signals() as stop, progress(console) as tell:
             folders = run_stages(
                 needs, make_job, output, suite_sha256, workers or os.cpu_count() or 1,
@@ -86,7 +88,7 @@ def run(
 
 
 def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:
-    """Where the samples are from; they are in the cache afterwards."""
+    """Where the samples are from."""
     folder = recordings or suite_file.parent / human.recordings
     if not folder.is_dir():
         what = f"no folder '{folder}'; put recordings in highD's format there, or name theirs"
@@ -94,9 +96,7 @@ def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path |
             raise InputError(f"--recordings: {what}")
         raise Document(suite_file).error(("human", "recordings"), f"{what} with --recordings")
     key = fingerprint(find_trios(folder), human.samples)
-    data = HumanData(folder, output / "samples", human.samples, key)
-    data.load()
-    return data
+    return HumanData(folder, output / "samples", human.samples, key)
 
 
 def _human_job(
