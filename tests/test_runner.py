@@ -2,10 +2,6 @@
 
 import hashlib
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -199,27 +195,3 @@ def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path:
     for a, b in zip(ours, theirs, strict=True):
         assert a.episodes.equals(b.episodes)
         assert a.steps.equals(b.steps)
-
-
-def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(tmp_path: Path) -> None:
-    text = "suite: killed\nepisodes: 1200\negos: [{agent: idm_mobil}, {agent: stackelberg}]\n"
-    path = tmp_path / "suite.yaml"
-    path.write_text(text + "traffics: [{traffic: idm_mobil}]\n")
-
-    def start(output: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "charms_bench", "run", str(path), "--workers", "2"]
-        return subprocess.Popen(
-            [*command, "--output", str(tmp_path / output)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-
-    assert start("undisturbed").wait() == 0
-    victim = start("killed")
-    while len(list((tmp_path / "killed").glob("episodes/*.parquet"))) < 3:
-        time.sleep(0.02)
-    victim.send_signal(signal.SIGKILL)
-    victim.wait()
-    assert start("killed").wait() == 0
-    assert files(tmp_path / "killed") == files(tmp_path / "undisturbed")
