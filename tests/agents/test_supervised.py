@@ -132,23 +132,6 @@ def test_the_first_step_follows_the_slope_of_the_whole_loss() -> None:
     np.testing.assert_allclose(bias, [-0.001, -0.001, 0.001, -0.001, -0.001], rtol=1e-4)
 
 
-def test_values_are_divided_by_the_temperature() -> None:
-    values = np.array([2 * THIRD, 0.0, 0.0, 0.0, 0.0], dtype=np.float32)
-    network = network_of([(np.zeros((5, 35), np.float32), values)])
-    data = samples(count=2, held_out=1)
-    data.labels[:] = np.eye(5, dtype=np.float32)[0]
-    (point,) = Fit(network, data, Supervised(temperature=2.0, label_floor=0.01), 0).curve
-    # As in the first test: 3/7 for the first action, 1/7 for each other.
-    expected = 3 / 7 * math.log(3 / 7 / 0.96) + 4 / 7 * math.log(1 / 7 / 0.01)
-    assert point.loss == pytest.approx(expected, rel=1e-5)
-    assert point.log_likelihood == pytest.approx(math.log(3 / 7), rel=1e-5)
-
-
-def test_a_temperature_of_one_is_the_papers_and_leaves_no_trace() -> None:
-    assert "temperature" not in Supervised().inputs
-    assert Supervised(temperature=0.1).inputs["temperature"] == 0.1
-
-
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others() -> None:
     settings: dict[str, Any] = {"epochs": 3, "learning_rate": 0.01, "batch_size": 8}
     first, again, other = (layers_of(fitted(seed, **settings).network) for seed in (1, 1, 2))

@@ -103,14 +103,11 @@ class Supervised(FrozenModel):
     """Lambda of eq. 11: how strongly weights are pulled to where they started."""
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     """Least probability of an action in a label; the divergence of eq. 11 is infinite at 0."""
-    temperature: Positive = 1.0
-    """What values are divided by before the softmax of eq. 11; the paper has none, which is 1."""
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """All of them, for JSON; an option that the paper does not have only where it is used."""
-        unused = {"temperature"} if self.temperature == 1.0 else set()
-        return self.model_dump(mode="json", exclude=unused)
+        """All of them, for JSON."""
+        return self.model_dump(mode="json")
 
 
 class StageTraffic(FrozenModel):

@@ -34,7 +34,7 @@ class Epoch:
     loss: float
     """L_total, eq. 11, over all training samples."""
     log_likelihood: float | None
-    """Of the labels of held-out samples, mean: sum of y log softmax(Q / temperature), natural."""
+    """Of the labels of held-out samples, mean: sum of y log softmax(Q), natural."""
     agreement: float | None
     """Share of held-out samples in which the action of the highest value is the label's most
     probable one, or one of them where several are."""
@@ -84,15 +84,10 @@ class Fit:
 
     def _loss(self, observations: Tensor, labels: Tensor) -> Tensor:
         """L_total, eq. 11."""
-        kl = divergence(self._logits(observations), labels, self._settings.label_floor)
+        kl = divergence(self.network(observations), labels, self._settings.label_floor)
         if not self._settings.pull:
             return kl
         return kl + self._settings.pull * squared_distance(self._parameters, self._pretrained)
-
-    def _logits(self, observations: Tensor) -> Tensor:
-        """Whose softmax eq. 11 compares with the labels."""
-        logits: Tensor = self.network(observations) / self._settings.temperature
-        return logits
 
     def _measured(self, epoch: int) -> Epoch:
         with torch.no_grad():
@@ -100,7 +95,7 @@ class Fit:
             observations, labels = self._held_out
             if not len(labels):
                 return Epoch(epoch, loss, None, None)
-            logits = self._logits(observations)
+            logits: Tensor = self.network(observations)
             return Epoch(epoch, loss, log_likelihood(logits, labels), agreement(logits, labels))
 
     def arrays(self) -> Arrays:
