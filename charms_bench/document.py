@@ -106,7 +106,7 @@ class _Loader(yaml.SafeLoader):
     _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # of PyYAML
         if isinstance(event, yaml.AliasEvent):
             raise _refused("aliases (*name) are not supported", event)
         if (

@@ -4,6 +4,7 @@ import hashlib
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from charms_bench.runner import open_run, plan, run
 from charms_bench.suite import Suite
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-SMALL = {
+SMALL: dict[str, Any] = {
     "suite": "small",
     "episodes": 25,
     "scene": {"duration_s": 2.0, "traffic_vehicles": 5},
@@ -93,7 +94,7 @@ def test_rows_of_another_run_are_taken_whatever_their_cells_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(suite(), tmp_path / "one", workers=1)
-    idm, outside = SMALL["egos"]  # type: ignore[misc]
+    idm, outside = SMALL["egos"]
     turned = suite(suite="turned", episodes=20, egos=[{**outside, "label": "Outside"}, idm])
     expected = run(turned, tmp_path / "simulated", workers=1)
 
@@ -125,7 +126,7 @@ def test_another_run_without_rows_of_the_suite_is_refused(tmp_path: Path) -> Non
 def test_another_suite_is_kept_out_of_a_folder_and_the_difference_named(tmp_path: Path) -> None:
     run(suite(episodes=2), tmp_path, workers=1)
     before = files(tmp_path)
-    denser = suite(episodes=2, scene={**SMALL["scene"], "density": 1.5})  # type: ignore[dict-item]
+    denser = suite(episodes=2, scene={**SMALL["scene"], "density": 1.5})
     with pytest.raises(RunFolderError, match=r"scene\.density was 1\.0, now 1\.5"):
         run(denser, tmp_path, workers=1)
     assert files(tmp_path) == before

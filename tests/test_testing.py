@@ -129,7 +129,7 @@ def test_a_traffic_that_assigns_strangers_is_found() -> None:
     class Strange(Traffic):
         agents = ("idm_mobil",)
 
-        def assign(self, rng, scenes, vehicles):  # type: ignore[no-untyped-def]
+        def assign(self, rng, scenes, vehicles):  # type: ignore[no-untyped-def]  # as authors may
             return np.full((scenes, vehicles), "stranger")
 
     with pytest.raises(AssertionError, match=r"assigned \['stranger'\]"):

@@ -10,7 +10,7 @@ import sys
 from charms_bench.cli.terminal import app, err, plain
 from charms_bench.errors import CharmsBenchError
 
-# In the order of `--help`.
+# In the order of `--help`; importing a module adds its commands to `app`, hence noqa.
 # isort: off
 from charms_bench.cli import run  # noqa: F401
 from charms_bench.cli import show  # noqa: F401

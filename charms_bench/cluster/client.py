@@ -37,7 +37,7 @@ def on_cluster(address: str) -> Elsewhere:
     """
     _check_address(address)
     try:
-        import distributed  # noqa: F401
+        import distributed  # noqa: F401  # only whether it is there
     except ImportError as error:
         raise InputError(
             f"--cluster needs Dask ({error}); pip install 'charms-bench[cluster]'"

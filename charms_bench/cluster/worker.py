@@ -129,5 +129,5 @@ class _Networks(PosixPath):
             write_bytes(made / path, content)
         return made
 
-    def __truediv__(self, path: str | PathLike[str]) -> Path:  # type: ignore[override]
+    def __truediv__(self, path: str | PathLike[str]) -> Path:  # type: ignore[override]  # no Self
         return Path(self, sha256(str(path).encode()).hexdigest(), Path(path).name)

@@ -168,7 +168,7 @@ class _SpawningVehicle(Vehicle):  # type: ignore[misc]  # highway-env is untyped
     """Only draws an initial state."""
 
 
-class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]
+class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     """Meta-actions whose lane commands count from the current lane, within a speed range."""
 
     target_lane_index: tuple[str, str, int]
@@ -194,7 +194,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]
         return bool(self.lane_index[2] == (0 if action == "LANE_LEFT" else lanes - 1))
 
 
-class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]
+class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     """Carries out what a driver model answered."""
 
     target_lane_index: tuple[str, str, int]

@@ -92,7 +92,7 @@ def test_rates_count_the_steps_of_all_environments_together() -> None:
         target_update_interval=500,
     )
     rates = Rates()
-    agent.learn(2100, callback=rates, log_interval=None)  # type: ignore[arg-type]
+    agent.learn(2100, callback=rates, log_interval=None)  # type: ignore[arg-type]  # which it allows
     assert agent._n_updates == (2100 - 100) / 2
     assert rates.copied_at == [500, 1000, 1500, 2000]
 
@@ -161,7 +161,7 @@ def test_the_learning_rate_follows_its_schedule() -> None:
     agent = double_dqn(
         learning_starts=0, train_freq=(1, "step"), learning_rate=lambda remaining: 8 * remaining
     )
-    agent.learn(8, log_interval=None)  # type: ignore[arg-type]
+    agent.learn(8, log_interval=None)  # type: ignore[arg-type]  # which it allows
     agent.num_timesteps, agent._current_progress_remaining = 6, 0.25
     agent.train(gradient_steps=1)
     assert agent.policy.optimizer.param_groups[0]["lr"] == 2.0

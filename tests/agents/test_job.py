@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from charms_bench.traffic import OneAgent
 SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
 
 
-def job_of(**arguments: object) -> Job:
+def job_of(**arguments: Any) -> Job:
     suite = load_training(SUITE)
     stage = suite.stages["prior_level_k"]
-    return Job("prior_level_k", stage, suite, "level_0", None, "", **arguments)  # type: ignore[arg-type]
+    return Job("prior_level_k", stage, suite, "level_0", None, "", **arguments)
 
 
 def test_one_agent_drives_all_the_others() -> None:

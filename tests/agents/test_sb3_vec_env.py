@@ -49,7 +49,7 @@ def test_the_replay_buffer_tells_the_end_of_time_from_a_failure() -> None:
     from charms_agents.training.double_dqn import DoubleDQN
 
     agent = DoubleDQN(environment(4), 0, learning_starts=100, buffer_size=400)
-    agent.learn(40, log_interval=None)  # type: ignore[arg-type]
+    agent.learn(40, log_interval=None)  # type: ignore[arg-type]  # which it allows
     buffer = agent.replay_buffer
     assert buffer is not None
     last = np.arange(10) % 3 == 2  # of episodes of three decisions

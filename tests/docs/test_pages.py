@@ -11,7 +11,7 @@ from written import PAGES, ROOT, blocks, spans
 from charms_bench.cli import app
 from charms_bench.metrics import METRIC_SETS
 
-KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # of a group
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

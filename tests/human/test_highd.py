@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 OLD_NEW = tuple[str, str, str, str]
 
 
-def read(folder: Path, *rows: Row, **meta: object) -> Recording:
-    (recording,) = read_folder(write_trio(folder, rows, **meta))  # type: ignore[arg-type]
+def read(folder: Path, *rows: Row, **meta: Any) -> Recording:
+    (recording,) = read_folder(write_trio(folder, rows, **meta))
     return recording
 
 

@@ -1,6 +1,7 @@
 """What a recorded driver saw."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -19,8 +20,8 @@ from charms_bench.traffic import OneAgent
 FIVE_LANES = {"upper": "", "lower": "0;3.5;7;10.5;14;17.5"}
 
 
-def seen(folder: Path, *rows: Row, **meta: object) -> tuple[pl.DataFrame, np.ndarray]:
-    (recording,) = read_folder(write_trio(folder, rows, **meta))  # type: ignore[arg-type]
+def seen(folder: Path, *rows: Row, **meta: Any) -> tuple[pl.DataFrame, np.ndarray]:
+    (recording,) = read_folder(write_trio(folder, rows, **meta))
     return situations(recording, decision_hz=3)
 
 

@@ -22,7 +22,7 @@ TENTHS = Scale(0.0, 1.0, 11)
 def test_a_value_stands_in_its_interval_beside_the_papers(
     numbers: tuple[float | None, ...], drawn: str
 ) -> None:
-    assert bar(TENTHS, *numbers).plain == drawn  # type: ignore[arg-type]
+    assert bar(TENTHS, *numbers).plain == drawn
 
 
 def test_differences_are_drawn_around_nothing() -> None:

@@ -87,7 +87,7 @@ class DoubleDQN(DQN):
             values = online(observations[k]).gather(1, actions[k])[:, 0]
             loss = mse_loss(values, wanted)
             optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()  # type: ignore[no-untyped-call]  # of torch
             torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
             optimizer.step()
             losses[k] = loss.detach()
@@ -141,7 +141,8 @@ class DoubleDQN(DQN):
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        actions = self.rng.integers(self.action_space.n, size=n_envs)  # type: ignore[attr-defined]
+        count = self.action_space.n  # type: ignore[attr-defined]  # all are Discrete
+        actions = self.rng.integers(count, size=n_envs)
         if self.num_timesteps >= learning_starts:
             assert isinstance(self._last_obs, np.ndarray)
             greedy = self.values(self._last_obs).argmax(axis=1)

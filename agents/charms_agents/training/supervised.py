@@ -77,7 +77,7 @@ class Fit:
         for rows in torch.split(torch.from_numpy(order), self._settings.batch_size):
             loss = self._loss(observations[rows], labels[rows])
             self._optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()  # type: ignore[no-untyped-call]  # of torch
             self._optimizer.step()
         self.curve.append(self._measured(epoch))
         return self.curve[-1]
