@@ -23,6 +23,7 @@ import gymnasium
 from charms_agents.training import sb3_zip
 from charms_agents.training.network import read_network
 from charms_agents.training.sb3_zip import export_zip
+from handmade_weights import dqn_weights, ppo_weights
 from typer.testing import CliRunner
 
 from charms_bench.cli import app
@@ -70,37 +71,13 @@ def saved_ppo(folder: Path, **settings: Any) -> tuple[Any, Path]:
     return model, path
 
 
-def logits(**changes: Any) -> dict[str, Any]:
-    """The state of a PPO whose policy has no hidden layer, with some tensors changed."""
-    tensors = {
-        "action_net.weight": torch.zeros(5, 35),
-        "action_net.bias": torch.zeros(5),
-        "value_net.weight": torch.zeros(1, 35),
-        "value_net.bias": torch.zeros(1),
-    }
-    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
-    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
-
-
-def weights(**changes: Any) -> dict[str, Any]:
-    """The state of a DQN with one hidden layer, with some tensors changed; None leaves one out."""
-    tensors = {
-        "q_net.q_net.0.weight": torch.zeros(4, 35),
-        "q_net.q_net.0.bias": torch.zeros(4),
-        "q_net.q_net.2.weight": torch.zeros(5, 4),
-        "q_net.q_net.2.bias": torch.zeros(5),
-    }
-    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
-    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
-
-
 def zipped(folder: Path, policy: object = None, **members: bytes) -> Path:
     """A checkpoint with some object in its `policy.pth`, or with those bytes."""
     path = folder / "made.zip"
     content = policy
     if not isinstance(content, bytes):
         buffer = io.BytesIO()
-        torch.save(weights() if policy is None else policy, buffer)
+        torch.save(dqn_weights() if policy is None else policy, buffer)
         content = buffer.getvalue()
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("policy.pth", content)
@@ -203,7 +180,7 @@ def test_without_a_readable_data_the_usual_activation_is_assumed(
 ) -> None:
     made = export_zip(zipped(tmp_path, data=data), tmp_path / "out.onnx", FACTS)
     assert made["activation"] == "ReLU (assumed)"
-    made = export_zip(zipped(tmp_path, logits(), data=data), tmp_path / "out.onnx", FACTS)
+    made = export_zip(zipped(tmp_path, ppo_weights(), data=data), tmp_path / "out.onnx", FACTS)
     assert made["activation"] == "Tanh (assumed)"
 
 
@@ -296,7 +273,9 @@ def test_a_zip_of_very_many_members_is_refused(tmp_path: Path) -> None:
 
 def test_a_view_that_repeats_a_number_is_refused(tmp_path: Path) -> None:
     repeated = torch.zeros(1).expand(4, 35)
-    refused(zipped(tmp_path, weights(q_net__q_net__0__weight=repeated)), "repeats stored numbers")
+    refused(
+        zipped(tmp_path, dqn_weights(q_net__q_net__0__weight=repeated)), "repeats stored numbers"
+    )
 
 
 @pytest.mark.parametrize(
@@ -319,7 +298,7 @@ def test_a_view_that_repeats_a_number_is_refused(tmp_path: Path) -> None:
 def test_networks_of_another_shape_are_named(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    refused(zipped(tmp_path, weights(**changes)), message)
+    refused(zipped(tmp_path, dqn_weights(**changes)), message)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +316,7 @@ def test_networks_of_another_shape_are_named(
 def test_policies_that_are_no_ppos_with_an_mlp_are_named(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
-    refused(zipped(tmp_path, logits(**changes)), message)
+    refused(zipped(tmp_path, ppo_weights(**changes)), message)
 
 
 def test_data_beyond_any_models_are_not_unpacked(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from bad_input import CANARY, BadInput
+from handmade_weights import dqn_weights
 
 
 class Hostile:
@@ -18,18 +19,6 @@ class Hostile:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return os.mkdir, (CANARY,)
-
-
-def state(**changes: Any) -> dict[str, Any]:
-    """The weights of a DQN with one hidden layer, with some changed; None leaves one out."""
-    tensors = {
-        "q_net.q_net.0.weight": torch.zeros(4, 35),
-        "q_net.q_net.0.bias": torch.zeros(4),
-        "q_net.q_net.2.weight": torch.zeros(5, 4),
-        "q_net.q_net.2.bias": torch.zeros(5),
-    }
-    tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
-    return {name: tensor for name, tensor in tensors.items() if tensor is not None}
 
 
 def saved(thing: Any, **options: Any) -> bytes:
@@ -47,8 +36,9 @@ def zipped(method: int = zipfile.ZIP_STORED, **members: bytes) -> bytes:
 
 
 def checkpoint(policy: Any = None, **members: bytes) -> bytes:
-    weights = policy if isinstance(policy, bytes) else saved(state() if policy is None else policy)
-    return zipped(policy__pth=weights, **members)
+    if not isinstance(policy, bytes):
+        policy = saved(dqn_weights() if policy is None else policy)
+    return zipped(policy__pth=policy, **members)
 
 
 def pickled(code: bytes) -> bytes:
@@ -76,7 +66,7 @@ def patched(data: bytes, old: bytes, new: bytes) -> bytes:
 
 def wrecked() -> bytes:
     """A checkpoint whose packed weights are damaged."""
-    data = bytearray(zipped(zipfile.ZIP_DEFLATED, policy__pth=saved(state())))
+    data = bytearray(zipped(zipfile.ZIP_DEFLATED, policy__pth=saved(dqn_weights())))
     data[60:160] = bytes(range(100))
     return bytes(data)
 
@@ -114,23 +104,25 @@ FILES: dict[str, Callable[[], bytes]] = {
     "encrypted": encrypted,
     "damaged": wrecked,
     "weights twice": lambda: patched(
-        zipped(policy__pth=saved(state()), policy__ptx=saved(state())), b"policy.ptx", b"policy.pth"
+        zipped(policy__pth=saved(dqn_weights()), policy__ptx=saved(dqn_weights())),
+        b"policy.ptx",
+        b"policy.pth",
     ),
     "a bomb": lambda: bomb("policy.pth", 63 * 2**20),
     "a larger bomb": lambda: bomb("policy.pth", 2**28),
     "a bomb of bzip2": lambda: zipped(zipfile.ZIP_BZIP2, policy__pth=bytes(2**26)),
     "a bomb in data": lambda: zipped(
-        zipfile.ZIP_DEFLATED, policy__pth=saved(state()), data=bytes(2**24)
+        zipfile.ZIP_DEFLATED, policy__pth=saved(dqn_weights()), data=bytes(2**24)
     ),
     "a bomb in a bomb": lambda: checkpoint(bomb("archive/data.pkl", 2**26)),
     "50,000 members": lambda: many_members(50_000),
     "50,000 members inside": lambda: checkpoint(many_members(50_000)),
     "a pickle that makes a folder": lambda: checkpoint(Hostile()),
-    "a pickle among the weights": lambda: checkpoint(state(q_net__q_net__0__bias=Hostile())),
+    "a pickle among the weights": lambda: checkpoint(dqn_weights(q_net__q_net__0__bias=Hostile())),
     "a bare pickle": lambda: checkpoint(pickle.dumps(Hostile())),
     "an old pickle": lambda: checkpoint(saved(Hostile(), _use_new_zipfile_serialization=False)),
     "weights of the old format": lambda: checkpoint(
-        saved(state(), _use_new_zipfile_serialization=False)
+        saved(dqn_weights(), _use_new_zipfile_serialization=False)
     ),
     "a TorchScript": lambda: pickled(b"c__torch__\nModel\n."),
     "a bytearray of 32 GB": lambda: pickled(
@@ -155,40 +147,40 @@ FILES: dict[str, Callable[[], bytes]] = {
     "numbers for names": lambda: checkpoint({3: torch.zeros(5)}),
     "no tensors": lambda: checkpoint({}),
     "one tensor": lambda: checkpoint(torch.zeros(5)),
-    "a layer without weights": lambda: checkpoint(state(q_net__q_net__0__weight=None)),
-    "25 numbers in": lambda: checkpoint(state(q_net__q_net__0__weight=torch.zeros(4, 25))),
-    "no numbers in": lambda: checkpoint(state(q_net__q_net__0__weight=torch.zeros(4, 0))),
+    "a layer without weights": lambda: checkpoint(dqn_weights(q_net__q_net__0__weight=None)),
+    "25 numbers in": lambda: checkpoint(dqn_weights(q_net__q_net__0__weight=torch.zeros(4, 25))),
+    "no numbers in": lambda: checkpoint(dqn_weights(q_net__q_net__0__weight=torch.zeros(4, 0))),
     "an empty layer": lambda: checkpoint(
-        state(
+        dqn_weights(
             q_net__q_net__0__weight=torch.zeros(0, 35),
             q_net__q_net__0__bias=torch.zeros(0),
             q_net__q_net__2__weight=torch.zeros(5, 0),
         )
     ),
     "a layer that repeats itself": lambda: checkpoint(
-        state(q_net__q_net__0__weight=torch.zeros(1).expand(4, 35))
+        dqn_weights(q_net__q_net__0__weight=torch.zeros(1).expand(4, 35))
     ),
     "a layer of whole numbers": lambda: checkpoint(
-        state(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.int64))
+        dqn_weights(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.int64))
     ),
     "complex numbers": lambda: checkpoint(
-        state(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.complex64))
+        dqn_weights(q_net__q_net__0__bias=torch.zeros(4, dtype=torch.complex64))
     ),
     "a sparse layer": lambda: checkpoint(
-        state(q_net__q_net__0__weight=torch.zeros(4, 35).to_sparse())
+        dqn_weights(q_net__q_net__0__weight=torch.zeros(4, 35).to_sparse())
     ),
     "a layer that is nowhere": lambda: checkpoint(
-        state(q_net__q_net__0__weight=torch.zeros(4, 35, device="meta"))
+        dqn_weights(q_net__q_net__0__weight=torch.zeros(4, 35, device="meta"))
     ),
     "weights that are no numbers": lambda: checkpoint(
-        state(q_net__q_net__0__bias=torch.full((4,), torch.nan))
+        dqn_weights(q_net__q_net__0__bias=torch.full((4,), torch.nan))
     ),
     "three actions": lambda: checkpoint(
-        state(q_net__q_net__2__weight=torch.zeros(3, 4), q_net__q_net__2__bias=torch.zeros(3))
+        dqn_weights(q_net__q_net__2__weight=torch.zeros(3, 4), q_net__q_net__2__bias=torch.zeros(3))
     ),
-    "a layer 999": lambda: checkpoint(state(q_net__q_net__999__weight=torch.zeros(5, 5))),
+    "a layer 999": lambda: checkpoint(dqn_weights(q_net__q_net__999__weight=torch.zeros(5, 5))),
     "a convolution": lambda: checkpoint(
-        state(q_net__features_extractor__cnn__0__weight=torch.zeros(2, 3, 8, 8))
+        dqn_weights(q_net__features_extractor__cnn__0__weight=torch.zeros(2, 3, 8, 8))
     ),
     "an activation of one's own": lambda: checkpoint(
         data=b'{"policy_kwargs": {"activation_fn": "<class \'os.system\'>"}}'
