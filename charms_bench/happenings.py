@@ -118,20 +118,23 @@ def _collision(replay: Replay) -> str:
     other = int(overlap.argmax())
     faster, when = speed[ego] - speed[other], _at(replay, frame)
     if replay.ending == "rear_end" and x[other] > x[ego]:
-        return f"hit vehicle {other} from behind at {speed[ego]:.1f} m/s, {_than(faster)}, {when}"
+        return (
+            f"hit vehicle {other} from behind at {speed[ego]:.1f} m/s, "
+            f"{_faster(faster)} than it, {when}"
+        )
     if replay.ending == "rear_end":
         return (
             f"was hit from behind by vehicle {other} at {speed[other]:.1f} m/s, "
-            f"{_than(-faster)}, {when}"
+            f"{_faster(-faster)} than the ego, {when}"
         )
     side = _side(y[other] - y[ego])
     to_the_right = speed * np.sin(replay.heading[frame])
     towards = np.sign(y[other] - y[ego]) * to_the_right
     if max(towards[ego], -towards[other]) <= DRIFT_MPS:
-        return f"clipped vehicle {other} on the {side}, {_than(faster)}, {when}"
+        return f"clipped vehicle {other} on the {side}, {_faster(faster)} than it, {when}"
     if towards[ego] >= -towards[other]:
         return f"steered to the {side} into vehicle {other} at {speed[ego]:.1f} m/s, {when}"
-    return f"vehicle {other} steered into it from the {side} at {speed[other]:.1f} m/s, {when}"
+    return f"vehicle {other} steered into the ego from the {side} at {speed[other]:.1f} m/s, {when}"
 
 
 def _near_miss(replay: Replay) -> str:
@@ -143,7 +146,7 @@ def _near_miss(replay: Replay) -> str:
     leader = _nearest(replay, frame, row["leader_distance"])
     return (
         f"TTC {row['ttc_s']:.1f} s behind vehicle {leader}, "
-        f"{row['speed'] - row['leader_speed']:.1f} m/s slower and {row['gap_m']:.1f} m away "
+        f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:.1f} m away "
         f"(DRAC {row['drac_mps2']:.1f} m/s²), {_at(replay, frame)}"
     )
 
@@ -177,8 +180,8 @@ def _side(to_the_right: float) -> str:
     return "right" if to_the_right > 0 else "left"
 
 
-def _than(faster: float) -> str:
-    return f"{abs(faster):.1f} m/s {'faster' if faster >= 0 else 'slower'}"
+def _faster(by: float) -> str:
+    return f"{abs(by):.1f} m/s {'faster' if by >= 0 else 'slower'}"
 
 
 def _at(replay: Replay, frame: int) -> str:

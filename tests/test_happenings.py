@@ -27,13 +27,13 @@ def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
             "rear_end",
             {"speed": 30.0},
             {"x": 4.9, "speed": 22.0},
-            "hit vehicle 1 from behind at 30.0 m/s, 8.0 m/s faster, 0.2 s in",
+            "hit vehicle 1 from behind at 30.0 m/s, 8.0 m/s faster than it, 0.2 s in",
         ),
         (
             "rear_end",
             {"speed": 22.0},
             {"x": -4.9, "speed": 30.0},
-            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster, 0.2 s in",
+            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster than the ego, 0.2 s in",
         ),
         (
             "side",
@@ -45,13 +45,13 @@ def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
             "side",
             {"speed": 30.0},
             {"x": 1.0, "y": -1.9, "speed": 24.0, "heading": 0.05},
-            "vehicle 1 steered into it from the left at 24.0 m/s, 0.2 s in",
+            "vehicle 1 steered into the ego from the left at 24.0 m/s, 0.2 s in",
         ),
         (
             "side",
             {"speed": 30.0, "heading": 0.05},
             {"x": 4.0, "y": -1.9, "speed": 24.0},
-            "clipped vehicle 1 on the left, 6.0 m/s faster, 0.2 s in",
+            "clipped vehicle 1 on the left, 6.0 m/s faster than it, 0.2 s in",
         ),
     ],
 )
@@ -72,7 +72,8 @@ def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
     near = {"leader_distance": 15.0, "leader_speed": 15.0}
     replay = replay_of("time", [{}, near], x=x, y=lane * 4.0)
     assert what_happened(replay) == (
-        "TTC 1.0 s behind vehicle 2, 10.0 m/s slower and 10.0 m away (DRAC 5.0 m/s²), 0.7 s in"
+        "TTC 1.0 s behind vehicle 2, 10.0 m/s faster than it and 10.0 m away "
+        "(DRAC 5.0 m/s²), 0.7 s in"
     )
 
 
