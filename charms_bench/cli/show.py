@@ -25,10 +25,11 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Print the tables of a run, every value in its interval and drawn to scale."""
+    from charms_bench.report.stored import holds
     from charms_bench.report.training import stored_training
     from charms_bench.results import MANIFEST
 
-    if (run / MANIFEST).exists():
+    if holds(run, MANIFEST):
         _show_evaluation(run, metrics or [], everything, as_json)
         return
     if metrics or everything:

@@ -54,11 +54,13 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Asked:
     run = runs[0] if name is None else names[name]
     rest = text if name is None else text.removeprefix(f"{name}:")
     seed, *titles = rest.split(":", 2)
-    if not seed.isdecimal():
+    try:
+        episode = int(seed)
+    except ValueError as error:
         raise InputError(
             f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]], EPISODE a number; "
             f"found '{seed}'"
-        )
+        ) from error
     ego, traffic = [*titles, None, None][:2]
     cells = find_cells(run.run, ego, traffic)
     if len(cells) > 1:
@@ -68,7 +70,7 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Asked:
             f"--episode {text}: {run.path} has it {len(cells)} times, say which as "
             f"{run.key}:{seed}:EGO:TRAFFIC; there are {there}"
         )
-    return Asked(run, cells[0], int(seed))
+    return Asked(run, cells[0], episode)
 
 
 def choose(

@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from charms_bench.errors import RunFolderError
-from charms_bench.report.stored import stored_tables
+from charms_bench.report.stored import holds, stored_tables
 from charms_bench.report.training import CURVES, STAGES, stored_training
 from charms_bench.results import MANIFEST
 from charms_bench.runner import Run, open_run
@@ -52,12 +52,12 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | Training]:
 
 
 def _open(path: Path, taken: Sequence[str]) -> Evaluation | Training:
-    if (path / MANIFEST).exists():
+    if holds(path, MANIFEST):
         run = open_run(path)
         name = run.suite.suite
         tables = stored_tables(path, name)
         return Evaluation(_free(name, taken), path, run, tables)
-    if (path / CURVES).exists():
+    if holds(path, CURVES):
         tables = stored_training(path)
         return Training(
             _free("training", taken), path, tables[Path(CURVES).stem], tables.get(Path(STAGES).stem)

@@ -8,9 +8,11 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
+from charms_bench.files import read_limited
 from charms_bench.report.pairs import SCHEMA as PAIRS_SCHEMA
 from charms_bench.report.realism import SCHEMA as REALISM_SCHEMA
 from charms_bench.report.tables import LONG_SCHEMA
+from charms_bench.results import FILE_LIMIT_BYTES
 
 TABLES: dict[str, Mapping[str, pl.DataType]] = {
     "": LONG_SCHEMA,
@@ -20,6 +22,18 @@ TABLES: dict[str, Mapping[str, pl.DataType]] = {
 """What is written of a suite, by the end of its name: every cell, realism, pairs of egos."""
 
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+
+
+def holds(folder: Path, name: str) -> bool:
+    """Whether a run folder has a file of this name.
+
+    Raises:
+        RunFolderError: One may not look into it, or no folder can be called that.
+    """
+    try:
+        return (folder / name).exists()
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
 
 
 def stored_tables(folder: Path, suite: str) -> dict[str, pl.DataFrame]:
@@ -62,8 +76,11 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
         RunFolderError: It cannot be read, or has control characters in it.
     """
     try:
-        table = pl.read_csv(path, schema_overrides=schema, infer_schema_length=None, glob=False)
-    except (OSError, pl.exceptions.PolarsError) as error:
+        data = read_limited(path, FILE_LIMIT_BYTES)
+        table = pl.read_csv(data, schema_overrides=schema, infer_schema_length=None)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+    except pl.exceptions.PolarsError as error:
         raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     words = [*table.columns, *(word for column in table.select(cs.string()) for word in column)]
     if strange := [word for word in words if CONTROL_CODES.search(word or "")]:

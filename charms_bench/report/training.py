@@ -14,7 +14,7 @@ from rich.text import Text
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.bars import Scale, line
-from charms_bench.report.stored import read_csv
+from charms_bench.report.stored import holds, read_csv
 
 STAGES, CURVES = "stages.csv", "curves.csv"
 WIDEST = 44
@@ -34,9 +34,9 @@ def stored_training(folder: Path) -> dict[str, pl.DataFrame]:
     """
     tables = {}
     for name in (STAGES, CURVES):
-        path = folder / name
-        if not path.exists():
+        if not holds(folder, name):
             continue
+        path = folder / name
         table = read_csv(path)
         if "stage" not in table.columns:
             found = ", ".join(table.columns)

@@ -10,7 +10,7 @@ from tempfile import mkdtemp
 from typing import Any
 
 import polars as pl
-from bad_arguments import SUITE
+from bad_arguments import LONG, SUITE
 from bad_input import BadInput, charms_bench
 
 
@@ -115,6 +115,57 @@ COMMANDS: tuple[Sequence[object], ...] = (
     ("compare", "run", "run"),
 )
 
+WHOLE: tuple[Sequence[object], ...] = (
+    ("show", "run", "run"),
+    ("show", "run/manifest.json"),
+    ("show", "run/tables"),
+    ("show", "run", "--metric", ""),
+    ("show", "run", "--metric", "nobody"),
+    ("show", "run", "--metric", "speed_mean", "--metric", "__class__"),
+    ("show", "run", "--metric", "\x1b[2J"),
+    ("show", "run", "--metric", LONG),
+    ("report", "run", "run"),
+    ("report", "run", "run/."),
+    ("report", "run", "nowhere"),
+    ("report", "run/manifest.json"),
+    ("report", "run/tables"),
+    ("report", "run", "--output", "run"),
+    ("report", "run", "--output", "suite.yaml/x.html"),
+    ("report", "run", "--output", "/proc/x.html"),
+    ("report", "run", "--output", "a\x00b.html"),
+    ("report", "run", "--output", f"{LONG}.html"),
+    ("report", "run", "--output", "folder.html"),
+    ("report", "run", "--episode", ""),
+    ("report", "run", "--episode", ":"),
+    ("report", "run", "--episode", "run:"),
+    ("report", "run", "--episode", "run:first"),
+    ("report", "run", "--episode", "run:-1"),
+    ("report", "run", "--episode", "run:1.0"),
+    ("report", "run", "--episode", "run:²"),
+    ("report", "run", "--episode", "run:２"),
+    ("report", "run", "--episode", f"run:{'9' * 30}"),
+    ("report", "run", "--episode", f"run:{'9' * 5000}"),
+    ("report", "run", "--episode", "run:2"),
+    ("report", "run", "--episode", "run:0:nobody"),
+    ("report", "run", "--episode", "run:0:IDM+MOBIL:nobody"),
+    ("report", "run", "--episode", "run:0:IDM+MOBIL:IDM+MOBIL:more"),
+    ("report", "run", "--episode", "elsewhere:0"),
+    ("report", "run", "--episode", "run:0:\x1b[2J"),
+    ("report", "run", "--episode", f"run:0:{LONG}"),
+    ("report", "run", "--episode", "0", "--top", "-1"),
+)
+"""Bad words about a run that is as it should be."""
+
+
+def _bad_words(words: Sequence[object]) -> BadInput:
+    def make(folder: Path) -> Sequence[object]:
+        shutil.copytree(_whole(), folder / "run")
+        (folder / "suite.yaml").write_text(SUITE)
+        (folder / "folder.html").mkdir()
+        return words
+
+    return BadInput(" ".join(map(str, words))[:60], make)
+
 
 def _bad(title: str, change: Callable[[Path], object], command: Sequence[object]) -> BadInput:
     def make(folder: Path) -> Sequence[object]:
@@ -125,6 +176,7 @@ def _bad(title: str, change: Callable[[Path], object], command: Sequence[object]
     return BadInput(f"{command[0]}: {title}", make)
 
 
-CASES = tuple(
-    _bad(title, change, command) for title, change in FOLDERS.items() for command in COMMANDS
+CASES = (
+    *map(_bad_words, WHOLE),
+    *(_bad(title, change, command) for title, change in FOLDERS.items() for command in COMMANDS),
 )

@@ -40,7 +40,7 @@ SAMPLED = [
     )
     for k, case in enumerate(ALL)
 ]
-"""A quarter, and all of them among the slow tests."""
+"""A fifth, and all of them among the slow tests."""
 
 
 def refuses(case: BadInput, folder: Path) -> str:

@@ -148,6 +148,12 @@ def test_a_stage_that_would_move_the_cursor_is_refused(tmp_path: Path) -> None:
         training.stored_training(tmp_path)
 
 
+def test_a_table_that_never_ends_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "stages.csv").symlink_to("/dev/zero")
+    with pytest.raises(RunFolderError, match="is a pipe or a device, not a file"):
+        training.stored_training(tmp_path)
+
+
 def test_a_table_of_no_stages_is_refused(tmp_path: Path) -> None:
     (tmp_path / "stages.csv").write_text("name\nfirst\n")
     with pytest.raises(RunFolderError, match="expected a column 'stage', found name"):
