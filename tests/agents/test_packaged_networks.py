@@ -64,10 +64,12 @@ def test_each_was_trained_as_the_suite_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_each_learnt_among_the_packaged_one_it_was_trained_against(name: str) -> None:
-    traffic = SUITE.stages[name].traffic
-    expected = sha256(traffic.stage) if traffic.stage else ""
-    assert manifest(name)["traffic"]["weights_sha256"] == expected
+def test_each_learnt_among_the_packaged_ones_it_was_trained_against(name: str) -> None:
+    spec, made = SUITE.stages[name].traffic, manifest(name)["traffic"]
+    assert made.get("mixture", {}) == spec.mixture
+    hashes = made["weights_sha256"] if spec.mixture else {made["agent"]: made["weights_sha256"]}
+    for before in SUITE.needs[name]:
+        assert hashes[before] == sha256(before)
 
 
 @pytest.mark.parametrize("name", HUMAN_STAGES)

@@ -42,9 +42,9 @@ stages:
     weights: plain
     svo: egoistic
     scene: {traffic_vehicles: 3, ego_slots: 2, duration_s: 2.0}
-    traffic: {agent: level_0}
-  kind: {like: level_1, svo: prosocial, traffic: {stage: level_1}}
-  selfish: {like: level_1, traffic: {stage: level_1}}
+    traffic: level_0
+  kind: {like: level_1, svo: prosocial, traffic: level_1}
+  selfish: {like: level_1, traffic: level_1}
 human:
   recordings: recordings
   fine_tuning: {learning_rate: 1.0e-3, epochs: 3, batch_size: 16, pull: 0.1}
@@ -134,7 +134,7 @@ def test_a_stage_can_learn_by_settings_of_its_own(finished: Path) -> None:
 def test_what_is_like_another_stage_takes_what_it_does_not_say(suite: Path) -> None:
     loaded = load_training(suite)
     kind, first = loaded.stages["kind"], loaded.stages["level_1"]
-    assert (kind.svo, kind.traffic.stage) == ("prosocial", "level_1")
+    assert (kind.svo, kind.traffic.name) == ("prosocial", "level_1")
     assert (kind.steps, kind.scene) == (first.steps, first.scene)
 
 

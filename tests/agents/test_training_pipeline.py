@@ -61,13 +61,13 @@ stages:
     weights: plain
     svo: prosocial
     scene: {traffic_vehicles: 3, ego_slots: 2, duration_s: 5.0}
-    traffic: {stage: first}
+    traffic: first
   first:
     steps: 400
     weights: plain
     svo: egoistic
     scene: {traffic_vehicles: 3, ego_slots: 2, duration_s: 5.0}
-    traffic: {agent: level_0}
+    traffic: level_0
 """
 KILLED_WHILE_WRITING = """
 import os, signal, sys

@@ -39,6 +39,9 @@ def test_a_stage_needs_the_stages_its_traffic_comes_from() -> None:
     suite = load_training(SUITE)
     assert suite.needed_for("level_1") == ("level_1",)
     assert suite.needed_for("prior_level_k") == ("level_1", "prior_level_k")
+    assert suite.needs["safe_prosocial"] == ("level_1", "efficient_egoistic")
+    before = ("level_1", "efficient_egoistic", "safe_prosocial")
+    assert suite.needed_for("charms_safe_prosocial") == (*before, "charms_safe_prosocial")
 
 
 def test_no_training_scene_is_ever_evaluated() -> None:
@@ -56,21 +59,17 @@ def test_no_training_scene_is_ever_evaluated() -> None:
         (("stages", "level_1", "steps"), 11, "stages.level_1.steps: 11 is no multiple"),
         (("stages", "level_1", "svo"), "kind", "stages.level_1.svo"),
         (("stages", "level_1", "weights"), "fast", "no weights named 'fast'.*safe, efficient"),
-        (("stages", "level_1", "traffic"), {}, "stages.level_1.traffic: give the name"),
-        (("stages", "level_1", "traffic"), {"agent": "level_O"}, "Did you mean 'level_0'"),
-        (("stages", "prior_level_k", "traffic"), {"stage": "level_2"}, "no stage named 'level_2'"),
-        (("stages", "level_1", "traffic"), {"stage": "prior_level_k"}, "stages need each other"),
+        (("stages", "level_1", "traffic"), {}, "stages.level_1.traffic: give a name"),
+        (("stages", "level_1", "traffic"), "level_O", "Did you mean 'level_0'.*this file: level_1"),
+        (("stages", "level_1", "traffic"), "prior_level_k", "stages need each other"),
+        (("stages", "level_1", "traffic"), {"mixture": {"level_9": 1.0}}, "named 'level_9'"),
+        (("stages", "level_1", "traffic"), {"mixture": {"level_0": 0.5}}, "must .* sum to 1"),
+        (
+            ("stages", "prior_level_k", "traffic"),
+            {"name": "level_1", "options": {"tau": 1.5}},
+            "no traffic named 'level_1'",
+        ),
         (("stages", "level_1", "variant"), "calm", "no variant named 'calm'; this file has: "),
-        (
-            ("stages", "prior_level_k", "traffic"),
-            {"stage": "level_1", "agent": "level_0"},
-            "agent_share is needed with both",
-        ),
-        (
-            ("stages", "prior_level_k", "traffic"),
-            {"stage": "level_1", "agent_share": 0.5},
-            "agent_share is needed with both",
-        ),
         (("weights", "safe", "comfort"), -1.0, "weights.safe.comfort"),
         (("stages", "level_1", "scene", "density"), 0, "stages.level_1.scene.density"),
     ],

@@ -55,7 +55,7 @@ stages:
     steps: 100
     weights: safe
     svo: egoistic
-    traffic: {agent: level_0}
+    traffic: level_0
 """
 HUGE = "0x" + "f" * 5000
 LAUGHS = "a0: &a0 [x, x]\n" + "".join(
@@ -209,8 +209,9 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
     (TRAINING, "batch_size", ("1000000000",)),
     (TRAINING, "checkpoint_s", ("0", ".nan", "often")),
     (TRAINING, "traffic", (
-        "{}", "{agent: nobody}", "{stage: nobody}", "{stage: one}", "{agent: level_0, stage: two}",
-        "{agent: level_0, agent_share: 0.5}", "level_0",
+        "{}", "nobody", "one", "3", "[level_0]", "{agent: level_0}", "{mixture: {nobody: 1}}",
+        "{mixture: {level_0: 0.5}}", "{mixture: {level_0: .nan}}", "{mixture: {one: 1}}",
+        "{name: level_0, mixture: {level_0: 1}}", "{name: level_0, options: {speed: 3}}",
     )),
     (TRAINING, "steps", ("101",)),
 )  # fmt: skip
@@ -248,9 +249,9 @@ MORE = {
     "a stage like a list": TRAINING + "  two: {like: [one]}\n",
     "a stage by path": TRAINING + "  ../two: {like: one}\n",
     "stages that need each other": TRAINING
-    + "  two: {like: one, traffic: {stage: six}}\n  six: {like: one, traffic: {stage: two}}\n",
+    + "  two: {like: one, traffic: six}\n  six: {like: one, traffic: two}\n",
     "5,000 stages": TRAINING
-    + "".join(f"  s{k}: {{like: one, traffic: {{stage: one}}}}\n" for k in range(5000)),
+    + "".join(f"  s{k}: {{like: one, traffic: one}}\n" for k in range(5000)),
     "no human recordings": TRAINING + "human: {recordings: nowhere, stages: {two: {}}}\n",
     "human recordings with a NUL": TRAINING + 'human: {recordings: "a\\0b", stages: {two: {}}}\n',
     "a human stage that is there": TRAINING + "human: {recordings: ., stages: {one: {}}}\n",

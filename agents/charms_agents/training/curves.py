@@ -41,8 +41,7 @@ def write_curves(output: Path, suite: TrainingSuite, folders: Mapping[str, Stage
 def _panel(name: str, suite: TrainingSuite) -> str:
     if name in suite.human_stages:
         return "(c) learning from human driving"
-    among = suite.stages[name].traffic.stage
-    return "(b) among another stage's network" if among else "(a) among agents"
+    return "(b) among other stages' networks" if suite.needs[name] else "(a) among agents"
 
 
 def _figure(panels: Mapping[str, Mapping[str, pl.DataFrame]]) -> Any:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -19,12 +20,9 @@ from charms_agents.training.settings import (
     Stage,
     TrainingSuite,
 )
-from charms_bench.agent import Agent
+from charms_bench.agent import Agent, Policy
 from charms_bench.errors import RunFolderError
-from charms_bench.onnx_policy import OnnxPolicy
-from charms_bench.registry import make_agent
 from charms_bench.results import write_atomically
-from charms_bench.traffic import Mixture, OneAgent, Traffic
 
 Arrays = dict[str, NDArray[Any]]
 """What a checkpoint holds: plain arrays, read without running anything."""
@@ -50,17 +48,8 @@ class Job:
     name: str
     stage: Stage
     suite: TrainingSuite
-    traffic: str
-    """Name of the agent that drives the others."""
-    traffic_network: Path | None
-    """Its file, where it is another stage's network."""
-    traffic_sha256: str
-    """Hash of its weights; empty where it has none."""
-    mixed_in: str = ""
-    """Name of an agent that drives some of them instead; empty for none."""
-    mixed_in_share: float = 0.0
-    """Probability that a vehicle is driven by that agent."""
-    mixed_in_sha256: str = ""
+    drivers: Mapping[str, Agent]
+    """Those of the others, by name."""
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -85,7 +74,7 @@ class Job:
             "hyperparameters": self.hyperparameters.inputs,
             "curve_steps": self.suite.curve_steps,
             "scene": self.stage.scene.model_dump(mode="json"),
-            "traffic": {"agent": self.traffic, "weights_sha256": self.traffic_sha256},
+            "traffic": self._traffic_inputs,
             "charms_bench": version("charms-bench"),
         }
         # Only what departs from the paper, so that what follows it keeps its key.
@@ -97,13 +86,19 @@ class Job:
             inputs["lane_change_cost"] = self.stage.lane_change_cost
         if self.stage.svo_angle_rad is not None:
             inputs["style"]["svo_angle_rad"] = self.stage.svo_angle_rad
-        if self.mixed_in:
-            inputs["traffic"]["mixed_in"] = {
-                "agent": self.mixed_in,
-                "weights_sha256": self.mixed_in_sha256,
-                "share": self.mixed_in_share,
-            }
         return inputs
+
+    @property
+    def _traffic_inputs(self) -> dict[str, Any]:
+        hashes = {
+            name: driver.weights_sha256 if isinstance(driver, Policy) else ""
+            for name, driver in self.drivers.items()
+        }
+        if len(hashes) == 1:
+            ((name, sha256),) = hashes.items()
+            return {"agent": name, "weights_sha256": sha256}
+        spec = self.stage.traffic.model_dump(mode="json", exclude_defaults=True)
+        return {**spec, "weights_sha256": hashes}
 
     @property
     def key(self) -> str:
@@ -119,21 +114,6 @@ class Job:
     def style(self) -> str:
         """In words."""
         return f"{self.stage.weights}, {self.stage.svo}"
-
-    def make_traffic(self) -> Traffic:
-        """Who drives which of the others."""
-        if not self.mixed_in:
-            return OneAgent(self.traffic)
-        shares = {self.traffic: 1 - self.mixed_in_share, self.mixed_in: self.mixed_in_share}
-        return Mixture(shares)
-
-    def make_traffic_agents(self) -> dict[str, Agent]:
-        """The agents that drive the others, by name."""
-        network = self.traffic_network
-        agents = {self.traffic: OnnxPolicy(network) if network else make_agent(self.traffic)}
-        if self.mixed_in:
-            agents[self.mixed_in] = make_agent(self.mixed_in)
-        return agents
 
 
 class StageFolder:

@@ -21,12 +21,13 @@ from charms_agents.training.schedule import AnyJob, run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import write_summary
-from charms_bench.agent import Policy
+from charms_bench.agent import Agent
 from charms_bench.document import Document
 from charms_bench.errors import InputError
 from charms_bench.human.highd import find_trios
 from charms_bench.human.samples import fingerprint
 from charms_bench.lock import locked
+from charms_bench.onnx_policy import OnnxPolicy
 from charms_bench.registry import make_agent
 from charms_bench.report.training import render_stages
 
@@ -118,24 +119,13 @@ def _human_job(
 def _job(name: str, suite: TrainingSuite, finished: Mapping[str, StageFolder]) -> Job:
     """A stage, once those it needs are finished."""
     stage = suite.stages[name]
-    agent, before = stage.traffic.agent, stage.traffic.stage
-    if before is None:
-        return Job(name, stage, suite, str(agent), None, _weights_sha256(str(agent)))
-    network = finished[before].network
-    sha256 = hashlib.sha256(network.read_bytes()).hexdigest()
-    job = Job(name, stage, suite, before, network, sha256)
-    if agent is None:
-        return job
-    share = stage.traffic.agent_share or 0.0
-    return replace(
-        job, mixed_in=agent, mixed_in_share=share, mixed_in_sha256=_weights_sha256(agent)
-    )
-
-
-def _weights_sha256(agent: str) -> str:
-    """Hash of an installed agent's weights; empty where it has none."""
-    made = make_agent(agent)
-    return made.weights_sha256 if isinstance(made, Policy) else ""
+    drivers: dict[str, Agent] = {
+        driver: OnnxPolicy(finished[driver].network)
+        if driver in suite.stages
+        else make_agent(driver)
+        for driver in suite.traffic_of(stage).agents
+    }
+    return Job(name, stage, suite, drivers)
 
 
 @contextmanager

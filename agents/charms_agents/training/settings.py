@@ -9,12 +9,12 @@ from pydantic import Field, model_validator
 
 from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
 from charms_bench.document import Document
-from charms_bench.errors import RegistryError
+from charms_bench.errors import InputError, RegistryError
 from charms_bench.human.samples import SampleSettings
 from charms_bench.profile import FrozenModel, NonNegative, Positive
 from charms_bench.registry import AGENTS, find
-from charms_bench.suite import FilePath, Line, SuiteScene
-from charms_bench.suite import Name as AgentName
+from charms_bench.suite import FilePath, Line, SuiteScene, TrafficSpec
+from charms_bench.traffic import OneAgent, Traffic
 
 FIRST_TRAINING_SEED = 2**40
 """Evaluations draw their scenes from seeds below 10^9, trainings from here on: none meet."""
@@ -110,24 +110,6 @@ class Supervised(FrozenModel):
         return self.model_dump(mode="json")
 
 
-class StageTraffic(FrozenModel):
-    """Who drives the others: an installed agent, the network of another stage, or both."""
-
-    agent: AgentName | None = None
-    stage: Name | None = None
-    agent_share: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Of both: probability that a vehicle is driven by the agent."""
-
-    @model_validator(mode="after")
-    def _one_or_both(self) -> "StageTraffic":
-        if self.agent is None and self.stage is None:
-            raise ValueError("give the name of an agent, or that of a stage of this file")
-        both = self.agent is not None and self.stage is not None
-        if both != (self.agent_share is not None):
-            raise ValueError("agent_share is needed with both agent and stage, and only then")
-        return self
-
-
 class Stage(FrozenModel):
     """One network: a style, which is a choice of weights and an SVO, and where it is learnt."""
 
@@ -138,7 +120,8 @@ class Stage(FrozenModel):
     svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
     """phi of eq. 8, instead of the one that `svo` names."""
     scene: SuiteScene = SuiteScene()
-    traffic: StageTraffic
+    traffic: TrafficSpec
+    """Who drives the others. A name is that of a stage of this file before an installed one's."""
     variant: Name | None = None
     """One of the suite's `variants`; by default its `hyperparameters`."""
     safety_horizon_s: Positive = SAFE_TTC_S
@@ -205,12 +188,26 @@ class TrainingSuite(FrozenModel):
         """The stages that learn from human driving."""
         return self.human.stages if self.human else {}
 
+    def traffic_of(self, stage: Stage) -> Traffic:
+        """Who drives the others.
+
+        Raises:
+            InputError: The traffic is not installed, or cannot be made as the stage wants it.
+        """
+        if stage.traffic.name in self.stages and not stage.traffic.options:
+            return OneAgent(stage.traffic.name)
+        return stage.traffic.make()
+
     @property
     def needs(self) -> dict[str, tuple[str, ...]]:
-        """All stages, and the one whose network each of them needs, if any."""
-        needed = {name: stage.traffic.stage for name, stage in self.stages.items()}
-        needed |= {name: stage.fine_tunes for name, stage in self.human_stages.items()}
-        return {name: (before,) if before else () for name, before in needed.items()}
+        """All stages, and those whose networks each of them needs."""
+        needed = {
+            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.stages)
+            for name, stage in self.stages.items()
+        }
+        for name, human in self.human_stages.items():
+            needed[name] = (human.fine_tunes,) if human.fine_tunes else ()
+        return needed
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -219,8 +216,11 @@ class TrainingSuite(FrozenModel):
 
     def needed_for(self, name: str) -> tuple[str, ...]:
         """A stage's name, after those of all stages it needs."""
-        before = [each for needed in self.needs[name] for each in self.needed_for(needed)]
-        return (*before, name)
+        order, needs, needed = self.order, self.needs, {name}
+        for later in reversed(order):
+            if later in needed:
+                needed.update(needs[later])
+        return tuple(each for each in order if each in needed)
 
 
 def load_training(path: Path) -> TrainingSuite:
@@ -244,15 +244,15 @@ def load_training(path: Path) -> TrainingSuite:
         if stage.weights not in suite.weights:
             there = f"this file has: {', '.join(suite.weights) or 'none'}"
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
-        if stage.traffic.stage is not None and stage.traffic.stage not in suite.stages:
-            there = f"this file has: {', '.join(suite.stages)}"
-            what = f"no stage named '{stage.traffic.stage}'; {there}"
-            raise document.error((*at, "traffic", "stage"), what)
-        if stage.traffic.agent is not None:
-            try:
-                find(AGENTS, stage.traffic.agent)
-            except RegistryError as error:
-                raise document.error((*at, "traffic", "agent"), str(error)) from error
+        try:
+            for driver in suite.traffic_of(stage).agents:
+                if driver not in suite.stages:
+                    find(AGENTS, driver)
+        except RegistryError as error:
+            stages = f"Stages of this file: {', '.join(suite.stages)}."
+            raise document.error((*at, "traffic"), f"{error} {stages}") from error
+        except InputError as error:
+            raise document.error((*at, "traffic"), str(error)) from error
     for name, human in suite.human_stages.items():
         place = ("human", "stages", name)
         if name in suite.stages:

@@ -146,8 +146,8 @@ def make_model(job: Job) -> DoubleDQN:
     episodes = HighwayVectorEnv(
         stage.scene,
         h.scenes,
-        job.make_traffic(),
-        job.make_traffic_agents(),
+        suite.traffic_of(stage),
+        job.drivers,
         StyleReward(
             suite.weights[stage.weights],
             stage.angle_rad,
