@@ -11,9 +11,13 @@ from matplotlib.transforms import Bbox
 
 from charms_bench.figures import panels, save, take_text_as_it_is
 
+FINE_TICKS = (0.001, 0.002, 0.005)
+"""More of them, where all shares are small."""
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 COLOURS = ("#2b6ca3", "#c1502e", "#4d8b31", "#8a5fa8", "#b5892b", "#3a9a96", "#7a7a7a")
 MARKERS = "osD^vPX"
+BACKGROUND = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5}
+"""Keeps names legible where they lie on points."""
 
 
 class Tradeoff(NamedTuple):
@@ -87,12 +91,13 @@ def draw_tradeoff(
         )
         for name, left, up in zip(part[tradeoff.names], x, y, strict=True):
             label = name if len(groups) == 1 else str(names.index(name) + 1)
-            texts.append(axes.annotate(label, (left, up), fontsize=8))
+            texts.append(axes.annotate(label, (left, up), fontsize=8, bbox=BACKGROUND))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(_root, np.square))
     top = axes.get_ylim()[1]
     axes.set_ylim(0, top)
-    axes.set_yticks([share for share in TICKS if share < top])
+    ticks = TICKS if top > 0.05 else (*TICKS, *FINE_TICKS)
+    axes.set_yticks(sorted(share for share in ticks if share < top))
     axes.margins(x=0.12)
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
     axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label}\n(square-root scale)")
