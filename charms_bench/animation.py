@@ -19,7 +19,7 @@ AHEAD_M = 62.0
 SCALE = WIDTH / (BEHIND_M + AHEAD_M)
 """Pixels a metre, along and across the road."""
 HEADER, SHOULDER_M, MARKS, STATUS = 38, 1.0, 20, 46
-LINE, MARGIN, LEGEND_COLUMNS = 22, 16, 4
+LINE, MARGIN, LEGEND_COLUMNS = 22, 16, 3
 FINE = 2
 """Drawn this much larger and then reduced, so that edges are smooth."""
 HOLD_S = 2.0
