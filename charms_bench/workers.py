@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import platform
 import signal
 import threading
 import time
@@ -182,4 +183,5 @@ def use_exact_maths() -> None:
     """
     extensions = np.show_config(mode="dicts")["SIMD Extensions"]
     os.environ["NPY_DISABLE_CPU_FEATURES"] = " ".join(extensions.get("found", ()))
-    os.environ["OPENBLAS_CORETYPE"] = "Nehalem"
+    if platform.machine() in ("x86_64", "AMD64"):
+        os.environ["OPENBLAS_CORETYPE"] = "Nehalem"  # which has no fused multiply-add
