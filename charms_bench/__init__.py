@@ -4,20 +4,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from charms_bench.agent import ACTIONS, DriverModel, Policy
-    from charms_bench.kinematics import Kinematics
-    from charms_bench.scene import Scene, SceneSettings
-    from charms_bench.traffic import Traffic
+    from charms_bench.plugins.agent import DriverModel, Policy
+    from charms_bench.plugins.traffic import Traffic
+    from charms_bench.world.actions import ACTIONS
+    from charms_bench.world.kinematics import Kinematics
+    from charms_bench.world.scene import Scene, SceneSettings
 
 __version__ = "0.1.0"
 _PUBLIC = {
-    "ACTIONS": "agent",
-    "DriverModel": "agent",
-    "Kinematics": "kinematics",
-    "Policy": "agent",
-    "Scene": "scene",
-    "SceneSettings": "scene",
-    "Traffic": "traffic",
+    "ACTIONS": "world.actions",
+    "DriverModel": "plugins.agent",
+    "Kinematics": "world.kinematics",
+    "Policy": "plugins.agent",
+    "Scene": "world.scene",
+    "SceneSettings": "world.scene",
+    "Traffic": "plugins.traffic",
 }
 __all__ = [
     "ACTIONS",

@@ -14,6 +14,13 @@
 The command line prints the message of any of these and exits with 2.
 """
 
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
 
 class CharmsBenchError(Exception):
     """The base of every error a user can cause; its text is the whole message."""
@@ -53,3 +60,29 @@ class WorkerError(CharmsBenchError):
 
 class ClusterError(WorkerError):
     """A cluster cannot be reached or used, or is gone."""
+
+
+def suggestion(name: str, known: Mapping[str, object]) -> str:
+    """What to say to whoever misspelt one of the known names."""
+    close = get_close_matches(name, known, n=1)
+    hint = f" Did you mean '{close[0]}'?" if close else ""
+    return f"Known: {', '.join(known) or 'none'}.{hint}"
+
+
+def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
+    """Where the first thing stands that a model finds wrong, and what to say of it."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    found = _shortened(first["input"])
+    what = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        what = "unknown key"
+    elif first["type"] != "missing":
+        what = f"{what}, found {found}"
+    more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
+    return first["loc"], what + more
+
+
+def _shortened(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.replay import Replay
-from charms_bench.scene import SceneSettings
-from charms_bench.suite import AgentSpec, Cell, EgoEntry, TrafficEntry, TrafficSpec
+from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.episodes.replay import Replay
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs.suite import Cell, EgoEntry, TrafficEntry
+from charms_bench.world.scene import SceneSettings
 
 EGO = EgoEntry(agent=AgentSpec(name="somebody"), label="Somebody")
 TRAFFIC = TrafficEntry(traffic=TrafficSpec(name="others"), label="Others")

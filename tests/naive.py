@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from charms_bench.scene import Constants, IdmMobilParameters, Scene
+from charms_bench.world.scene import Constants, IdmMobilParameters, Scene
 
 Driver = tuple[Scene, IdmMobilParameters, float]
 """A scene, and the IDM constants and exponent by which its driver reckons."""

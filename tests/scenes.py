@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from charms_bench.engine.kernels import locate
-from charms_bench.profile import PROFILES
-from charms_bench.scene import Scene, SceneSettings
+from charms_bench.world.profile import PROFILES
+from charms_bench.world.scene import Scene, SceneSettings
 
 
 def scene_of(profile: str = "highway-env", lanes: int = 3, **fields: Any) -> Scene:

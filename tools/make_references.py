@@ -9,12 +9,18 @@ from pathlib import Path
 
 import polars as pl
 
-from charms_bench.following import FOLLOWING_RANGE_M
-from charms_bench.human.following import DECISION_HZ
-from charms_bench.human.highd import STAY_S
-from charms_bench.human.reference import DHW, SPEED, Reference, from_recordings, histogram
-from charms_bench.human.situations import nearest_to_decisions
-from charms_bench.suite import REFERENCES
+from charms_bench.engine.following import FOLLOWING_RANGE_M
+from charms_bench.people.following import DECISION_HZ
+from charms_bench.people.highd import STAY_S
+from charms_bench.people.reference import (
+    DHW,
+    REFERENCES,
+    SPEED,
+    Reference,
+    from_recordings,
+    histogram,
+)
+from charms_bench.people.situations import nearest_to_decisions
 
 RATE_HZ = 10
 """Of the recordings on I-24 and I-75."""

@@ -73,7 +73,7 @@ def layers() -> list[str]:
 def main(list_arrows: bool) -> None:
     """Prints the counts."""
     every = list(modules())
-    lines = {package: 0 for package in PACKAGES}
+    lines = dict.fromkeys(PACKAGES, 0)
     for name, path in every:
         lines[name.partition(".")[0]] += len(path.read_text(encoding="utf-8").splitlines())
     rooms = {room for name, _ in every if (room := room_of(name))}

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import polars as pl
 
-from charms_bench.edge_cases import edge_cases
+from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.training import stored_training
-from charms_bench.runner import open_run
+from charms_bench.runs.runner import open_run
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"

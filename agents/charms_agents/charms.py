@@ -5,7 +5,7 @@ from functools import partial
 from importlib.resources import files
 
 from charms_bench.errors import ModelError
-from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 
 SVOS = ("competitive", "egoistic", "prosocial", "altruistic")
 """Social value orientations, by how much they care for others."""

@@ -5,7 +5,7 @@ from numbers import Real
 
 from charms_agents.charms import STYLES, SVOS
 from charms_bench.errors import InputError
-from charms_bench.traffic import Mixture
+from charms_bench.plugins.traffic import Mixture
 
 
 class Pch(Mixture):

@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
-from charms_bench.compiled import compiled
-from charms_bench.scene import IdmMobilParameters, Scene
+from charms_bench.world.compiled import compiled
+from charms_bench.world.scene import IdmMobilParameters, Scene
 
 
 class Motion(NamedTuple):

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from charms_bench.agent import IDLE, SLOWER, Actions, Observations, Policy
-from charms_bench.observation import FRONT, X_SCALE_M
+from charms_bench.plugins.agent import Policy
+from charms_bench.world.actions import IDLE, SLOWER, Actions
+from charms_bench.world.observations import FRONT, X_SCALE_M
+from charms_bench.world.scene import Observations
 
 
 class Level0(Policy):

@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from charms_baselines.idm import Motion, following, motion, motion_ahead, motion_behind
-from charms_bench.agent import DriverModel
-from charms_bench.compiled import compiled
 from charms_bench.errors import InputError
-from charms_bench.scene import Floats, IdmMobilParameters, Ints, Scene, Vehicles
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.compiled import compiled
+from charms_bench.world.scene import Floats, IdmMobilParameters, Ints, Scene, Vehicles
 
 
 class Stackelberg(DriverModel):

@@ -33,11 +33,11 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Say in which metrics two agents differ by more than chance, and by how much."""
-    from charms_bench.comparison import pairs_of
-    from charms_bench.metric_sets import metric_sets as find
     from charms_bench.report.compare import compare as compare_cells
     from charms_bench.report.compare import render
-    from charms_bench.runner import open_run
+    from charms_bench.runs.metric_sets import metric_sets as find
+    from charms_bench.runs.pairing import pairs_of
+    from charms_bench.runs.runner import open_run
 
     sets = find(metric_sets or [])
     one = open_run(first)

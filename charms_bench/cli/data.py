@@ -18,10 +18,11 @@ def data(
     as_json: Json = False,
 ) -> None:
     """Say what recordings of human driving hold, and what can be learnt from them."""
-    from charms_bench.figures import check_figure
-    from charms_bench.human.highd import find_trios
-    from charms_bench.human.samples import collect
-    from charms_bench.human.survey import draw, survey
+    from charms_bench.people.highd import find_trios
+    from charms_bench.people.samples import collect
+    from charms_bench.people.survey import survey
+    from charms_bench.report.figures import check_figure
+    from charms_bench.report.recordings import draw
 
     if figure is not None:
         check_figure(figure)

@@ -24,8 +24,8 @@ def verify(
     """Compare the compiled engine with highway-env, step for step; exit code 1 when they differ."""
     from dataclasses import asdict
 
-    from charms_bench import verify as verification
-    from charms_bench.suite import load_suite
+    from charms_bench.runs.suite import load_suite
+    from charms_bench.testing import verify as verification
 
     if suite is None:
         cases, count = verification.default_cases()
@@ -96,8 +96,8 @@ def bench(
 
     from rich.table import Table
 
-    from charms_bench.bench import bench as measure
-    from charms_bench.bench import bench_environments
+    from charms_bench.testing.bench import bench as measure
+    from charms_bench.testing.bench import bench_environments
 
     def tell(name: str) -> None:
         err.print(f"[dim]{name}[/]", highlight=False)

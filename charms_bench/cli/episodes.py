@@ -11,7 +11,7 @@ from charms_bench.cli.terminal import Json, app, out, plain
 from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
-    from charms_bench.runner import Run
+    from charms_bench.runs.runner import Run
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a finished run.")]
 EgoTitle = Annotated[str | None, typer.Option("--agent", help="The ego, as tables call it.")]
@@ -41,9 +41,9 @@ def edge_cases(
     """Rank a run's episodes by how near they came to harm, and say what happened in each."""
     from rich.table import Table
 
-    from charms_bench import edge_cases as ranking
-    from charms_bench.replay import find_cells
-    from charms_bench.runner import open_run
+    from charms_bench.episodes import edge_cases as ranking
+    from charms_bench.episodes.replay import find_cells
+    from charms_bench.runs.runner import open_run
 
     opened = open_run(run)
     cells = find_cells(opened, agent, traffic)
@@ -87,11 +87,11 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Simulate an episode of a run again: an animation, and the trajectories of all vehicles."""
-    from charms_bench.animation import animate, check_animation
-    from charms_bench.happenings import what_happened
-    from charms_bench.replay import replay as simulate_again
-    from charms_bench.results import write_atomically
-    from charms_bench.runner import open_run
+    from charms_bench.episodes.animation import animate, check_animation
+    from charms_bench.episodes.replay import replay as simulate_again
+    from charms_bench.episodes.what_happened import what_happened
+    from charms_bench.runs.runner import open_run
+    from charms_bench.world.files import write_atomically
 
     opened = open_run(run)
     cell = _one_cell(opened, agent, traffic)
@@ -129,7 +129,7 @@ def _one_cell(run: "Run", agent: str | None, traffic: str | None) -> int:
     Raises:
         InputError: They leave several.
     """
-    from charms_bench.replay import find_cells
+    from charms_bench.episodes.replay import find_cells
 
     cells = find_cells(run, agent, traffic)
     if len(cells) > 1:

@@ -42,8 +42,8 @@ def export(
     """Turn a trained network into an ONNX file, which drives in a suite as {onnx: OUT.onnx}."""
     import yaml
 
-    from charms_bench.observation import named_observation
-    from charms_bench.registry import EXPORTERS, load
+    from charms_bench.plugins.registry import EXPORTERS, load
+    from charms_bench.world.observations import named_observation
 
     if output.suffix != ".onnx":
         raise InputError(f"{output}: expected a name that ends in .onnx")

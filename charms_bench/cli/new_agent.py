@@ -16,7 +16,7 @@ def new_agent(
     ] = None,
 ) -> None:
     """Write a small distribution with a new agent, its tests and a suite."""
-    from charms_bench.scaffold import new_agent as write
+    from charms_bench.plugins.scaffold import new_agent as write
 
     folder = folder or Path(name)
     for path in write(name, folder):

@@ -15,7 +15,7 @@ def agents(as_json: Json = False) -> None:
     """List the installed agents and traffics, without importing them."""
     from rich.table import Table
 
-    from charms_bench.registry import AGENTS, TRAFFIC, plugins
+    from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
     found = [*plugins(AGENTS).values(), *plugins(TRAFFIC).values()]
     if as_json:
@@ -43,8 +43,8 @@ def traffic(
     from rich.progress_bar import ProgressBar
     from rich.table import Table
 
-    from charms_bench.figures import check_figure
-    from charms_bench.registry import make_traffic
+    from charms_bench.plugins.registry import make_traffic
+    from charms_bench.report.figures import check_figure
     from charms_bench.report.shares import SAMPLED, draw, shares
 
     if figure is not None:
@@ -71,7 +71,7 @@ def traffic(
 
 def _options(words: list[str]) -> dict[str, Any]:
     """What `--name value --other value` says, values as YAML reads them."""
-    from charms_bench.document import value_of
+    from charms_bench.runs.document import value_of
 
     options = {}
     pairs = [word for each in words for word in (each.split("=", 1) if "--" in each else [each])]
@@ -90,7 +90,7 @@ def check(
     name: Annotated[str, typer.Argument(help="An agent or a traffic.")], as_json: Json = False
 ) -> None:
     """Hold a plugin against the contract; exit code 1 when it breaks a rule."""
-    from charms_bench.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
+    from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
 
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)

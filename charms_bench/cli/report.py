@@ -35,7 +35,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Write tables, figures and replays of runs into one HTML file, which needs nothing else."""
-    from charms_bench.html_report.report import write_report
+    from charms_bench.report.html.report import write_report
 
     made = write_report(runs, output, top, episodes or [], suite_folder)
     if as_json:

@@ -16,10 +16,10 @@ def rescore(
     as_json: Json = False,
 ) -> None:
     """Compute a run's metrics again from its rows, and write its tables again; no simulation."""
-    from charms_bench.lock import locked
-    from charms_bench.metric_sets import metric_sets as find
     from charms_bench.report.tables import build_table, render_terminal, write_tables
-    from charms_bench.runner import open_run
+    from charms_bench.runs.lock import locked
+    from charms_bench.runs.metric_sets import metric_sets as find
+    from charms_bench.runs.runner import open_run
 
     sets = find(metric_sets or [])
     opened = open_run(run)

@@ -66,7 +66,7 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Run a suite, or go on with it: what is finished is never run again."""
-    from charms_bench.document import Document
+    from charms_bench.runs.document import Document
 
     document = Document(suite)
     if "pipeline" in document.data:
@@ -87,13 +87,13 @@ def run(
     if cluster is not None and workers is not None:
         raise InputError("--workers are processes on this machine; a cluster has its own")
 
-    from charms_bench import runner
-    from charms_bench.cluster.client import on_cluster
-    from charms_bench.human.reference import read_references
-    from charms_bench.lock import locked
+    from charms_bench.people.reference import read_references
     from charms_bench.report.reports import write_reports
     from charms_bench.report.tables import render_terminal
-    from charms_bench.suite import suite_of
+    from charms_bench.runs import runner
+    from charms_bench.runs.cluster import on_cluster
+    from charms_bench.runs.lock import locked
+    from charms_bench.runs.suite import suite_of
 
     changes = {"episodes": episodes, "seed": seed}
     document.data |= {name: value for name, value in changes.items() if value is not None}
@@ -131,7 +131,7 @@ def run(
 def _run_pipeline(
     document: Any, output: Path, workers: int | None, only: str | None, recordings: Path | None
 ) -> None:
-    from charms_bench.registry import PIPELINES, load
+    from charms_bench.plugins.registry import PIPELINES, load
 
     name = document.data["pipeline"]
     if not isinstance(name, str):

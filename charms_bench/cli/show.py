@@ -27,7 +27,7 @@ def show(
     """Print the tables of a run, every value in its interval and drawn to scale."""
     from charms_bench.report.stored import holds
     from charms_bench.report.training import stored_training
-    from charms_bench.results import MANIFEST
+    from charms_bench.runs.folder import MANIFEST
 
     if holds(run, MANIFEST):
         _show_evaluation(run, metrics or [], everything, as_json)
@@ -48,10 +48,10 @@ def show(
 
 
 def _show_evaluation(run: Path, metrics: list[str], everything: bool, as_json: bool) -> None:
-    from charms_bench.registry import suggestion
+    from charms_bench.errors import suggestion
     from charms_bench.report.show import chosen_metrics, render
     from charms_bench.report.stored import stored_tables
-    from charms_bench.results import RunFolder
+    from charms_bench.runs.folder import RunFolder
 
     folder = RunFolder(run)
     suite = folder.suite()

@@ -12,8 +12,9 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.agent import Actions, DriverModel
-from charms_bench.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.actions import Actions
+from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
 EngineName = Literal["batched", "highway-env"]
 ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")

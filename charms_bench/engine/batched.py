@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.agent import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions, DriverModel
 from charms_bench.engine import kernels
-from charms_bench.scene import Floats, Ints, Scene, SceneSettings, Vehicles
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
+from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
 class BatchedEngine:

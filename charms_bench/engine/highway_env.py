@@ -16,10 +16,11 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from charms_bench.agent import ACTIONS, Actions, DriverModel
 from charms_bench.engine import kernels
-from charms_bench.profile import Profile
-from charms_bench.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.profile import Profile
+from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
 
 class HighwayEnvEngine:

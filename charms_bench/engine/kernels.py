@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_bench.compiled import compiled
-from charms_bench.scene import Bools, Constants, Floats, Ints, Scene
+from charms_bench.world.compiled import compiled
+from charms_bench.world.scene import Bools, Constants, Floats, Ints, Scene
 
 
 class SpawnRule(NamedTuple):

@@ -62,7 +62,7 @@ from charms_bench.metrics.time_to_collision import (
     time_integrated,
     ttc_below,
 )
-from charms_bench.scene import Floats, SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 __all__ = ["METRIC_SETS", "PAPER", "STANDARD", "Metric", "MetricSet", "standard", "sums_by_episode"]
 

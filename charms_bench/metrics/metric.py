@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import polars as pl
 
-from charms_bench.scene import Floats
+from charms_bench.world.scene import Floats
 
 Interval = Literal["bootstrap", "share", "rate", "wilson", "garwood"]
 """Where a metric's 95 % interval comes from.

@@ -8,7 +8,7 @@ step in which the ego collides: from there on highway-env moves a wreck.
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""

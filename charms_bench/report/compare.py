@@ -12,13 +12,13 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, suggestion
 from charms_bench.metrics import Metric, MetricSet, sums_by_episode
-from charms_bench.paired import Difference, differences, holm
-from charms_bench.registry import suggestion
-from charms_bench.report.tables import NOTHING, CellRows
-from charms_bench.scene import SceneSettings
-from charms_bench.stats import CONFIDENCE, resample
+from charms_bench.report.tables import NOTHING
+from charms_bench.runs.cells import CellRows
+from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.statistics.paired import Difference, differences, holm
+from charms_bench.world.scene import SceneSettings
 
 
 @dataclass(frozen=True)

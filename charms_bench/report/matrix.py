@@ -7,9 +7,9 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from charms_bench.figures import INK, panels, save
-from charms_bench.results import write_atomically
-from charms_bench.scene import Floats
+from charms_bench.report.figures import INK, panels, save
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Floats
 
 SHOWN = {
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0, "{:.1f}", "Reds"),

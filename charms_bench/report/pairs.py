@@ -12,12 +12,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from charms_bench import paired
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
-from charms_bench.report.tables import CellRows
-from charms_bench.results import write_atomically
-from charms_bench.scene import Floats, SceneSettings
-from charms_bench.stats import CONFIDENCE, resample, wilson
+from charms_bench.runs.cells import CellRows
+from charms_bench.statistics import paired
+from charms_bench.statistics.intervals import CONFIDENCE, resample, wilson
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Floats, SceneSettings
 
 COMPARED = ("speed_mean", "dhw_mean", "harsh_acc_rate", "lane_changes_per_km")
 """Speed, headway, harshness and lane changes; by the first metric set that has the name."""

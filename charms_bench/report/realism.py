@@ -1,25 +1,30 @@
 """How far each traffic is from human driving, reference by reference.
 
-Two quantities of all vehicles (`charms_bench.following`), each with three distances
-(`charms_bench.divergence`). The paper reports KL from the human data, on bins it does not state;
+Two quantities of all vehicles (`charms_bench.engine.following`), each with three distances
+(`statistics.divergence`). The paper reports KL from the human data, on bins it does not state;
 here they are 1 m/s and 5 m. Jensen-Shannon is on the same bins, Wasserstein on those of the rows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 
 import numpy as np
 import polars as pl
 
-from charms_bench.divergence import PSEUDO_COUNT, js_divergence, kl_divergence, wasserstein
-from charms_bench.following import BIN, BINS, QUANTITIES
-from charms_bench.human.reference import Reference
+from charms_bench.engine.following import BIN, QUANTITIES
+from charms_bench.people.reference import Reference
 from charms_bench.report.tables import DIGITS, NOTHING
-from charms_bench.results import write_atomically
-from charms_bench.scene import Floats
-from charms_bench.stats import CONFIDENCE, resample
+from charms_bench.runs.cells import TrafficCounts
+from charms_bench.statistics.divergence import (
+    PSEUDO_COUNT,
+    js_divergence,
+    kl_divergence,
+    wasserstein,
+)
+from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Floats
 
 COARSE_BIN = {"speed": 1.0, "dhw": 5.0}
 """Width of the bins of KL and Jensen-Shannon, m/s and m."""
@@ -54,29 +59,6 @@ SCHEMA: dict[str, pl.DataType] = {
     "high": pl.Float64(),
     "n": pl.Int64(),  # simulated vehicles counted, each at a decision
 }
-
-
-@dataclass(frozen=True)
-class TrafficCounts:
-    """What the vehicles of a traffic did while they followed."""
-
-    traffic: str
-    counts: Floats
-    """[E, 2, BINS] by episode, quantity and bin."""
-
-    @classmethod
-    def of(cls, traffic: str, episodes: pl.DataFrame, rows: pl.DataFrame) -> "TrafficCounts":
-        """From the episode rows, and the rows `counts`, of a cell."""
-        seeds = np.sort(episodes["episode"].to_numpy())
-        counts = np.zeros((seeds.size, len(QUANTITIES), BINS))
-        quantity = rows["quantity"].replace_strict(QUANTITIES, range(len(QUANTITIES)))
-        episode = np.searchsorted(seeds, rows["episode"].to_numpy())
-        counts[episode, quantity.to_numpy(), rows["bin"].to_numpy()] = rows["count"].to_numpy()
-        return cls(traffic, counts)
-
-    def of_quantity(self, quantity: str) -> Floats:
-        """[E, BINS] of a quantity."""
-        return self.counts[:, QUANTITIES.index(quantity)]
 
 
 def coarse(counts: Floats, quantity: str) -> Floats:

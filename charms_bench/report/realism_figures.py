@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.figures import GREY, panels, save
-from charms_bench.following import QUANTITIES
-from charms_bench.human.reference import Reference
-from charms_bench.report.realism import COARSE_BIN, TITLE, UNIT, TrafficCounts, coarse
-from charms_bench.scene import Floats
+from charms_bench.engine.following import QUANTITIES
+from charms_bench.people.reference import Reference
+from charms_bench.report.figures import GREY, panels, save
+from charms_bench.report.realism import COARSE_BIN, TITLE, UNIT, coarse
+from charms_bench.runs.cells import TrafficCounts
+from charms_bench.world.scene import Floats
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe & Ito 2008, which colour-blind readers tell apart."""

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import polars as pl
 
-from charms_bench.human.reference import Reference
+from charms_bench.people.reference import Reference
 from charms_bench.report.matrix import write_matrices
 from charms_bench.report.pairs import write_pairs
-from charms_bench.report.realism import TrafficCounts, build_realism, write_realism
+from charms_bench.report.realism import build_realism, write_realism
 from charms_bench.report.realism_figures import draw_realism
-from charms_bench.report.tables import CellRows, build_table, write_tables
+from charms_bench.report.tables import build_table, write_tables
 from charms_bench.report.tradeoff import OF_EGOS, OF_TRAFFICS, write_tradeoff
-from charms_bench.suite import Suite
+from charms_bench.runs.cells import CellRows, TrafficCounts
+from charms_bench.runs.suite import Suite
 
 
 def write_reports(

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from charms_bench.figures import BLUE, panels, save
-from charms_bench.traffic import Traffic
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.report.figures import BLUE, panels, save
 
 SAMPLED = 200_000
 """Vehicles: a share's standard error is at most 0.11 %."""

@@ -8,11 +8,11 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
-from charms_bench.files import read_limited
 from charms_bench.report.pairs import SCHEMA as PAIRS_SCHEMA
 from charms_bench.report.realism import SCHEMA as REALISM_SCHEMA
 from charms_bench.report.tables import LONG_SCHEMA
-from charms_bench.results import FILE_LIMIT_BYTES
+from charms_bench.runs.folder import FILE_LIMIT_BYTES
+from charms_bench.world.files import read_limited
 
 TABLES: dict[str, Mapping[str, pl.DataType]] = {
     "": LONG_SCHEMA,

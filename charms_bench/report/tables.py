@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,9 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
-from charms_bench.results import write_atomically
-from charms_bench.scene import SceneSettings
-from charms_bench.stats import estimate
+from charms_bench.runs.cells import CellRows
+from charms_bench.statistics.intervals import estimate
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import SceneSettings
 
 LONG_SCHEMA: dict[str, pl.DataType] = {
     "agent": pl.String(),
@@ -36,18 +36,6 @@ METRIC_WIDTH = 15
 NOTHING = "–"
 
 Row = Mapping[str, float | None]
-
-
-@dataclass(frozen=True)
-class CellRows:
-    """An ego in a traffic, and what was recorded of it."""
-
-    agent: str
-    traffic: str
-    episodes: pl.DataFrame
-    steps: pl.DataFrame
-    paper: Mapping[str, float] = field(default_factory=dict)
-    """What the paper reports, by metric of the set `paper`."""
 
 
 def build_table(

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
-from charms_bench.figures import panels, save, take_text_as_it_is
+from charms_bench.report.figures import panels, save, take_text_as_it_is
 
 FINE_TICKS = (0.001, 0.002, 0.005)
 """More of them, where all shares are small."""

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from charms_bench.agent import IDLE, Actions, Observations, Policy
 from charms_bench.engine.kernels import locate
-from charms_bench.scene import Scene, SceneSettings
-from charms_bench.simulation import Simulation
-from charms_bench.traffic import OneAgent
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import IDLE, Actions
+from charms_bench.world.scene import Observations, Scene, SceneSettings
 
 LANE_M = 4.0
 

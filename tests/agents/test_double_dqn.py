@@ -16,9 +16,9 @@ from charms_agents.training.vec_env import EpisodesVecEnv
 from handmade_scene import Idle
 from stable_baselines3.common.callbacks import BaseCallback
 
-from charms_bench.scene import SceneSettings
-from charms_bench.traffic import OneAgent
-from charms_bench.vector_env import HighwayVectorEnv
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.scene import SceneSettings
 
 
 def double_dqn(scenes: int = 2, **arguments: Any) -> DoubleDQN:

@@ -7,8 +7,8 @@ import pytest
 from charms_agents.training.job import Job
 from charms_agents.training.settings import load_training
 
-from charms_bench.registry import make_agent
-from charms_bench.suite import TrafficSpec
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.specs import TrafficSpec
 
 SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from charms_agents.training.curve import LearningCurve
 
-from charms_bench.simulation import OFF_ROAD, REAR_END, SIDE, TIME
+from charms_bench.engine.simulation import OFF_ROAD, REAR_END, SIDE, TIME
 
 
 def curve_of(*endings: int) -> LearningCurve:

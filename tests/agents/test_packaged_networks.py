@@ -14,10 +14,10 @@ from charms_agents.training.settings import (
     load_training,
 )
 
-from charms_bench.human.highd import find_trios
-from charms_bench.human.samples import fingerprint
-from charms_bench.onnx_policy import OnnxPolicy
-from charms_bench.registry import make_agent
+from charms_bench.people.highd import find_trios
+from charms_bench.people.samples import fingerprint
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import make_agent
 
 PROJECT = Path(__file__).parents[2]
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"

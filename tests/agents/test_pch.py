@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from charms_bench.errors import InputError
-from charms_bench.registry import AGENTS, make_traffic, plugins
+from charms_bench.plugins.registry import AGENTS, make_traffic, plugins
 
 TAUS = st.floats(0, 20)
 BETAS = st.floats(0, 1)

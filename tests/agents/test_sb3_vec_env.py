@@ -11,12 +11,12 @@ from handmade_scene import Idle
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
-from charms_bench.agent import IDLE
 from charms_bench.engine.kernels import locate
-from charms_bench.scene import SceneSettings
-from charms_bench.simulation import OFF_ROAD, TIME
-from charms_bench.traffic import OneAgent
-from charms_bench.vector_env import HighwayVectorEnv
+from charms_bench.engine.simulation import OFF_ROAD, TIME
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import IDLE
+from charms_bench.world.scene import SceneSettings
 
 WEIGHTS = Weights(safety=1.0, efficiency=1.0, comfort=0.0)
 

@@ -28,9 +28,9 @@ from typer.testing import CliRunner
 
 from charms_bench.cli import app
 from charms_bench.errors import InputError, ModelError
-from charms_bench.kinematics import Kinematics
-from charms_bench.observation import neighbours
-from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.observations import neighbours
 
 SUITE = """\
 suite: exported

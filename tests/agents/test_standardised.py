@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 from charms_agents.training.standardised import standardise
 from handmade_scene import simulation_of
 
-from charms_bench.observation import neighbours
+from charms_bench.world.observations import neighbours
 
 
 def seen(*vehicles: tuple[float, int, float]) -> np.ndarray:

@@ -18,14 +18,14 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 from charms_agents.training.sb3_zip import export_zip
 
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.kinematics import Kinematics
-from charms_bench.onnx_policy import OnnxPolicy
-from charms_bench.profile import PROFILES
-from charms_bench.registry import make_agent
-from charms_bench.scene import SceneSettings
-from charms_bench.simulation import RUNNING, TIME, Simulation
-from charms_bench.suite import load_suite
-from charms_bench.traffic import OneAgent
+from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.runs.suite import load_suite
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.profile import PROFILES
+from charms_bench.world.scene import SceneSettings
 
 EXAMPLE: dict[str, Any] = {
     "policy_kwargs": {"net_arch": [256, 256]},

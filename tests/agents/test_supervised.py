@@ -23,7 +23,7 @@ from charms_agents.training.supervised import (
     squared_distance,
 )
 
-from charms_bench.human.samples import Samples
+from charms_bench.people.samples import Samples
 
 THIRD = math.log(3)
 """Its softmax beside four zeros is 3/7, and theirs 1/7."""

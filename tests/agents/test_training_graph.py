@@ -23,7 +23,7 @@ from charms_agents.training.settings import load_training
 from trios import busy_road, write_trio
 
 from charms_bench.errors import DataError, InputError, RunFolderError, SuiteError
-from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 
 SUITE = """\
 pipeline: charms

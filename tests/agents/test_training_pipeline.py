@@ -25,8 +25,8 @@ from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted
 
 from charms_bench.errors import InputError, RunFolderError
-from charms_bench.lock import locked
-from charms_bench.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.runs.lock import locked
 
 SUITE = """\
 pipeline: charms

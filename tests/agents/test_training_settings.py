@@ -8,7 +8,7 @@ import yaml
 from charms_agents.training.settings import FIRST_TRAINING_SEED, Hyperparameters, load_training
 
 from charms_bench.errors import SuiteError
-from charms_bench.suite import EVALUATION_SEEDS
+from charms_bench.world.scene import EVALUATION_SEEDS
 
 SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
 

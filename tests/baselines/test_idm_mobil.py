@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import all_vehicles, scene_of, scenes
 
-from charms_bench.scene import Scene
+from charms_bench.world.scene import Scene
 
 
 def drive(scene: Scene) -> tuple[np.ndarray, np.ndarray]:

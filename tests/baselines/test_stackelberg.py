@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from scenes import all_vehicles, scene_of, scenes
 
 from charms_bench.errors import InputError
-from charms_bench.scene import Scene
+from charms_bench.world.scene import Scene
 
 
 @settings(derandomize=True, deadline=None, max_examples=200)

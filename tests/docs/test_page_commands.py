@@ -16,9 +16,9 @@ pytestmark = pytest.mark.slow
 CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 """Nothing goes into a file but text."""
 ELSEWHERE = {
-    "plugins.md": "tests/test_plugin_guide.py",
+    "plugins.md": "tests/docs/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
-    "cluster.md": "tests/test_cluster.py",
+    "cluster.md": "tests/runs/test_cluster.py",
 }
 """Pages whose examples need one another, and the test that runs them all."""
 NOT_RUN = {

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
 from charms_bench.engine import kernels
-from charms_bench.scene import Scene
+from charms_bench.world.scene import Scene
 
 DT = 1 / 15
 ROW = np.array([0])

@@ -7,10 +7,10 @@ import pytest
 from charms_baselines.idm_mobil import IdmMobil
 from charms_baselines.stackelberg import Stackelberg
 
-from charms_bench.agent import ACTIONS
 from charms_bench.engine import ENGINES, Engine, make_engine
-from charms_bench.profile import PROFILES
-from charms_bench.scene import SceneSettings
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.profile import PROFILES
+from charms_bench.world.scene import SceneSettings
 
 MODELS = {
     "idm_mobil": ([IdmMobil()], 0),

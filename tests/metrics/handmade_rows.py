@@ -4,9 +4,9 @@ from typing import Any
 
 import polars as pl
 
+from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import Metric, sums_by_episode
-from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 Rows = list[dict[str, Any]]
 Episode = tuple[dict[str, Any], Rows]

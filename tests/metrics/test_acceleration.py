@@ -10,7 +10,7 @@ from charms_bench.metrics.acceleration import (
     PAPER_ACC_STD,
     PAPER_HARSH_ACC_RATE,
 )
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 NEAR = {"leader_distance": 30.0, "leader_speed": 25.0}
 

@@ -15,7 +15,7 @@ from handmade_rows import frames
 from charms_bench.metrics import sums_by_episode
 from charms_bench.metrics.rows import join_rows
 from charms_bench.metrics.time_to_collision import TTC_THRESHOLD_S, time_exposed, time_integrated
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 pytest.importorskip("commonroad_crime", reason="run by tox -e crime")
 

@@ -8,7 +8,7 @@ from charms_bench.metrics.lane_changes import (
     IMPOSED_BRAKING_MEAN,
     LANE_CHANGES_PER_KM,
 )
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 
 def step(lane: int, follower: float | None = None) -> dict[str, float | None]:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
-from charms_bench.scene import SceneSettings
+from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
 METRICS = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]

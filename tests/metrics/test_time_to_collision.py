@@ -13,8 +13,8 @@ from charms_bench.metrics.time_to_collision import (
     TTC_BELOW_3S,
     TTC_MIN,
 )
-from charms_bench.profile import CHARMS
-from charms_bench.scene import SceneSettings
+from charms_bench.world.profile import CHARMS
+from charms_bench.world.scene import SceneSettings
 
 
 def behind(distance: float, closing: float) -> dict[str, float]:

@@ -7,13 +7,13 @@ import polars as pl
 import pytest
 from rich.console import Console
 
+from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
-from charms_bench.paired import holm
-from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.report.compare import Compared, compare, render
-from charms_bench.report.tables import CellRows
-from charms_bench.scene import SceneSettings
+from charms_bench.runs.cells import CellRows
+from charms_bench.statistics.paired import holm
+from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
 EPISODES = 80

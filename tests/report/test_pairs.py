@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
+from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
-from charms_bench.recording import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.report.pairs import COMPARED, differences, guessed, write_pairs
-from charms_bench.report.tables import CellRows
-from charms_bench.scene import SceneSettings
-from charms_bench.suite import load_suite
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import load_suite
+from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
 EPISODES = 60

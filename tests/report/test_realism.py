@@ -7,17 +7,12 @@ import polars as pl
 import pytest
 from scipy import stats
 
-from charms_bench.following import BIN, BINS, COUNT_SCHEMA
-from charms_bench.human.reference import Reference
-from charms_bench.report.realism import (
-    SCHEMA,
-    TrafficCounts,
-    build_realism,
-    distances,
-    write_realism,
-)
+from charms_bench.engine.following import BIN, BINS, COUNT_SCHEMA
+from charms_bench.people.reference import Reference
+from charms_bench.report.realism import SCHEMA, build_realism, distances, write_realism
 from charms_bench.report.realism_figures import draw_realism
-from charms_bench.stats import RESAMPLES, resample
+from charms_bench.runs.cells import TrafficCounts
+from charms_bench.statistics.intervals import RESAMPLES, resample
 
 EPISODES = 30
 RNG = np.random.default_rng(0)

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from charms_bench.results import write_atomically
-from charms_bench.simulation import OFF_ROAD, TIME
+from charms_bench.engine.simulation import OFF_ROAD, TIME
+from charms_bench.world.files import write_atomically
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import polars as pl
 
 from charms_agents.training.job import StageFolder
 from charms_agents.training.settings import TrainingSuite
-from charms_bench.results import write_atomically
+from charms_bench.world.files import write_atomically
 
 
 def write_curves(output: Path, suite: TrainingSuite, folders: Mapping[str, StageFolder]) -> None:

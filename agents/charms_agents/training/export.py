@@ -8,12 +8,13 @@ from onnx import TensorProto, helper, numpy_helper
 from torch.nn import Sequential
 
 from charms_agents.training.network import ACTIVATIONS, layers_of, values_of
-from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
-from charms_bench.kinematics import Kinematics
-from charms_bench.observation import Neighbours, described, neighbours
-from charms_bench.onnx_policy import OnnxPolicy
-from charms_bench.results import write_atomically
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.files import write_atomically
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.observations import Neighbours, described, neighbours
+from charms_bench.world.scene import Observations
 
 OPSET, IR_VERSION = 17, 8
 """Old ones: every onnxruntime the base install allows reads them."""

@@ -22,7 +22,7 @@ from charms_agents.training.settings import Supervised, TrainingSuite
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.supervised import Epoch, Fit
 from charms_bench.errors import RunFolderError
-from charms_bench.human.samples import Samples, SampleSettings, load_samples
+from charms_bench.people.samples import Samples, SampleSettings, load_samples
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from charms_agents.training.settings import (
     Stage,
     TrainingSuite,
 )
-from charms_bench.agent import Agent, Policy
 from charms_bench.errors import RunFolderError
-from charms_bench.results import write_atomically
+from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.world.files import write_atomically
 
 Arrays = dict[str, NDArray[Any]]
 """What a checkpoint holds: plain arrays, read without running anything."""

@@ -7,7 +7,7 @@ from importlib.metadata import version
 from typing import Any
 
 from charms_agents.training.job import Keyed, StageFolder
-from charms_bench.results import write_atomically
+from charms_bench.world.files import write_atomically
 
 _VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 from torch.nn import Linear, Module, ReLU, Sequential, Tanh
 
-from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Observations
 
 OBSERVED = 35
 """Numbers in the observation `neighbours`, 7 rows of 5."""

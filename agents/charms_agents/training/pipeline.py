@@ -21,15 +21,15 @@ from charms_agents.training.schedule import AnyJob, run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import write_summary
-from charms_bench.agent import Agent
-from charms_bench.document import Document
 from charms_bench.errors import InputError
-from charms_bench.human.highd import find_trios
-from charms_bench.human.samples import fingerprint
-from charms_bench.lock import locked
-from charms_bench.onnx_policy import OnnxPolicy
-from charms_bench.registry import make_agent
+from charms_bench.people.highd import find_trios
+from charms_bench.people.samples import fingerprint
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import make_agent
 from charms_bench.report.training import render_stages
+from charms_bench.runs.document import Document
+from charms_bench.runs.lock import locked
 
 
 def run(

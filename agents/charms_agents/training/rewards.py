@@ -10,11 +10,11 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from charms_bench.agent import Actions
-from charms_bench.compiled import compiled
-from charms_bench.profile import FrozenModel
-from charms_bench.scene import Bools, Floats, Ints, Scene
-from charms_bench.simulation import RUNNING, TIME, Simulation
+from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.world.actions import Actions
+from charms_bench.world.compiled import compiled
+from charms_bench.world.fields import FrozenModel
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
 SVO_ANGLES_RAD: dict[Svo, float] = {

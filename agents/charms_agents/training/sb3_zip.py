@@ -19,12 +19,13 @@ import torch
 
 from charms_agents.training.export import export
 from charms_agents.training.network import ACTIVATIONS, Layers, layers_of, network_of
-from charms_bench.agent import ACTIONS, Observations
 from charms_bench.errors import ModelError
-from charms_bench.files import read_limited
-from charms_bench.kinematics import Kinematics
-from charms_bench.observation import Neighbours, neighbours
 from charms_bench.testing import example_scene
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.files import read_limited
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.observations import Neighbours, neighbours
+from charms_bench.world.scene import Observations
 
 WEIGHTS, DATA = "policy.pth", "data"
 FILE_LIMIT_BYTES = 256 * 2**20

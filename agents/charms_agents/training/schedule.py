@@ -17,7 +17,7 @@ from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
 from charms_agents.training.supervised import Epoch
 from charms_bench.errors import RunFolderError
-from charms_bench.workers import start_worker
+from charms_bench.runs.workers import start_worker
 
 AnyJob = Job | HumanJob
 Needs = Mapping[str, Sequence[str]]

@@ -8,13 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
-from charms_bench.document import Document
 from charms_bench.errors import InputError, RegistryError
-from charms_bench.human.samples import SampleSettings
-from charms_bench.profile import FrozenModel, NonNegative, Positive
-from charms_bench.registry import AGENTS, find
-from charms_bench.suite import FilePath, Line, SuiteScene, TrafficSpec
-from charms_bench.traffic import OneAgent, Traffic
+from charms_bench.people.samples import SampleSettings
+from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.plugins.traffic import OneAgent, Traffic
+from charms_bench.runs.document import Document
+from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, Positive
+from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
 """Evaluations draw their scenes from seeds below 10^9, trainings from here on: none meet."""
@@ -119,7 +120,7 @@ class Stage(FrozenModel):
     svo: Svo
     svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
     """phi of eq. 8, instead of the one that `svo` names."""
-    scene: SuiteScene = SuiteScene()
+    scene: SceneSettings = SceneSettings()
     traffic: TrafficSpec
     """Who drives the others. A name is that of a stage of this file before an installed one's."""
     variant: Name | None = None

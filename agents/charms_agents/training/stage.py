@@ -19,9 +19,9 @@ from charms_agents.training.job import Arrays, Job, StageFolder
 from charms_agents.training.manifest import write_manifest
 from charms_agents.training.rewards import StyleReward
 from charms_agents.training.vec_env import EpisodesVecEnv
-from charms_bench.agent import Policy
+from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
 from charms_bench.errors import RunFolderError
-from charms_bench.vector_env import EpisodesState, HighwayVectorEnv
+from charms_bench.plugins.agent import Policy
 
 
 class Interrupted(Exception):

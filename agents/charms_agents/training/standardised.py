@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import Linear, Sequential
 
-from charms_bench.observation import EGO, SPEED_SCALE_MPS, X_SCALE_M, Y_SCALE_M
+from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, X_SCALE_M, Y_SCALE_M
 
 ROWS, COLUMNS = 7, 5
 PRESENCE, X, Y, VX, VY = range(COLUMNS)

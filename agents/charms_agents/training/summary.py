@@ -8,7 +8,7 @@ from typing import Any
 import polars as pl
 
 from charms_agents.training.job import StageFolder
-from charms_bench.results import write_atomically
+from charms_bench.world.files import write_atomically
 
 SCHEMA = pl.Schema(
     {

@@ -18,9 +18,9 @@ from torch.nn.functional import log_softmax
 from charms_agents.training.job import Arrays
 from charms_agents.training.network import OBSERVED
 from charms_agents.training.settings import Supervised
-from charms_bench.agent import ACTIONS
-from charms_bench.human.samples import Samples
-from charms_bench.results import write_atomically
+from charms_bench.people.samples import Samples
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.files import write_atomically
 
 
 @dataclass(frozen=True)

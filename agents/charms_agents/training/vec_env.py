@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from charms_bench.agent import Observations
-from charms_bench.vector_env import HighwayVectorEnv
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.world.scene import Observations
 
 ENDED = ("ending", "steps", "episode_return", "seed")
 """What an episode's last info says of it, under `final_info`."""

@@ -1,1 +1,0 @@
-"""Runs on a Dask cluster: what we do, and what its workers do."""

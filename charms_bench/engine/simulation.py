@@ -1,0 +1,285 @@
+"""B episodes at once: agents decide, an engine moves, and what ends an episode is noted."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine import EngineName, make_engine
+from charms_bench.errors import AgentError, InputError
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.observations import observation_of
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
+
+ENDINGS = ("running", "time", "rear_end", "side", "off_road")
+"""How an episode can stand or have ended; `Simulation.ending` holds indices."""
+RUNNING, TIME, REAR_END, SIDE, OFF_ROAD = range(len(ENDINGS))
+
+
+class Simulation:
+    """B scenes that go on together until each has ended.
+
+    Args:
+        settings: What the scenes have in common.
+        scenes: B.
+        ego: The name of the ego's agent; None: the ego is driven by the actions given to `step`.
+        traffic: Who drives the others.
+        agents: Every agent named by `ego` and by `traffic`, by name.
+        engine: `batched` or `highway-env`.
+
+    Raises:
+        InputError: A policy's rate does not fit the simulation rate, or it names an observation
+            that does not exist.
+    """
+
+    def __init__(
+        self,
+        settings: SceneSettings,
+        scenes: int,
+        ego: str | None,
+        traffic: Traffic,
+        agents: Mapping[str, Agent],
+        engine: EngineName = "batched",
+    ) -> None:
+        self.settings = settings
+        self.seeds = np.zeros(scenes, dtype=np.uint64)
+        """[B] the episodes' seeds."""
+        self.steps = np.zeros(scenes, dtype=np.int64)
+        """[B] decisions made."""
+        self.ending = np.zeros(scenes, dtype=np.int64)
+        """[B] index into `ENDINGS`; past `RUNNING`, the scene stays as it was."""
+        self.action = np.full((scenes, settings.vehicles), -1, dtype=np.int64)
+        """[B, N] the last meta-action, -1 before the first and under a driver model."""
+        self._crash = np.zeros(scenes, dtype=np.int64)
+        self._frames = np.zeros(scenes, dtype=np.int64)
+        self._traffic = traffic
+        names = ([] if ego is None else [ego]) + [name for name in traffic.agents if name != ego]
+        self._names = tuple(names)
+        self._agent_of = np.full((scenes, settings.vehicles), -1)
+        self._ego = names.index(ego) if ego is not None else -1
+        self._policies = {
+            k: _checked_policy(name, agent, settings)
+            for k, name in enumerate(names)
+            if isinstance(agent := agents[name], Policy)
+        }
+        self._models = {
+            k: _CheckedModel(name, agent, self)
+            for k, name in enumerate(names)
+            if isinstance(agent := agents[name], DriverModel)
+        }
+        self._engine = make_engine(engine, settings, scenes)
+
+    @property
+    def scene(self) -> Scene:
+        """The state of all scenes."""
+        return self._engine.scene
+
+    @property
+    def engine(self) -> Any:
+        """The engine underneath."""
+        return self._engine
+
+    @property
+    def drivers(self) -> NDArray[np.str_]:
+        """[B, N] the name of each vehicle's agent, empty for an ego driven from outside."""
+        drivers: NDArray[np.str_] = np.array([*self._names, ""])[self._agent_of]
+        return drivers
+
+    @property
+    def ego_vehicles(self) -> Vehicles:
+        """The egos of all scenes (B,)."""
+        return np.arange(self.seeds.size), self.scene.ego
+
+    def reset(self, seeds: NDArray[np.uint64], rows: Ints | None = None) -> None:
+        """Starts an episode in each of the scenes `rows`, by default all."""
+        rows = np.arange(self.seeds.size) if rows is None else rows
+        self.seeds[rows] = seeds
+        others = self.settings.traffic_vehicles
+        index = {name: k for k, name in enumerate(self._names)}
+        traffic = np.empty((rows.size, others), dtype=np.int64)
+        for r, seed in enumerate(seeds):
+            # A stream of its own: who drives does not change where vehicles start.
+            rng = np.random.default_rng([int(seed), 1])
+            assigned = self._traffic.assign(rng, 1, others)[0]
+            traffic[r] = [index[str(name)] for name in assigned]
+        model_index = np.full(len(self._names) + 1, -1)  # the last: -1, an ego driven from outside
+        for k, agent in enumerate(self._models):
+            model_index[agent] = k
+        models = tuple(self._models.values())
+        ego_model = int(model_index[self._ego])
+        self._engine.reset(rows, seeds, models, ego_model, model_index[traffic])
+        is_ego = np.arange(self.settings.vehicles) == self.scene.ego[rows, None]
+        agent_of = np.empty(is_ego.shape, dtype=np.int64)
+        agent_of[is_ego] = self._ego
+        agent_of[~is_ego] = traffic.ravel()
+        self._agent_of[rows] = agent_of
+        self.steps[rows] = self._frames[rows] = self._crash[rows] = 0
+        self.ending[rows] = RUNNING
+        self.action[rows] = -1
+
+    def step(self, ego_actions: Actions | None = None) -> None:
+        """Advances every running episode by one decision interval.
+
+        Args:
+            ego_actions: (B,) meta-actions of egos that are driven from outside.
+        """
+        for frame in range(self.settings.simulation_hz // self.settings.decision_hz):
+            self.advance(ego_actions if frame == 0 else None)
+        self.finish_step()
+
+    def advance(self, ego_actions: Actions | None = None) -> None:
+        """Advances every running episode by one simulation step."""
+        active = self.scene.active
+        if ego_actions is not None:
+            rows = np.nonzero(active)[0]
+            self._command((rows, self.scene.ego[rows]), ego_actions[rows])
+        due = [
+            (self._names[k], policy, np.nonzero((self._agent_of == k) & now[:, None]))
+            for k, policy in self._policies.items()
+            if (now := active & (self._frames % _period(policy, self.settings) == 0)).any()
+        ]
+        decisions = [  # all before any is carried out: they see the same scene
+            (vehicles, self._decide(name, policy, vehicles)) for name, policy, vehicles in due
+        ]
+        for vehicles, actions in decisions:
+            self._command(vehicles, actions)
+        self._engine.advance()
+        self._frames[active] += 1
+        self._note_crashes()
+
+    def finish_step(self) -> None:
+        """Ends the decision interval: counts it and ends the episodes that are over."""
+        running = self.scene.active
+        self.steps[running] += 1
+        self.ending[running & (self.steps >= self.settings.decisions)] = TIME
+        if self.settings.profile.offroad_terminal:
+            off_road = self.scene.off_road[self.ego_vehicles]
+            self.ending[running & off_road] = OFF_ROAD
+        crashed = running & (self._crash > 0)
+        self.ending[crashed] = self._crash[crashed]
+        running &= self.ending == RUNNING
+
+    def _command(self, vehicles: Vehicles, actions: Actions) -> None:
+        self._engine.command(vehicles, actions)
+        self.action[vehicles] = actions
+
+    def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
+        if not vehicles[0].size:
+            return np.empty(0, dtype=np.int64)
+        try:
+            observations = observation_of(policy.observation)(self.scene, vehicles)
+            actions = np.asarray(policy.decide(observations))
+        except Exception as error:
+            raise self.blame(name, vehicles, _raised(error)) from error
+        if actions.shape != (vehicles[0].size,) or not np.issubdtype(actions.dtype, np.integer):
+            raise self.blame(
+                name,
+                vehicles,
+                f"decide returned {actions.dtype} of shape {actions.shape}; "
+                f"expected integers of shape {(vehicles[0].size,)}",
+            )
+        wrong = (actions < 0) | (actions >= len(ACTIONS))
+        if wrong.any():
+            raise self.blame(
+                name,
+                (vehicles[0][wrong], vehicles[1][wrong]),
+                f"decide returned action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}",
+            )
+        return actions
+
+    def blame(self, name: str, vehicles: Vehicles, what: str) -> AgentError:
+        """The error of an agent, with the first episode and step concerned."""
+        row = int(vehicles[0][0])
+        return AgentError(
+            f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
+        )
+
+    def _note_crashes(self) -> None:
+        """Notes how the egos that have just crashed did so, before the wreck moves on."""
+        scene = self.scene
+        new = np.nonzero(scene.active & (self._crash == 0) & scene.crashed[self.ego_vehicles])[0]
+        for b in new:
+            self._crash[b] = _kind_of_crash(scene, int(b))
+
+
+def _kind_of_crash(scene: Scene, b: int) -> int:
+    """REAR_END or SIDE, by the axis along which the ego and the vehicle it hit overlap less."""
+    ego, c = scene.ego[b], scene.constants
+    along = c.length - np.abs(scene.x[b] - scene.x[b, ego])
+    across = c.width - np.abs(scene.y[b] - scene.y[b, ego])
+    overlap = np.minimum(along, across)
+    overlap[ego] = -np.inf
+    other = int(overlap.argmax())
+    return REAR_END if along[other] < across[other] else SIDE
+
+
+def _period(policy: Policy, settings: SceneSettings) -> int:
+    """Simulation steps between two decisions of a policy."""
+    return round(settings.simulation_hz / policy.decision_hz)
+
+
+def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
+    try:
+        observation_of(policy.observation)
+    except InputError as error:
+        raise InputError(f"agent '{name}': {error}") from error
+    steps = settings.simulation_hz / policy.decision_hz if policy.decision_hz > 0 else 0.5
+    if steps != round(steps):
+        raise InputError(
+            f"agent '{name}' decides {policy.decision_hz} times a second, of which "
+            f"simulation_hz {settings.simulation_hz} is no multiple"
+        )
+    return policy
+
+
+class _CheckedModel(DriverModel):
+    """Passes on what a driver model answers, once it is known to be usable."""
+
+    def __init__(self, name: str, model: DriverModel, simulation: Simulation) -> None:
+        self._name, self._model, self._simulation = name, model, simulation
+        self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # of the model
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        try:
+            answer = self._model.drive(scene, vehicles)
+            acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
+        except Exception as error:
+            raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
+        shape = vehicles[0].shape
+        if acceleration.shape != shape or target_lane.shape != shape:
+            raise self._simulation.blame(
+                self._name,
+                vehicles,
+                f"drive returned shapes {acceleration.shape} and {target_lane.shape}; "
+                f"expected {shape} twice",
+            )
+        if not np.issubdtype(target_lane.dtype, np.integer):
+            raise self._simulation.blame(
+                self._name, vehicles, f"drive returned lanes of {target_lane.dtype}, not integers"
+            )
+        self._refuse(vehicles, ~np.isfinite(acceleration), acceleration, "a finite acceleration")
+        off = (target_lane < 0) | (target_lane >= scene.constants.lanes)
+        self._refuse(vehicles, off, target_lane, f"a lane from 0 to {scene.constants.lanes - 1}")
+        return acceleration, target_lane
+
+    def _refuse(
+        self, vehicles: Vehicles, wrong: Bools, values: NDArray[Any], expected: str
+    ) -> None:
+        if wrong.any():
+            raise self._simulation.blame(
+                self._name,
+                (vehicles[0][wrong], vehicles[1][wrong]),
+                f"drive returned {values[wrong][0]}; expected {expected}",
+            )
+
+
+def _raised(error: Exception) -> str:
+    """What an agent's exception says, and where it was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
+    return f"raised {type(error).__name__}: {error}{where}"

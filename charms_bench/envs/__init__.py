@@ -1,0 +1,20 @@
+"""Gymnasium environments: importing this room registers `charms_bench/Ego-v0`.
+
+    import gymnasium
+    import charms_bench.envs
+
+    gymnasium.make("charms_bench/Ego-v0", traffic="pch", density=1.5)
+    gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
+
+`charms_bench.envs:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
+"""
+
+import gymnasium
+
+ID = "charms_bench/Ego-v0"
+
+gymnasium.register(
+    ID,
+    entry_point="charms_bench.envs.ego_env:EgoEnv",
+    vector_entry_point="charms_bench.envs.ego_env:ego_vector_env",
+)

@@ -1,0 +1,144 @@
+"""The Gymnasium environment `charms_bench/Ego-v0`, registered when this module is imported.
+
+    import gymnasium
+    import charms_bench.envs
+
+    gymnasium.make("charms_bench/Ego-v0", traffic="pch", density=1.5)
+    gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
+
+`charms_bench.envs:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
+What both take beside a traffic, a reward and an observation are the keys of a suite's `scene`.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from pydantic import ValidationError
+
+from charms_bench.engine.simulation import ENDINGS, RUNNING, TIME, Simulation
+from charms_bench.envs import ID
+from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.vector_env import HighwayVectorEnv, Reward, spaces_of
+from charms_bench.errors import InputError, first_problem
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.registry import make_agent, make_traffic
+from charms_bench.plugins.traffic import Mixture, Traffic
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.observations import ObservationLike, observation_of
+from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
+
+TrafficLike = str | Mapping[str, float] | Traffic
+"""A traffic or an agent by its name, shares of agents, or a traffic."""
+
+
+class EgoEnv(gymnasium.Env[Observations, np.int64]):
+    """One episode after another; the ego is driven by whoever calls `step`.
+
+    The same episodes as a suite's: `reset(seed=k)` starts the one with seed k. Without a seed, one
+    is drawn from those that no suite evaluates on. An episode terminates when the ego crashes or
+    leaves the road, and is truncated when its time is over.
+
+    Args:
+        traffic: Who drives the others.
+        reward: What a decision is worth; by default highway-env's, see `HighwayReward`.
+        observation: What the ego sees, see `charms_bench.world.observations`.
+        scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all else that a suite's
+            `scene` says, with its defaults.
+
+    Raises:
+        InputError: The traffic is not installed, or the scene or the observation cannot be.
+        TypeError: It is asked to be drawn; Stable-Baselines3 then asks again without.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
+
+    def __init__(
+        self,
+        traffic: TrafficLike = "idm_mobil",
+        reward: Reward[Any] | None = None,
+        observation: ObservationLike = "neighbours",
+        **scene: Any,
+    ) -> None:
+        if "render_mode" in scene:
+            raise TypeError("episodes are not drawn: render_mode; `charms-bench replay` draws them")
+        settings = _settings(scene)
+        self._observation = observation_of(observation)
+        self.observation_space, self.action_space = spaces_of(settings, self._observation)
+        self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
+        self._reward = reward or HighwayReward()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Starts an episode; its seed is in the info."""
+        super().reset(seed=seed)
+        if options:
+            raise InputError(f"reset knows no options, got {', '.join(options)}")
+        if seed is None:
+            seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
+        self.simulation.reset(np.array([seed], dtype=np.uint64))
+        return self._observe(), {"seed": seed}
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Carries out the ego's action for one decision interval.
+
+        Returns:
+            Observation, reward, terminated, truncated, and the info, which says of an
+            episode that is over what its `ending` was, one of `engine.simulation.ENDINGS`.
+        """
+        if action not in self.action_space:
+            raise InputError(f"no action {action}; expected 0 to 4: {', '.join(ACTIONS)}")
+        actions = np.array([action])
+        prepared = self._reward.prepare(self.simulation, actions)
+        self.simulation.step(actions)
+        reward = float(self._reward(self.simulation, prepared)[0])
+        ending = int(self.simulation.ending[0])
+        over, truncated = ending != RUNNING, ending == TIME
+        info = {"ending": ENDINGS[ending]} if over else {}
+        return self._observe(), reward, over and not truncated, truncated, info
+
+    def _observe(self) -> Observations:
+        observations = self._observation(self.simulation.scene, self.simulation.ego_vehicles)
+        first: Observations = observations[0]
+        return first
+
+
+def ego_vector_env(
+    num_envs: int,
+    traffic: TrafficLike = "idm_mobil",
+    reward: Reward[Any] | None = None,
+    observation: ObservationLike = "neighbours",
+    **scene: Any,
+) -> HighwayVectorEnv[Any]:
+    """Many such episodes side by side, simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
+    plugin, agents = _drivers(traffic)
+    return HighwayVectorEnv(
+        _settings(scene),
+        num_envs,
+        plugin,
+        agents,
+        reward or HighwayReward(),
+        EVALUATION_SEEDS,
+        observation_of(observation),
+    )
+
+
+def _settings(scene: dict[str, Any]) -> SceneSettings:
+    try:
+        return SceneSettings.model_validate(scene)
+    except ValidationError as error:
+        location, what = first_problem(error)
+        raise InputError(f"{ID}: {'.'.join(map(str, location))}: {what}") from error
+
+
+def _drivers(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
+    """A traffic, and its agents by name."""
+    if isinstance(traffic, str):
+        traffic = make_traffic(traffic)
+    elif not isinstance(traffic, Traffic):
+        traffic = Mixture(traffic)
+    return traffic, {name: make_agent(name) for name in traffic.agents}

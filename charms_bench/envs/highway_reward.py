@@ -1,0 +1,52 @@
+"""highway-env's own reward, for whoever brings no other."""
+
+import numpy as np
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.world.actions import Actions
+from charms_bench.world.scene import Bools, Floats, Ints
+
+COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4
+SPEED_LOW_MPS, SPEED_HIGH_MPS = 20.0, 30.0
+
+
+def highway_reward(
+    forward: Floats, target_lane: Ints, crashed: Bools, off_road: Bools, lanes: int
+) -> Floats:
+    """The reward of highway-env 1.12's `highway-v0`, in [0, 1] (Leurent 2018).
+
+    -1 for a crash, 0.1 for the share of lanes to the left of the target lane, 0.4 for the forward
+    speed as a share of 20 to 30 m/s; from [-1, 0.5] onto [0, 1], and 0 off the road
+    [`HighwayEnv._reward`].
+
+    Args:
+        forward: (...) speed along the road, m/s; the others have its shape.
+        target_lane: 0 is the leftmost.
+        crashed: Whether it has collided.
+        off_road: Whether it has left the road.
+        lanes: Of the road.
+    """
+    fast = ((forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)).clip(0.0, 1.0)
+    right = target_lane / (lanes - 1)
+    raw = COLLISION * crashed + RIGHT_LANE * right + HIGH_SPEED * fast
+    normalised = (raw - COLLISION) / (HIGH_SPEED + RIGHT_LANE - COLLISION)
+    rewards: Floats = np.where(off_road, 0.0, normalised)
+    return rewards
+
+
+class HighwayReward:
+    """`highway_reward` of the egos of a simulation."""
+
+    def prepare(self, simulation: Simulation, actions: Actions) -> None:
+        """Nothing has to be remembered of the scene before."""
+
+    def __call__(self, simulation: Simulation, prepared: None) -> Floats:
+        """The rewards (B,) of the scene as the decisions have left it."""
+        scene, egos = simulation.scene, simulation.ego_vehicles
+        return highway_reward(
+            forward=scene.speed[egos] * np.cos(scene.heading[egos]),
+            target_lane=scene.target_lane[egos],
+            crashed=scene.crashed[egos],
+            off_road=scene.off_road[egos],
+            lanes=scene.constants.lanes,
+        )

@@ -1,0 +1,215 @@
+"""Episodes as a `gymnasium.vector.VectorEnv`: the ego is driven by whoever calls `step`."""
+
+from collections.abc import Mapping
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.errors import InputError
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, Y_SCALE_M, Observation, neighbours
+from charms_bench.world.scene import Bools, Floats, Ints, Observations, SceneSettings
+
+C = TypeVar("C")
+
+
+class Reward(Protocol[C]):
+    """What a decision was worth. Keeps nothing between decisions: that is what C is for."""
+
+    def prepare(self, simulation: Simulation, actions: Actions) -> C:
+        """What has to be remembered of the scene before the egos' actions (B,) are carried out."""
+
+    def __call__(self, simulation: Simulation, prepared: C) -> Floats:
+        """The rewards (B,) once the decision interval is over, before ended episodes restart."""
+
+
+class EpisodesState(NamedTuple):
+    """Where every running episode is. An episode follows from its seed and the ego's actions."""
+
+    next_seed: int
+    seeds: NDArray[np.uint64]
+    """[B]"""
+    steps: Ints
+    """[B] decisions made."""
+    actions: NDArray[np.int8]
+    """[B, decisions] the ego's actions; the first `steps` of a row count."""
+
+
+def spaces_of(
+    settings: SceneSettings, observation: Observation = neighbours
+) -> tuple[spaces.Space[Any], spaces.Discrete]:
+    """The observations and the actions of an ego, as Gymnasium describes them.
+
+    Of `neighbours`, all that it sees of others is clipped to [-1, 1]; its own place across the road
+    and its own velocity are given bounds of twice what they reach while it drives. Any other
+    observation has no bounds, as in highway-env.
+    """
+    actions = spaces.Discrete(len(ACTIONS))
+    if observation != neighbours:
+        return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
+    profile = settings.profile
+    targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
+    fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
+    high = np.ones((7, 5), dtype=np.float32)
+    high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
+    high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
+    return spaces.Box(-high, high, dtype=np.float32), actions
+
+
+class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
+    """B episodes side by side; one that ends starts anew within the same step.
+
+    An episode terminates when the ego crashes or leaves the road, and is truncated when its time
+    is over. The k-th episode to start has the seed `first_seed + k`.
+
+    Args:
+        settings: What the scenes have in common.
+        scenes: B.
+        traffic: Who drives the others.
+        agents: Every agent named by `traffic`, by name.
+        reward: What a decision is worth.
+        first_seed: The first episode's seed, unless `reset` is given another.
+        observation: What the egos see.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": [],
+    }
+
+    def __init__(
+        self,
+        settings: SceneSettings,
+        scenes: int,
+        traffic: Traffic,
+        agents: Mapping[str, Agent],
+        reward: Reward[C],
+        first_seed: int = 0,
+        observation: Observation = neighbours,
+    ) -> None:
+        self.num_envs = scenes
+        self.single_observation_space, self.single_action_space = spaces_of(settings, observation)
+        self.observation_space = batch_space(self.single_observation_space, scenes)
+        self.action_space = batch_space(self.single_action_space, scenes)
+        self.simulation = Simulation(settings, scenes, None, traffic, agents)
+        self._reward = reward
+        self._observation = observation
+        self._next_seed = first_seed
+        self._actions = np.zeros((scenes, settings.decisions), dtype=np.int8)
+        self._returns = np.zeros(scenes)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Starts an episode in every scene.
+
+        Args:
+            seed: The first episode's; None goes on with the next unused one.
+            options: None are known.
+        """
+        super().reset(seed=seed)
+        if options:
+            raise InputError(f"reset knows no options, got {', '.join(options)}")
+        if seed is not None:
+            self._next_seed = seed
+        self._start(np.arange(self.num_envs))
+        return self._observe(), {}
+
+    def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
+        """Carries out the egos' actions (B,) for one decision interval.
+
+        Returns:
+            Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
+            infos, which hold `final_obs` and `final_info` of the episodes that ended: their
+            `ending` (index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and
+            `seed`.
+        """
+        simulation = self.simulation
+        self._actions[np.arange(self.num_envs), simulation.steps] = actions
+        prepared = self._reward.prepare(simulation, actions)
+        simulation.step(actions)
+        rewards = self._reward(simulation, prepared)
+        self._returns += rewards
+        truncations = simulation.ending == TIME
+        ended = simulation.ending != RUNNING
+        terminations = ended & ~truncations
+        observations = self._observe()
+        infos: dict[str, Any] = {}
+        if ended.any():
+            infos = self._final(ended, observations)
+            rows = np.nonzero(ended)[0]
+            self._start(rows)
+            started = (rows, simulation.scene.ego[rows])
+            observations[rows] = self._observation(simulation.scene, started)
+        return observations, rewards, terminations, truncations, infos
+
+    def state(self) -> EpisodesState:
+        """Where every episode is, for `restore`."""
+        simulation = self.simulation
+        return EpisodesState(
+            self._next_seed,
+            simulation.seeds.copy(),
+            simulation.steps.copy(),
+            self._actions.copy(),
+        )
+
+    def restore(self, state: EpisodesState) -> Observations:
+        """Plays every episode again up to where `state` says it was; returns what the egos see."""
+        simulation = self.simulation
+        simulation.scene.active[:] = False
+        self._next_seed = state.next_seed
+        self._actions[:] = state.actions
+        self._returns[:] = 0
+        everyone = np.arange(self.num_envs)
+        # The longest episode first, so that all arrive together.
+        for left in range(int(state.steps.max()), -1, -1):
+            rows = np.nonzero(state.steps == left)[0]
+            if rows.size:
+                simulation.reset(state.seeds[rows], rows)
+            if left == 0:
+                break
+            step = np.maximum(state.steps - left, 0)
+            actions = state.actions[everyone, step].astype(np.int64)
+            active = simulation.scene.active.copy()
+            prepared = self._reward.prepare(simulation, actions)
+            simulation.step(actions)
+            self._returns += np.where(active, self._reward(simulation, prepared), 0.0)
+        return self._observe()
+
+    def _start(self, rows: Ints) -> None:
+        seeds = np.arange(self._next_seed, self._next_seed + rows.size, dtype=np.uint64)
+        self._next_seed += rows.size
+        self._returns[rows] = 0
+        self.simulation.reset(seeds, rows)
+
+    def _observe(self) -> Observations:
+        return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
+
+    def _final(self, ended: Bools, observations: Observations) -> dict[str, Any]:
+        """What gymnasium says of episodes that ended in this step."""
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for row in np.nonzero(ended)[0]:
+            final_obs[row] = observations[row].copy()
+        values: dict[str, NDArray[Any]] = {
+            "ending": self.simulation.ending,
+            "steps": self.simulation.steps,
+            "episode_return": self._returns,
+            "seed": self.simulation.seeds,
+        }
+        final_info: dict[str, Any] = {}
+        for name, of_all in values.items():
+            final_info[name] = np.where(ended, of_all, np.zeros_like(of_all))
+            final_info[f"_{name}"] = ended.copy()
+        return {
+            "final_obs": final_obs,
+            "_final_obs": ended.copy(),
+            "final_info": final_info,
+            "_final_info": ended.copy(),
+        }

@@ -1,0 +1,1 @@
+"""One episode looked at: criticality, edge cases, replay, what happened, animation."""

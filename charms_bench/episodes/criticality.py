@@ -1,0 +1,97 @@
+"""How near each episode came to harm, as one number.
+
+What is observed of an episode, x, is put on one scale by x / (x + limit): 0 where there was
+nothing, 0.5 at the limit that the literature puts, below 1 whatever happens.
+
+    observed                                  limit
+    1 / smallest TTC, bumper to bumper        1 / 1.5 s     Gettman & Head 2003
+    largest DRAC                              3.35 m/s2     Archer 2005
+    strongest braking imposed on the          2 m/s2        highway-env's MOBIL
+        follower by a lane change
+    lane changes given up                     1
+
+Criticality is the sum of the four, and 4 more where the ego collided or left the road: the order
+is collisions first, and of two of a kind, the one in which more went wrong.
+"""
+
+from typing import Literal
+
+import polars as pl
+
+from charms_bench.metrics.lane_changes import SAFE_BRAKING_MPS2
+from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2
+from charms_bench.metrics.rows import join_rows
+from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
+from charms_bench.world.scene import SceneSettings
+
+Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
+KINDS: tuple[Kind, ...] = ("collision", "near-miss", "hard-braking", "abandoned-lane-change")
+COLLISION = 4.0
+"""What a collision adds: as much as the four measures can reach together."""
+
+_TTC = pl.col("ttc_min_s")
+_DRAC = pl.col("drac_max_mps2")
+_BRAKING = pl.col("imposed_braking_mps2")
+_ABANDONED = pl.col("abandoned_changes")
+_COLLIDED = pl.col("ending") != "time"
+_MEASURES: tuple[tuple[Kind, pl.Expr], ...] = (
+    ("near-miss", CONFLICT_TTC_S / (_TTC + CONFLICT_TTC_S)),
+    ("near-miss", _DRAC / (_DRAC + DRAC_LIMIT_MPS2)),
+    ("hard-braking", _BRAKING / (_BRAKING + SAFE_BRAKING_MPS2)),
+    ("abandoned-lane-change", _ABANDONED / (_ABANDONED + 1.0)),
+)
+
+IS_OF_KIND: dict[Kind, pl.Expr] = {
+    "collision": _COLLIDED,
+    "near-miss": ~_COLLIDED & ((_TTC < CONFLICT_TTC_S) | (_DRAC > DRAC_LIMIT_MPS2)),
+    "hard-braking": _BRAKING > SAFE_BRAKING_MPS2,
+    "abandoned-lane-change": _ABANDONED > 0,
+}
+"""Whether a row of `criticality` is an episode of that kind; it may be of several."""
+
+
+def criticality(
+    episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings
+) -> pl.DataFrame:
+    """A row an episode, by episode.
+
+    episode, ending: As recorded.
+    ttc_min_s: Null where the ego never closed in on a leader.
+    drac_max_mps2: Null where it had none.
+    imposed_braking_mps2: Null without a lane change in front of a follower.
+    abandoned_changes: Lane changes given up; see below.
+    criticality: 0 to 8; see the module.
+    kind: Which of `KINDS` adds most to it.
+
+    A lane change is given up when the target lane becomes another before it is the nearest one.
+    """
+    before = {name: pl.col(name).shift().over("episode") for name in ("lane", "target_lane")}
+    abandoned = (
+        (before["target_lane"] != before["lane"])
+        & (pl.col("target_lane") != before["target_lane"])
+        & (pl.col("lane") != before["target_lane"])
+    )
+    kinds = [kind for kind, _ in _MEASURES]
+    measures = [measure.fill_null(0.0) for _, measure in _MEASURES]
+    return (
+        join_rows(episodes, steps, settings)
+        .with_columns(abandoned=abandoned.fill_null(False))
+        .group_by("episode", maintain_order=True)
+        .agg(
+            pl.first("ending"),
+            ttc_min_s=pl.col("ttc_s").min(),
+            drac_max_mps2=pl.col("drac_mps2").max(),
+            imposed_braking_mps2=pl.col("imposed_braking_mps2").max(),
+            abandoned_changes=pl.col("abandoned").sum(),
+        )
+        .with_columns(
+            criticality=pl.sum_horizontal(measures) + COLLISION * _COLLIDED,
+            kind=pl.when(_COLLIDED)
+            .then(pl.lit("collision"))
+            .otherwise(
+                pl.concat_list(measures)
+                .list.arg_max()
+                .replace_strict(range(len(kinds)), kinds, return_dtype=pl.String)
+            ),
+        )
+    )

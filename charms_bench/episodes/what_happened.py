@@ -1,0 +1,188 @@
+"""What happened in a replayed episode, in a line of words.
+
+Vehicles are named by their place in the order of spawning, as in animations and trajectories.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from charms_bench.episodes.criticality import Kind, criticality
+from charms_bench.episodes.replay import Replay
+from charms_bench.metrics.rows import IMPOSED_BRAKING_WINDOW_S, LOGGED_RANGE_M, join_rows
+
+GAP_RANGE_M = LOGGED_RANGE_M
+"""Whoever enters the wanted lane further away than this, centre to centre, takes no gap."""
+
+DRIFT_MPS = 0.1
+"""A vehicle that moves to its side no faster than this does not steer there."""
+
+
+@dataclass(frozen=True)
+class AbandonedChange:
+    """A lane change that the ego began and gave up; frames are simulation steps."""
+
+    lane: int
+    """The lane it left for."""
+    began: int
+    ended: int
+    taker: int | None
+    """The vehicle that took the gap; see `abandoned_changes`."""
+
+
+def what_happened(replay: Replay, kind: Kind | None = None) -> str:
+    """The gravest that happened in an episode, or the gravest of a kind."""
+    if kind is None:
+        measured = criticality(replay.episodes, replay.steps, replay.settings)
+        kind = measured["kind"].item()
+    return {
+        "collision": _collision,
+        "near-miss": _near_miss,
+        "hard-braking": _hard_braking,
+        "abandoned-lane-change": _abandoned_change,
+    }[kind](replay)
+
+
+def gave_way(replay: Replay) -> bool:
+    """Whether the ego abandoned a lane change because another vehicle took the gap.
+
+    The change must have been under way for a decision interval: a driver model that decides at
+    every simulation step may take one back at once. The paper's Fig. 4 is such a case.
+    """
+    interval = replay.frame_of(1)
+    return any(
+        change.taker is not None and change.ended - change.began >= interval
+        for change in abandoned_changes(replay)
+    )
+
+
+def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
+    """The lane changes that the ego gave up while the new lane was not its nearest yet.
+
+    Another vehicle took the gap if it was on another lane when the ego began, has that lane as
+    its target when the ego gives up, and is then the next vehicle ahead or behind among those on
+    the lane or bound for it, at most 50 m away.
+    """
+    lane, target = replay.lane[:, replay.ego], replay.target_lane[:, replay.ego]
+    given_up = (target[:-1] != lane[:-1]) & (target[1:] != target[:-1])
+    found = []
+    for ended in np.nonzero(given_up)[0] + 1:
+        wanted = int(target[ended - 1])
+        began = int(np.nonzero(target[:ended] != wanted)[0][-1]) + 1
+        taker = _taker(replay, began, int(ended), wanted)
+        found.append(AbandonedChange(wanted, began, int(ended), taker))
+    return found
+
+
+def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
+    bound = (replay.target_lane[ended] == wanted) | (replay.lane[ended] == wanted)
+    bound[replay.ego] = False
+    came = bound & (replay.lane[began] != wanted) & (replay.target_lane[ended] == wanted)
+    ahead = replay.x[ended] - replay.x[ended, replay.ego]
+    nearest = [
+        int(np.where(side, np.abs(ahead), np.inf).argmin())
+        for side in (bound & (ahead >= 0), bound & (ahead < 0))
+        if side.any()
+    ]
+    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= GAP_RANGE_M]
+    return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
+
+
+def _abandoned_change(replay: Replay) -> str:
+    changes = abandoned_changes(replay)
+    if not changes:  # the rows show decisions only; between two of them the lane was reached
+        return _near_miss(replay)
+    taken = [change for change in changes if change.taker is not None]
+    change = max(taken or changes, key=lambda change: change.ended - change.began)
+    lasted = replay.t_s[change.ended] - replay.t_s[change.began]
+    side = _side(change.lane - int(replay.lane[change.began, replay.ego]))
+    words = f"began a change to the {side}, gave it up after {lasted:.1f} s"
+    if change.taker is not None:
+        ahead = replay.x[change.ended, change.taker] - replay.x[change.ended, replay.ego]
+        where = "ahead" if ahead >= 0 else "behind"
+        words += f" as vehicle {change.taker} took the gap, {abs(ahead):.0f} m {where}"
+    return f"{words}, {_at(replay, change.ended)}"
+
+
+def _collision(replay: Replay) -> str:
+    ego = replay.ego
+    if replay.ending == "off_road":
+        return f"left the road at {replay.speed[-1, ego]:.1f} m/s, {_at(replay, -1)}"
+    frame = int(replay.crashed[:, ego].argmax())
+    x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
+    profile = replay.settings.profile
+    overlap = np.minimum(
+        profile.vehicle_length_m - np.abs(x - x[ego]), profile.vehicle_width_m - np.abs(y - y[ego])
+    )
+    overlap[ego] = -np.inf
+    other = int(overlap.argmax())
+    faster, when = speed[ego] - speed[other], _at(replay, frame)
+    if replay.ending == "rear_end" and x[other] > x[ego]:
+        return (
+            f"hit vehicle {other} from behind at {speed[ego]:.1f} m/s, "
+            f"{_faster(faster)} than it, {when}"
+        )
+    if replay.ending == "rear_end":
+        return (
+            f"was hit from behind by vehicle {other} at {speed[other]:.1f} m/s, "
+            f"{_faster(-faster)} than the ego, {when}"
+        )
+    side = _side(y[other] - y[ego])
+    to_the_right = speed * np.sin(replay.heading[frame])
+    towards = np.sign(y[other] - y[ego]) * to_the_right
+    if max(towards[ego], -towards[other]) <= DRIFT_MPS:
+        return f"clipped vehicle {other} on the {side}, {_faster(faster)} than it, {when}"
+    if towards[ego] >= -towards[other]:
+        return f"steered to the {side} into vehicle {other} at {speed[ego]:.1f} m/s, {when}"
+    return f"vehicle {other} steered into the ego from the {side} at {speed[other]:.1f} m/s, {when}"
+
+
+def _near_miss(replay: Replay) -> str:
+    rows = join_rows(replay.episodes, replay.steps, replay.settings)
+    if rows["ttc_s"].is_null().all():
+        return "never closed in on a vehicle"
+    row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
+    frame = replay.frame_of(row["step"])
+    leader = _nearest(replay, frame, row["leader_distance"])
+    return (
+        f"TTC {row['ttc_s']:.1f} s behind vehicle {leader}, "
+        f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:.1f} m away "
+        f"(DRAC {row['drac_mps2']:.1f} m/s²), {_at(replay, frame)}"
+    )
+
+
+def _hard_braking(replay: Replay) -> str:
+    rows = join_rows(replay.episodes, replay.steps, replay.settings)
+    changed = int(rows["imposed_braking_mps2"].arg_max() or 0)
+    seconds = IMPOSED_BRAKING_WINDOW_S
+    window = rows.slice(changed, round(seconds * replay.settings.decision_hz)).filter("driving")
+    braking = window.row(int(window["follower_acceleration"].arg_min() or 0), named=True)
+    follower = _nearest(replay, replay.frame_of(braking["step"]), -braking["follower_distance"])
+    row, before = rows.row(changed, named=True), rows.row(changed - 1, named=True)
+    return (
+        f"changed to the {_side(row['lane'] - before['lane'])}, where vehicle {follower} behind "
+        f"braked with {row['imposed_braking_mps2']:.1f} m/s², "
+        f"{_at(replay, replay.frame_of(row['step']))}"
+    )
+
+
+def _nearest(replay: Replay, frame: int, ahead_m: float) -> int:
+    """The vehicle on the ego's lane that is this far ahead of it."""
+    x, y, ego = replay.x[frame], replay.y[frame], replay.ego
+    width = replay.settings.profile.lane_width_m
+    off = np.abs(x - x[ego] - ahead_m)
+    off[np.abs(y - replay.lane[frame, ego] * width) > width / 2 + 1.0] = np.inf
+    off[ego] = np.inf
+    return int(off.argmin())
+
+
+def _side(to_the_right: float) -> str:
+    return "right" if to_the_right > 0 else "left"
+
+
+def _faster(by: float) -> str:
+    return f"{abs(by):.1f} m/s {'faster' if by >= 0 else 'slower'}"
+
+
+def _at(replay: Replay, frame: int) -> str:
+    return f"{replay.t_s[frame]:.1f} s in"

@@ -1,0 +1,151 @@
+"""A CSV file of numbers -> a checked frame, with errors that name file, line and column."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import polars as pl
+
+from charms_bench.errors import DataError, suggestion
+from charms_bench.world.files import size_of
+
+SIZE_LIMIT_BYTES = 2**30
+ROW_LIMIT = 5_000_000
+"""More than twice a long recording of highD; what bounds the memory of a table."""
+_LINE_LIMIT_BYTES = 2**16
+
+
+class Numbers(NamedTuple):
+    """What the cells of a column may be: wide ranges, which catch other units and formats."""
+
+    low: float
+    high: float
+    unit: str = ""
+    whole: bool = False
+
+    def __str__(self) -> str:
+        kind = "a whole number" if self.whole else "a number"
+        return f"{kind} from {self.low:g} to {self.high:g}{' ' * bool(self.unit)}{self.unit}"
+
+
+class Text(NamedTuple):
+    """A column whose cells are taken as they are."""
+
+
+Columns = Mapping[str, Numbers | Text]
+
+
+def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> pl.DataFrame:
+    """The named columns of a CSV file, in the order of the file; others are ignored.
+
+    Line `i + 2` of the file is row `i`. Every number is finite and within its range. A file of
+    more than `limit` bytes is refused.
+
+    Raises:
+        DataError: The file cannot be read, lacks a column, or has a cell that may not be.
+    """
+    header = _header(path, limit)
+    for name in columns:
+        if name not in header:
+            readable = [each[:40] for each in header[:40] if each.isprintable()]
+            known = suggestion(name, dict.fromkeys(readable))
+            raise DataError(f"{path}: line 1: no column '{name}'. {known}")
+        if header.count(name) > 1:
+            raise DataError(f"{path}: line 1: the column '{name}' stands here twice")
+    try:
+        table = (
+            pl.scan_csv(
+                path,
+                schema_overrides={
+                    name: pl.Float64 if isinstance(cells, Numbers) else pl.String
+                    for name, cells in columns.items()
+                },
+                quote_char=None,
+                n_rows=ROW_LIMIT + 1,
+                glob=False,
+            )
+            .select(*columns)
+            .collect()
+        )
+        usable = all(_usable(table[name], cells) for name, cells in columns.items())
+    except pl.exceptions.PolarsError as error:
+        reason = str(error).partition("\n")[0]
+        raise _first_mistake(path, header, columns, f"is no CSV table: {reason}") from error
+    if table.height > ROW_LIMIT:
+        raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
+    # A field too many would shift the rest of its line, and polars may not say so.
+    if not usable or _commas(path) != (len(header) - 1) * (table.height + 1):
+        raise _first_mistake(path, header, columns, "is no CSV table of numbers")
+    whole = [name for name, cells in columns.items() if isinstance(cells, Numbers) and cells.whole]
+    return table.with_columns(pl.col(whole).cast(pl.Int64))
+
+
+def _header(path: Path, limit: int) -> list[str]:
+    try:
+        if size_of(path) > limit:
+            raise DataError(f"{path}: larger than {limit:,} bytes; split the recording")
+        with path.open("rb") as file:
+            first = file.readline(_LINE_LIMIT_BYTES)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    if not first.strip():
+        raise DataError(f"{path}: line 1: empty; expected the names of the columns")
+    if len(first) == _LINE_LIMIT_BYTES:
+        raise DataError(f"{path}: line 1: longer than {_LINE_LIMIT_BYTES:,} bytes")
+    return first.decode("utf-8-sig", errors="replace").rstrip("\r\n").split(",")
+
+
+def _commas(path: Path) -> int:
+    with path.open("rb") as file:
+        return sum(block.count(b",") for block in iter(lambda: file.read(2**20), b""))
+
+
+def _usable(values: pl.Series, cells: Numbers | Text) -> bool:
+    if values.has_nulls():
+        return isinstance(cells, Text)
+    if isinstance(cells, Text) or values.is_empty():
+        return True
+    # NaN is neither; infinities are beyond any range.
+    within = bool(values.is_between(cells.low, cells.high).all())
+    return within and not (cells.whole and bool((values != values.floor()).any()))
+
+
+def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: str) -> DataError:
+    """The error of the first line that is wrong, found by reading line by line."""
+    with path.open("rb") as file:
+        lines = iter(lambda: file.readline(_LINE_LIMIT_BYTES), b"")
+        next(lines)
+        for number, line in enumerate(lines, start=2):
+            if len(line) == _LINE_LIMIT_BYTES:
+                return DataError(f"{path}: line {number}: longer than {_LINE_LIMIT_BYTES:,} bytes")
+            fields = line.decode(errors="replace").rstrip("\r\n").split(",")
+            if len(fields) != len(header):
+                return DataError(
+                    f"{path}: line {number}: {len(fields)} fields, but the header has "
+                    f"{len(header)}; is the file cut short?"
+                )
+            for name, cell, cells in _cells(header, fields, columns):
+                if not _is_one_of(cell, cells):
+                    found = f"'{cell[:40]}'" if cell else "nothing"
+                    return DataError(
+                        f"{path}: line {number}: column '{name}': expected {cells}, found {found}"
+                    )
+    return DataError(f"{path}: {otherwise}")
+
+
+def _cells(
+    header: list[str], fields: list[str], columns: Columns
+) -> Iterator[tuple[str, str, Numbers]]:
+    for name, cell in zip(header, fields, strict=True):
+        cells = columns.get(name)
+        if isinstance(cells, Numbers):
+            yield name, cell, cells
+
+
+def _is_one_of(cell: str, cells: Numbers) -> bool:
+    try:
+        value = math.nan if "_" in cell else float(cell)
+    except ValueError:
+        return False
+    return cells.low <= value <= cells.high and not (cells.whole and value != math.floor(value))

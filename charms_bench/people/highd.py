@@ -1,0 +1,354 @@
+"""highD's published format -> recordings in the simulation's frame.
+
+A recording is three files, `NN_tracks.csv`, `NN_tracksMeta.csv` and `NN_recordingMeta.csv`
+[Krajewski et al. 2018]. Theirs is an image: y grows downwards, positions are a box's upper left
+corner, a vehicle's length is its `width`, and direction 1 drives towards smaller x. Ours is the
+driver's: see `TRACKS`.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from charms_bench.errors import DataError
+from charms_bench.people.csv_table import Columns, Numbers, Text, read_table
+from charms_bench.world.profile import CHARMS
+from charms_bench.world.scene import Bools, Floats, Ints
+
+UPPER, LOWER = 1, 2
+"""Driving directions: the carriageway at smaller image y drives towards smaller x."""
+LANE_WIDTH_M = CHARMS.lane_width_m
+STAY_S = 0.75
+"""A shorter visit to a lane is a brush with its marking, not a lane change."""
+
+TRACKS = {
+    "vehicle": pl.Int64,
+    "frame": pl.Int64,
+    "direction": pl.Int8,
+    "car": pl.Boolean,
+    "x": pl.Float64,
+    "y": pl.Float64,
+    "lane": pl.Int64,
+    "on_road": pl.Boolean,
+    "speed": pl.Float64,
+    "lateral_speed": pl.Float64,
+    "acceleration": pl.Float64,
+    "length": pl.Float64,
+    "width": pl.Float64,
+}
+"""The columns of `Recording.tracks`.
+
+x, y: The vehicle's centre, m: along its driving direction from any origin, and to its right. y is
+    stretched within each lane so that the centre of lane i, counted from the left, lies at 4 i.
+lane: The lane between whose markings the centre lies, or the nearest.
+on_road: Whether the centre lies between the outer markings.
+speed, lateral_speed, acceleration: Along x, to the right and along x; as measured, m/s and m/s2.
+length, width: m.
+"""
+
+_TRACKS: Columns = {
+    "frame": Numbers(0, 1e9, whole=True),
+    "id": Numbers(0, 1e9, whole=True),
+    "x": Numbers(-1e5, 1e5, "m"),
+    "y": Numbers(-1e3, 1e3, "m"),
+    "width": Numbers(0.1, 50, "m"),
+    "height": Numbers(0.1, 10, "m"),
+    "xVelocity": Numbers(-100, 100, "m/s"),
+    "yVelocity": Numbers(-50, 50, "m/s"),
+    "xAcceleration": Numbers(-100, 100, "m/s2"),
+    "laneId": Numbers(-1e9, 1e9, whole=True),
+}
+_TRACKS_META: Columns = {
+    "id": Numbers(0, 1e9, whole=True),
+    "initialFrame": Numbers(0, 1e9, whole=True),
+    "finalFrame": Numbers(0, 1e9, whole=True),
+    "numFrames": Numbers(1, 1e9, whole=True),
+    "class": Text(),
+    "drivingDirection": Numbers(UPPER, LOWER, whole=True),
+}
+_META_LIMIT_BYTES = 2**24
+"""A hundred times what the vehicles of a long recording need."""
+_RECORDING_META: Columns = {
+    "frameRate": Numbers(-1e9, 1e9, "Hz"),
+    "numVehicles": Numbers(0, 1e12, whole=True),
+    "upperLaneMarkings": Text(),
+    "lowerLaneMarkings": Text(),
+}
+_LANE_WIDTHS_M = (1.0, 10.0)
+_KINDS = ("tracks", "tracksMeta", "recordingMeta")
+
+
+@dataclass(frozen=True)
+class Trio:
+    """The three files of a recording."""
+
+    number: int
+    tracks: Path
+    tracks_meta: Path
+    recording_meta: Path
+
+    @property
+    def paths(self) -> tuple[Path, Path, Path]:
+        """All three."""
+        return self.tracks, self.tracks_meta, self.recording_meta
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was filmed at one place at one time."""
+
+    trio: Trio
+    frame_rate_hz: float
+    lanes: dict[int, int]
+    """The number of lanes of each direction in which somebody drives."""
+    tracks: pl.DataFrame
+    """A row a vehicle and frame, by vehicle and frame; columns `TRACKS`."""
+    lane_id_disagreements: int
+    """Rows between the outer markings whose `laneId` is not the lane that y says."""
+
+    @property
+    def lane_changes(self) -> pl.DataFrame:
+        """A row a vehicle that left a lane for another, having stayed in both for `STAY_S`.
+
+        Columns vehicle, lane, next_lane, and the frames `frame` and `last` between which it
+        stayed in `lane`.
+        """
+        return (
+            self.tracks.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
+            .agg(
+                pl.len(),
+                pl.col("lane").first(),
+                pl.col("frame").first(),
+                last=pl.col("frame").last(),
+            )
+            .filter(pl.col("len") >= STAY_S * self.frame_rate_hz)
+            .sort("vehicle", "frame")
+            .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
+            .filter(pl.col("next_lane") != pl.col("lane"))
+            .select("vehicle", "lane", "next_lane", "frame", "last")
+        )
+
+
+def find_trios(folder: Path) -> list[Trio]:
+    """The recordings of a folder, by number.
+
+    Raises:
+        DataError: There is none, or one lacks a file.
+    """
+    found: dict[str, dict[str, Path]] = {}
+    try:
+        for path in sorted(folder.iterdir()):
+            match = re.fullmatch(r"([0-9]{1,9})_(tracks|tracksMeta|recordingMeta)\.csv", path.name)
+            if match:
+                found.setdefault(match[1], {})[match[2]] = path
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from error
+    if not found:
+        raise DataError(f"{folder}: no recordings; expected files named like 01_tracks.csv")
+    trios: dict[int, Trio] = {}
+    for prefix, files in found.items():
+        for kind in _KINDS:
+            if kind not in files:
+                raise DataError(
+                    f"{folder}: recording {prefix} has no {prefix}_{kind}.csv; "
+                    "add it, or take the recording's other files away"
+                )
+        number = int(prefix)
+        if number in trios:
+            raise DataError(f"{folder}: recording {number} is here twice; rename one of them")
+        trios[number] = Trio(number, *(files[kind] for kind in _KINDS))
+    return [trios[number] for number in sorted(trios)]
+
+
+def read_folder(folder: Path) -> Iterator[Recording]:
+    """The recordings of a folder, one after another, so that one is in memory at a time.
+
+    Raises:
+        DataError: As for `find_trios` and `read_recording`.
+    """
+    return map(read_recording, find_trios(folder))
+
+
+def read_recording(trio: Trio) -> Recording:
+    """A recording in the simulation's frame.
+
+    Raises:
+        DataError: A file cannot be read, or they do not fit together.
+    """
+    frame_rate, vehicles, markings = _read_recording_meta(trio.recording_meta)
+    meta = _read_tracks_meta(trio, vehicles)
+    for direction in meta["drivingDirection"].unique().sort():
+        if markings[direction].size < 2:
+            name = "upperLaneMarkings" if direction == UPPER else "lowerLaneMarkings"
+            raise DataError(
+                f"{trio.recording_meta}: line 2: column '{name}': {markings[direction].size} "
+                f"markings, but vehicles drive in direction {direction}; expected two or more"
+            )
+    tracks = read_table(trio.tracks, _TRACKS).with_row_index("line", offset=2)
+    _check_lane_ids(trio, tracks, markings)
+    tracks = _joined(trio, tracks, meta)
+    parts, lanes, disagreements = [], {}, 0
+    for direction in (UPPER, LOWER):
+        part = tracks.filter(pl.col("drivingDirection") == direction)
+        if part.is_empty():
+            continue
+        normalised, wrong = _normalised(trio, part, direction, markings)
+        parts.append(normalised)
+        lanes[direction] = markings[direction].size - 1
+        disagreements += wrong
+    return Recording(
+        trio, frame_rate, lanes, pl.concat(parts).sort("vehicle", "frame"), disagreements
+    )
+
+
+def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
+    """Frame rate, number of vehicles, and each direction's markings by image y."""
+    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES)
+    if table.height != 1:
+        raise DataError(f"{path}: {table.height} rows; expected one")
+    row = table.row(0, named=True)
+    if row["frameRate"] <= 0:
+        raise DataError(
+            f"{path}: line 2: column 'frameRate': {row['frameRate']:g} Hz; expected more than 0"
+        )
+    if row["numVehicles"] == 0:
+        raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; drop this recording")
+    markings = {
+        UPPER: _markings(path, "upperLaneMarkings", row["upperLaneMarkings"]),
+        LOWER: _markings(path, "lowerLaneMarkings", row["lowerLaneMarkings"]),
+    }
+    return row["frameRate"], row["numVehicles"], markings
+
+
+def _markings(path: Path, column: str, text: str | None) -> Floats:
+    where = f"{path}: line 2: column '{column}'"
+    try:
+        values = np.array([float(part) for part in (text or "").split(";") if part.strip()])
+    except ValueError as error:
+        raise DataError(f"{where}: {error}; expected numbers separated by ;") from error
+    low, high = _LANE_WIDTHS_M
+    widths = np.diff(values)
+    if not (np.isfinite(values).all() and ((widths >= low) & (widths <= high)).all()):
+        raise DataError(
+            f"{where}: '{(text or '')[:80]}'; expected growing numbers, "
+            f"{low:g} to {high:g} m from one marking to the next"
+        )
+    return values
+
+
+def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
+    path = trio.tracks_meta
+    meta = read_table(path, _TRACKS_META, _META_LIMIT_BYTES).with_row_index("line", offset=2)
+    if meta.height != vehicles:
+        raise DataError(
+            f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "
+            f"{vehicles:,}; is the file cut short?"
+        )
+    for line, vehicle in _first(meta, pl.col("id").is_first_distinct().not_(), "id"):
+        raise DataError(f"{path}: line {line}: vehicle {vehicle} is here twice")
+    known = pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
+    for line, found in _first(meta, ~known, "class"):
+        raise DataError(
+            f"{path}: line {line}: column 'class': expected Car or Truck, found {found!r}"
+        )
+    return meta.drop("line")
+
+
+def _check_lane_ids(trio: Trio, tracks: pl.DataFrame, markings: dict[int, Floats]) -> None:
+    # 1 lies above the first marking; each marking, of either direction, begins another.
+    last = markings[UPPER].size + markings[LOWER].size + 1
+    outside = ~pl.col("laneId").is_between(1, last)
+    for line, found in _first(tracks, outside, "laneId"):
+        raise DataError(
+            f"{trio.tracks}: line {line}: column 'laneId': {found} is outside the markings; "
+            f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
+        )
+
+
+def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFrame:
+    """The tracks with their vehicles' columns, each vehicle complete and no frame of it twice."""
+    tracks = tracks.join(meta, on="id", how="left", maintain_order="left")
+    for line, vehicle in _first(tracks, pl.col("drivingDirection").is_null(), "id"):
+        raise DataError(
+            f"{trio.tracks}: line {line}: vehicle {vehicle} is not in {trio.tracks_meta.name}"
+        )
+    tracks = tracks.sort("id", "frame", maintain_order=True)
+    again = (pl.col("id").diff() == 0) & (pl.col("frame").diff() == 0)
+    for line, vehicle in _first(tracks, again, "id"):
+        raise DataError(
+            f"{trio.tracks}: line {line}: vehicle {vehicle} is in this frame already; "
+            "delete one of the two rows"
+        )
+    driven = tracks.group_by("id").agg(
+        pl.len(), first=pl.col("frame").min(), last=pl.col("frame").max()
+    )
+    columns = ("numFrames", "initialFrame", "finalFrame")
+    found = ("len", "first", "last")
+    compared = meta.join(driven, on="id", how="left", maintain_order="left").with_columns(
+        pl.col("len").fill_null(0)
+    )
+    for row in compared.iter_rows(named=True):
+        for column, name in zip(columns, found, strict=True):
+            if row[column] != row[name]:
+                raise DataError(
+                    f"{trio.tracks}: vehicle {row['id']}: {name.replace('len', 'rows')} "
+                    f"{row[name]}, but {trio.tracks_meta.name} says {column} {row[column]}; "
+                    "is the file cut short?"
+                )
+    return tracks
+
+
+def _normalised(
+    trio: Trio, part: pl.DataFrame, direction: int, markings: dict[int, Floats]
+) -> tuple[pl.DataFrame, int]:
+    """One direction's tracks in its drivers' frame, and how many `laneId`s disagree."""
+    sign = -1.0 if direction == UPPER else 1.0
+    to_the_right = np.sort(sign * markings[direction])
+    lanes = to_the_right.size - 1
+    centre = sign * (part["y"] + part["height"] / 2).to_numpy()
+    y, lane, on_road = _lateral(centre, to_the_right)
+    lane_id = lanes + 1 - lane if direction == UPPER else markings[UPPER].size + 2 + lane
+    speed = sign * part["xVelocity"]
+    mean = speed.mean()
+    if isinstance(mean, float) and mean < 0:
+        raise DataError(
+            f"{trio.tracks}: vehicles of drivingDirection {direction} have a mean xVelocity of "
+            f"{sign * mean:.1f} m/s; expected it {'below' if direction == UPPER else 'above'} 0"
+        )
+    columns = {
+        "vehicle": part["id"],
+        "frame": part["frame"],
+        "direction": part["drivingDirection"],
+        "car": part["class"] == "Car",
+        "x": sign * (part["x"] + part["width"] / 2),
+        "y": y,
+        "lane": lane,
+        "on_road": on_road,
+        "speed": speed,
+        "lateral_speed": sign * part["yVelocity"],
+        "acceleration": sign * part["xAcceleration"],
+        "length": part["width"],
+        "width": part["height"],
+    }
+    wrong = on_road & (part["laneId"].to_numpy() != lane_id)
+    return pl.DataFrame(columns, schema_overrides=TRACKS), int(wrong.sum())
+
+
+def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
+    """Stretched position, lane and whether on the road, of positions to the right.
+
+    A position on a marking belongs to the lane left of it, as for highway-env's closest lane.
+    """
+    lane = np.clip(np.searchsorted(markings, y, side="left") - 1, 0, markings.size - 2)
+    left, right = markings[lane], markings[lane + 1]
+    stretched = LANE_WIDTH_M * (lane - 0.5 + (y - left) / (right - left))
+    return stretched, lane, (markings[0] <= y) & (y <= markings[-1])
+
+
+def _first(table: pl.DataFrame, mistaken: pl.Expr, column: str) -> Iterator[tuple[int, object]]:
+    """Line and value of the first mistaken row, if there is one."""
+    yield from table.filter(mistaken.fill_null(False)).select("line", column).head(1).iter_rows()

@@ -1,0 +1,146 @@
+"""Human driving as histograms that simulated driving is held against."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from charms_bench.engine.following import BIN, BINS, FOLLOWING_RANGE_M, bins_of
+from charms_bench.errors import suggestion
+from charms_bench.people.following import DECISION_HZ, followers
+from charms_bench.people.highd import read_folder
+from charms_bench.people.labels import LATERAL_SPEED_MPS
+from charms_bench.world.fields import FilePath, FrozenModel, Name
+from charms_bench.world.scene import Floats
+
+LEADER = f"leader within {FOLLOWING_RANGE_M:g} m in the same lane, centre to centre"
+SPEED = f"speed along the road with a {LEADER}, at {DECISION_HZ} Hz"
+DHW = f"distance to a {LEADER}, at the start of a lane change"
+START = (
+    "that is the last moment before the vehicle leaves its lane at which its speed towards the new "
+    f"lane was not above {LATERAL_SPEED_MPS:g} m/s"
+)
+BINNING = (
+    f"{BINS} bins of {BIN:g} m/s and {BIN:g} m from 0; the last also takes what lies beyond it"
+)
+
+REFERENCES = Path(__file__).with_name("references")
+"""Human driving that is shipped, as histograms: `NAME.json`."""
+
+Counts = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=BINS, max_length=BINS)]
+
+
+class ReferenceSpec(FrozenModel):
+    """Human driving: shipped histograms by name, or a folder of recordings in highD's format."""
+
+    name: Name | None = None
+    recordings: FilePath | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_name(cls, value: object) -> object:
+        return {"name": value} if isinstance(value, str) else value
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "ReferenceSpec":
+        if (self.name is None) == (self.recordings is None):
+            raise ValueError("give a name, or a folder of recordings as {recordings: path}")
+        known = {path.stem: path for path in sorted(REFERENCES.glob("*.json"))}
+        if self.name is not None and self.name not in known:
+            raise ValueError(
+                f"no reference named '{self.name}'; a folder of recordings is "
+                f"{{recordings: path}}. {suggestion(self.name, known)}"
+            )
+        return self
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.name or str(self.recordings)
+
+
+class Reference(FrozenModel):
+    """Where people were recorded, and what they did while they followed; two are never pooled."""
+
+    name: str
+    origin: str
+    """Where and how it was recorded, and what is to be kept in mind."""
+    terms: str
+    """Whose data it is made from, and their licence."""
+    speed_is: str
+    dhw_is: str
+    """Definitions of the two quantities."""
+    binning: str = BINNING
+    vehicles: int
+    """All that were recorded."""
+    lane_changes: int | None
+    """All that were recorded, with a leader or without; None where lanes are not known."""
+    speed: Counts | None
+    """Drivers at decisions, by the bins of `charms_bench.engine.following`; None: not recorded."""
+    dhw: Counts | None
+    """Starts of lane changes, likewise."""
+
+    def counts(self, quantity: str) -> Floats | None:
+        """[BINS] of a quantity of `following.QUANTITIES`; None where nothing was recorded."""
+        counts = {"speed": self.speed, "dhw": self.dhw}[quantity]
+        return np.array(counts, dtype=np.float64) if counts and any(counts) else None
+
+    def to_json(self) -> str:
+        """As it is shipped: a field a line."""
+        fields = self.model_dump(mode="json")
+        lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in fields.items()]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def histogram(values: Floats) -> tuple[int, ...]:
+    """How many values lie in each bin."""
+    return tuple(np.bincount(bins_of(values), minlength=BINS).tolist())
+
+
+def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:
+    """The references of a suite; a relative path of recordings starts at `folder`.
+
+    Raises:
+        DataError: The recordings cannot be used.
+    """
+    return [
+        from_recordings(folder / spec.recordings, name=spec.title)
+        if spec.recordings is not None
+        else _shipped(spec.title)
+        for spec in specs
+    ]
+
+
+def from_recordings(folder: Path, **fields: str) -> Reference:
+    """What the recordings of a folder hold, in highD's format.
+
+    Args:
+        folder: With the recordings.
+        fields: Name, origin and terms, where more is known than the folder's name.
+
+    Raises:
+        DataError: The recordings cannot be used.
+    """
+    found = followers(read_folder(folder))
+    described = {
+        "name": folder.resolve().name,
+        "origin": f"recordings in {folder}",
+        "terms": "those of the recordings",
+        "speed_is": SPEED,
+        "dhw_is": f"{DHW}; {START}",
+    }
+    return Reference(
+        **{**described, **fields},
+        vehicles=found.vehicles,
+        lane_changes=found.lane_changes,
+        speed=histogram(found.speed),
+        dhw=histogram(found.dhw),
+    )
+
+
+def _shipped(name: str) -> Reference:
+    text = (REFERENCES / f"{name}.json").read_text(encoding="utf-8")
+    return Reference.model_validate_json(text)

@@ -1,0 +1,1 @@
+"""Who drives: the contracts, the registry of entry points, ONNX policies, the scaffold."""

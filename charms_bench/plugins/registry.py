@@ -1,0 +1,158 @@
+"""Entry points -> plugins, by name.
+
+Listing reads metadata only. A plugin is imported when it is asked for, so a broken one is nobody
+else's trouble.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.traffic import OneAgent, Traffic
+
+AGENTS = "charms_bench.agents"
+TRAFFIC = "charms_bench.traffic"
+PIPELINES = "charms_bench.pipelines"
+EXPORTERS = "charms_bench.exporters"
+METRICS = "charms_bench.metrics"
+_ROLES = {
+    AGENTS: "agent",
+    TRAFFIC: "traffic",
+    PIPELINES: "pipeline",
+    EXPORTERS: "exporter",
+    METRICS: "metric set",
+}
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """What an entry point says of itself."""
+
+    name: str
+    role: str
+    """`agent`, `traffic`, `pipeline`, `exporter` or `metric set`."""
+    distribution: str
+    version: str
+    entry_point: EntryPoint
+
+
+def plugins(group: str) -> dict[str, Plugin]:
+    """The installed plugins of an entry-point group, by name and in its order.
+
+    Raises:
+        RegistryError: Two distributions claim one name.
+    """
+    found: dict[str, Plugin] = {}
+    for entry_point in entry_points(group=group):
+        distribution = entry_point.dist
+        plugin = Plugin(
+            name=entry_point.name,
+            role=_ROLES[group],
+            distribution=distribution.name if distribution else "unknown",
+            version=distribution.version if distribution else "unknown",
+            entry_point=entry_point,
+        )
+        rival = found.setdefault(plugin.name, plugin)
+        if rival.distribution != plugin.distribution:
+            raise RegistryError(
+                f"the {plugin.role} '{plugin.name}' is claimed by two distributions, "
+                f"{rival.distribution} and {plugin.distribution}; uninstall one of them"
+            )
+    return dict(sorted(found.items()))
+
+
+def find(group: str, name: str) -> Plugin:
+    """The plugin of that name.
+
+    Raises:
+        RegistryError: There is none; names those there are.
+    """
+    installed = plugins(group)
+    if name in installed:
+        return installed[name]
+    raise RegistryError(f"no {_ROLES[group]} named '{name}'. {suggestion(name, installed)}")
+
+
+def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
+    """The agent of that name, made with `options`.
+
+    Raises:
+        RegistryError: It is not installed, cannot be imported, does not take the options, or is
+            no agent.
+    """
+    agent = _make(find(AGENTS, name), options or {})
+    if not isinstance(agent, (Policy, DriverModel)):
+        raise RegistryError(
+            f"agent '{name}' is a {type(agent).__name__}, not a Policy or a DriverModel"
+        )
+    return agent
+
+
+def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
+    """The traffic of that name; an agent's name is the traffic in which it drives everybody.
+
+    Raises:
+        RegistryError: As for `make_agent`.
+    """
+    installed = plugins(TRAFFIC)
+    if name not in installed:
+        agents = plugins(AGENTS)
+        if name in agents and not options:
+            return OneAgent(name)
+        known = {**installed, **agents}
+        raise RegistryError(f"no traffic named '{name}'. {suggestion(name, known)}")
+    traffic = _make(installed[name], options or {})
+    if not isinstance(traffic, Traffic):
+        raise RegistryError(f"traffic '{name}' is a {type(traffic).__name__}, not a Traffic")
+    return traffic
+
+
+def load(group: str, name: str) -> Any:
+    """What the entry point of that name stands for.
+
+    Raises:
+        RegistryError: It is not installed or cannot be imported.
+    """
+    return _load(find(group, name))
+
+
+def _load(plugin: Plugin) -> Any:
+    try:
+        return plugin.entry_point.load()
+    except Exception as error:
+        remedy = _remedy(plugin, error) if isinstance(error, ImportError) else ""
+        raise RegistryError(
+            f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}{remedy}"
+        ) from error
+
+
+def _remedy(plugin: Plugin, error: ImportError) -> str:
+    """Which extra of its distribution brings the missing library, if one does."""
+    library = (error.name or "").partition(".")[0].replace("_", "-")
+    distribution = plugin.entry_point.dist
+    for requirement in (distribution.requires or []) if distribution and library else []:
+        match = re.match(r"([\w.-]+).*extra == ['\"]([\w.-]+)['\"]", requirement)
+        if match and match[1].replace("_", "-").lower() == library:
+            return f"; pip install '{plugin.distribution}[{match[2]}]'"
+    return ""
+
+
+def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
+    factory = _load(plugin)
+    try:
+        return factory(**options)
+    except CharmsBenchError:
+        raise
+    except Exception as error:
+        given = ", ".join(options) or "none"
+        raise RegistryError(
+            f"{_whose(plugin)} cannot be made (options: {given}): {type(error).__name__}: {error}"
+        ) from error
+
+
+def _whose(plugin: Plugin) -> str:
+    return f"{plugin.role} '{plugin.name}' of {plugin.distribution} {plugin.version}"

@@ -1,0 +1,95 @@
+"""A replay as a page carries it: whole numbers, differences over time, compressed.
+
+Every quantity is rounded to a unit that no eye sees (1 cm, 1 mrad, 10 ms), so its differences from
+step to step are small integers that deflate well.
+"""
+
+import zlib
+from base64 import b64encode
+from typing import Any
+
+import numpy as np
+
+from charms_bench.episodes.animation import BRAKE_LIGHT_MPS2
+from charms_bench.episodes.ego_view import EgoView
+from charms_bench.episodes.replay import Replay
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Bools, Floats, Ints
+
+CRASHED, BRAKES, LEFT, RIGHT = 1, 2, 4, 8
+"""Bits of a vehicle's `flags`; LEFT and RIGHT: it is on its way to a lane there."""
+NONE = -1
+"""Where a quantity that is never negative has no value."""
+_CHANGING = 0.2
+"""Lane widths from its target lane from which on a vehicle is changing."""
+
+
+def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
+    """A replay for JSON.
+
+    vehicles, frames, hz, lanes, lane_m, length_m, width_m, ego: As they are called.
+    agents: The agents' names, the ego's first; agent: of each vehicle, its index among them.
+    columns: Name, unit and width (vehicles, or 1) of each quantity, in their order in `data`.
+    data: base64 of deflated little-endian int32 [frames, width] a quantity, each row less the one
+        before it.
+    """
+    profile, ego = replay.settings.profile, replay.ego
+    frames, vehicles = replay.x.shape
+    agents = list(
+        dict.fromkeys([replay.agents[ego], *sorted(set(replay.agents) - {replay.agents[ego]})])
+    )
+    columns: dict[str, tuple[float, Floats | Ints]] = {
+        "x": (0.01, replay.x),
+        "y": (0.01, replay.y),
+        "heading": (0.001, replay.heading),
+        "flags": (1, _flags(replay)),
+        "speed": (0.01, replay.speed[:, ego]),
+        "acceleration": (0.01, replay.acceleration[:, ego]),
+        "action": (1, replay.action[:, ego]),
+        "lane": (1, replay.lane[:, ego]),
+        "target": (1, replay.target_lane[:, ego]),
+        "ahead": (0.01, view.gap_ahead),
+        "behind": (0.01, view.gap_behind),
+        "ttc": (0.01, view.ttc),
+        "reward": (0.001, view.reward),
+    }
+    whole = [_differences(values, unit) for unit, values in columns.values()]
+    data = b"".join(part.astype("<i4").tobytes() for part in whole)
+    return {
+        "vehicles": vehicles,
+        "frames": frames,
+        "hz": replay.settings.simulation_hz,
+        "lanes": replay.settings.lanes,
+        "lane_m": profile.lane_width_m,
+        "length_m": profile.vehicle_length_m,
+        "width_m": profile.vehicle_width_m,
+        "ego": ego,
+        "agents": agents,
+        "agent": [agents.index(name) for name in replay.agents],
+        "actions": [action.replace("_", " ").lower() for action in ACTIONS],
+        "columns": [
+            [name, unit, part.shape[1]]
+            for (name, (unit, _)), part in zip(columns.items(), whole, strict=True)
+        ],
+        "data": b64encode(zlib.compress(data, 9)).decode(),
+    }
+
+
+def _differences(values: Floats | Ints, unit: float) -> Ints:
+    """[frames, width] whole numbers, each row less the one before it."""
+    rounded = np.round(values.astype(np.float64) / unit)
+    whole = np.nan_to_num(rounded, nan=NONE).astype(np.int64).reshape(len(values), -1)
+    return np.diff(whole, axis=0, prepend=0)
+
+
+def _flags(replay: Replay) -> Ints:
+    width = replay.settings.profile.lane_width_m
+    aim = replay.target_lane * width - replay.y
+    changing: Bools = (np.abs(aim) > _CHANGING * width) & ~replay.crashed
+    flags: Ints = (
+        CRASHED * replay.crashed
+        + BRAKES * (replay.acceleration < -BRAKE_LIGHT_MPS2)
+        + LEFT * (changing & (aim < 0))
+        + RIGHT * (changing & (aim > 0))
+    )
+    return flags

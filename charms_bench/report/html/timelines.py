@@ -1,0 +1,71 @@
+"""A replay over time: gaps, time to collision, speed and reward of the ego."""
+
+import numpy as np
+from markupsafe import Markup
+
+from charms_bench.episodes.ego_view import EgoView
+from charms_bench.episodes.replay import Replay
+from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
+from charms_bench.report.figures import panels
+from charms_bench.report.html.svg import COLOURS, in_page
+from charms_bench.world.scene import Floats, Ints
+
+GAP_SHOWN_M, TTC_SHOWN_S = 60.0, 10.0
+"""What is further away is above the edge."""
+LEFT, RIGHT = 0.085, 0.99
+"""Where time begins and ends, as shares of the figure's width."""
+
+
+def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Markup:
+    """The ego's timelines, one above the other."""
+    figure, axes = panels(4, 5.6, 1.0, stacked=True)
+    # Fixed margins: the cursor of the page has to know where the axes are.
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(LEFT, 0.09, RIGHT, 0.955, hspace=0.28)
+    t_s, ego = replay.t_s, replay.ego
+    gaps, ttc, speed, reward = axes
+    gaps.plot(t_s, _broken(view.gap_ahead, view.leader), color=COLOURS[0], label="ahead")
+    behind = _broken(view.gap_behind, view.follower)
+    gaps.plot(t_s, behind, color=COLOURS[1], linestyle="--", label="behind")
+    gaps.set(ylim=(0, _top(view.gap_ahead, view.gap_behind, most=GAP_SHOWN_M)))
+    gaps.set_ylabel("gap, m")
+    gaps.legend(
+        frameon=False,
+        fontsize=7,
+        ncols=2,
+        loc="lower right",
+        bbox_to_anchor=(1, 0.98),
+        borderaxespad=0,
+    )
+    ttc.plot(t_s, _broken(view.ttc, view.leader), color=COLOURS[0])
+    ttc.axhline(CONFLICT_TTC_S, color=COLOURS[6], linestyle=":", linewidth=1)
+    ttc.set(ylim=(0, TTC_SHOWN_S))
+    ttc.set_ylabel("TTC, s")
+    speed.plot(t_s, replay.speed[:, ego], color=COLOURS[0])
+    speed.set_ylabel("speed, m/s")
+    reward.step(t_s, view.reward, where="post", color=COLOURS[0])
+    reward.set(ylim=(-0.05, 1.05), xlabel="time, s")
+    reward.set_ylabel("reward")
+    reward.xaxis.label.set_size(7.5)
+    for panel in axes:
+        panel.set_xlim(0, max(float(t_s[-1]), 1e-9))
+        panel.grid(axis="y", linewidth=0.4, alpha=0.4)
+        panel.tick_params(labelsize=7)
+        panel.yaxis.label.set_size(7.5)
+        panel.locator_params(axis="y", nbins=4)
+        if panel is not reward:
+            panel.set_xticklabels([])
+    figure.align_ylabels()
+    return in_page(figure, name, label)
+
+
+def _broken(values: Floats, who: Ints) -> Floats:
+    """The values without those at which they are another vehicle's than before."""
+    changed = np.diff(who, prepend=who[:1]) != 0
+    broken: Floats = np.where(changed, np.nan, values)
+    return broken
+
+
+def _top(*lines: Floats, most: float) -> float:
+    largest = max((float(np.nanmax(line)) for line in lines if not np.isnan(line).all()), default=0)
+    return min(most, 1.1 * largest) or most

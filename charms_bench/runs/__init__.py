@@ -1,0 +1,1 @@
+"""Suite -> cells -> shards -> rows: YAML, workers, clusters and run folders."""

@@ -1,0 +1,170 @@
+"""YAML files from users -> validated models, with errors that name file, line and field."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from charms_bench.errors import SuiteError, first_problem
+from charms_bench.world.files import read_limited
+
+M = TypeVar("M", bound=BaseModel)
+Location = Sequence[str | int]
+"""The keys and indices that lead to a value, as pydantic gives them."""
+
+SIZE_LIMIT_BYTES = 2**17
+"""Twenty times the longest suite that is shipped; larger ones take seconds to parse."""
+DEPTH_LIMIT = 20
+DIGITS_LIMIT = 40
+
+
+class Document:
+    """A YAML mapping that remembers where everything in it stands.
+
+    Safe YAML only: see `_Loader`.
+
+    Raises:
+        SuiteError: The file cannot be read or is no such YAML.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            text = read_limited(path, SIZE_LIMIT_BYTES).decode()
+        except OSError as error:
+            raise SuiteError(f"{path}: cannot be read: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise SuiteError(f"{path}: is no UTF-8 text: {error.reason}") from error
+        try:
+            self._root, self.data = _parsed(text)
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark
+            what = error.problem or "cannot be read"
+            if not isinstance(error, _Refused):
+                what = f"is not YAML: {what}"
+            raise self._at(mark.line if mark else 0, what) from error
+        except yaml.YAMLError as error:
+            raise SuiteError(f"{path}: is not YAML: {_on_one_line(error)}") from error
+        if not isinstance(self.data, dict):
+            raise self._at(0, "expected a mapping of keys to values")
+
+    def validate(self, model: type[M]) -> M:
+        """The document as a model.
+
+        Raises:
+            SuiteError: The first thing that is wrong, and how many more there are.
+        """
+        try:
+            return model.model_validate(self.data, context={"folder": self.path.parent})
+        except ValidationError as error:
+            raise self.error(*first_problem(error)) from error
+
+    def error(self, location: Location, what: str) -> SuiteError:
+        """The error of what stands at a location."""
+        node, line, named = self._root, 0, ""
+        for part in location:
+            child = _child(node, part)
+            if child is None:
+                # A missing key, or the name pydantic gives a variant of a union.
+                if isinstance(part, str) and isinstance(node, yaml.MappingNode):
+                    named += f".{part}" if part.replace("_", "").isalpha() else ""
+                continue
+            line, node = child
+            named += f"[{part}]" if isinstance(part, int) else f".{part}"
+        return self._at(line, f"{named.lstrip('.')}: {what}" if named else what)
+
+    def _at(self, line: int, what: str) -> SuiteError:
+        return SuiteError(f"{self.path}:{line + 1}: {what}")
+
+
+def value_of(text: str) -> Any:
+    """What a text on the command line says, as YAML in a suite would.
+
+    Raises:
+        ValueError: It is no such YAML; says why, on one line.
+    """
+    try:
+        return _parsed(text)[1]
+    except yaml.MarkedYAMLError as error:
+        raise ValueError(error.problem) from error
+    except yaml.YAMLError as error:
+        raise ValueError(_on_one_line(error)) from error
+
+
+class _Refused(yaml.MarkedYAMLError):
+    """It is YAML, but of a kind that no suite needs."""
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which everything is what it looks like, and costs what it looks like.
+
+    No tags that make objects, no aliases, no key twice, no deep nesting, no endless numbers.
+    """
+
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]  # of PyYAML
+        if isinstance(event, yaml.AliasEvent):
+            raise _refused("aliases (*name) are not supported", event)
+        if (
+            isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent)
+            and event.tag is not None
+        ):
+            raise _refused("tags (!name) are not supported", event)
+        if self._depth == DEPTH_LIMIT:
+            raise _refused(f"nested more than {DEPTH_LIMIT} deep", event)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if isinstance(node, yaml.MappingNode):
+            _check_keys(node)
+        if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
+            raise _refused(f"a number of more than {DIGITS_LIMIT} digits", event)
+        return node
+
+
+def _parsed(text: str) -> tuple[yaml.Node | None, Any]:
+    """The root node of a YAML document, and what it says.
+
+    Raises:
+        yaml.YAMLError: It is none that `_Loader` reads.
+    """
+    try:
+        loader = _Loader(text)
+        root = loader.get_single_node()
+        return root, None if root is None else loader.construct_document(root)
+    except ValueError as error:  # such as a 99th month
+        raise yaml.YAMLError(str(error)) from error
+
+
+def _check_keys(node: yaml.MappingNode) -> None:
+    seen: set[str] = set()
+    for key, _ in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise _refused("a key is a word, not a list or a mapping", key)
+        if key.value in seen:
+            raise _refused(f"the key '{key.value}' stands here twice", key)
+        seen.add(key.value)
+
+
+def _refused(what: str, at: Any) -> _Refused:
+    """The error of an event or a node."""
+    return _Refused(problem=what, problem_mark=at.start_mark)
+
+
+def _on_one_line(error: yaml.YAMLError) -> str:
+    return " ".join(str(error).split())
+
+
+def _child(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
+    """The line and the node of a key or an index."""
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.value == str(part):
+                return key.start_mark.line, value
+    if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+        return node.value[part].start_mark.line, node.value[part]
+    return None

@@ -1,0 +1,94 @@
+"""Metric sets by name, with options where they take some: `standard:ttc_s=2`.
+
+An entry of the group `charms_bench.metrics` is a `MetricSet`, or makes one from keyword options.
+What it was made with becomes part of its label, so that no table can pass other thresholds off
+as the set's own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.errors import CharmsBenchError, InputError, RegistryError
+from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
+from charms_bench.plugins.registry import METRICS, load
+from charms_bench.runs.document import value_of
+from charms_bench.world.scene import SceneSettings
+
+
+def metric_sets(texts: Sequence[str]) -> tuple[MetricSet, ...]:
+    """The metric sets of `NAME` or `NAME:OPTION=VALUE,...` each; of no texts, the usual ones.
+
+    Raises:
+        InputError: An option is not written like that, or a set is asked for twice.
+        RegistryError: A set is not installed, does not take the options, or measures nothing.
+    """
+    found = tuple(map(_metric_set, texts)) or METRIC_SETS
+    labels = [each.label for each in found]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(f"metric set '{label}': asked for twice")
+    return found
+
+
+def _metric_set(text: str) -> MetricSet:
+    name, _, given = text.partition(":")
+    options = _options(text, given)
+    made = load(METRICS, name)
+    if isinstance(made, MetricSet) and options:
+        raise InputError(f"metric set '{name}' takes no options; given: {', '.join(options)}")
+    if not isinstance(made, MetricSet):
+        try:
+            made = made(**options)
+        except CharmsBenchError:
+            raise
+        except Exception as error:
+            raise RegistryError(
+                f"metric set '{name}' cannot be made (options: {', '.join(options) or 'none'}): "
+                f"{type(error).__name__}: {error}"
+            ) from error
+    if not isinstance(made, MetricSet):
+        raise RegistryError(f"metric set '{name}' is a {type(made).__name__}, not a MetricSet")
+    _try_out(made)
+    return replace(made, options=",".join(f"{key}={value}" for key, value in options.items()))
+
+
+def _options(text: str, given: str) -> dict[str, Any]:
+    name = text.partition(":")[0]
+    options = {}
+    for part in filter(None, given.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals or not key.isidentifier():
+            raise InputError(f"metric set '{text}': expected NAME:OPTION=VALUE, found '{part}'")
+        try:
+            options[key] = value_of(value)
+        except ValueError as error:
+            raise InputError(f"metric set '{name}': {key}: cannot be read: {error}") from error
+    return options
+
+
+def _try_out(metric_set: MetricSet) -> None:
+    """Measures an episode of one quiet step, so that a broken metric is found before a run is."""
+    names = [metric.name for metric in metric_set.metrics]
+    for name in names:
+        if names.count(name) > 1:
+            raise RegistryError(f"metric set '{metric_set.name}': two metrics are called '{name}'")
+    head = dict.fromkeys(EPISODE_SCHEMA, 0) | {"ending": "time", "steps": 1}
+    episodes = pl.DataFrame([head], schema=EPISODE_SCHEMA)
+    steps = pl.DataFrame([dict.fromkeys(STEP_SCHEMA, 0) | {"step": 1}], schema=STEP_SCHEMA)
+    for metric in metric_set.metrics:
+        try:
+            (sums,) = sums_by_episode([metric], episodes, steps, SceneSettings())
+            value = metric.value(sums)
+            problem = "" if np.shape(value) == (1,) else f"value has shape {np.shape(value)}"
+        except Exception as error:  # whatever a plugin does wrong is a finding
+            problem = f"{type(error).__name__}: {error}".splitlines()[0]
+        if problem:
+            raise RegistryError(
+                f"metric set '{metric_set.name}': {metric.name}: {problem}; expected sums of an "
+                "episode's rows, and a value of shape (...) of totals (..., k)"
+            )

@@ -1,0 +1,182 @@
+"""Suites: what is evaluated, from YAML."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from charms_bench.errors import InputError, suggestion
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
+from charms_bench.people.reference import ReferenceSpec
+from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs.document import Document, Location
+from charms_bench.world.fields import Finite, FrozenModel, Line, Name
+from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
+
+EPISODES_LIMIT = 10_000_000
+"""Of a suite, in all cells."""
+ENTRIES_LIMIT = 100
+"""Egos of a suite, and traffics."""
+PRESENTATION = ("title", "columns", "pairs", "references")
+"""Fields of a suite that decide no row, only what is made of the rows."""
+
+
+class EgoEntry(FrozenModel):
+    """An ego of the suite."""
+
+    agent: AgentSpec
+    label: Name | None = None
+    paper: dict[str, Finite] = Field(default={})
+    """What the paper reports of it, by metric."""
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.label or self.agent.name or str(self.agent.onnx)
+
+
+class TrafficEntry(FrozenModel):
+    """A traffic of the suite."""
+
+    traffic: TrafficSpec
+    label: Name | None = None
+    paper: dict[str, Finite] = Field(default={})
+
+    @property
+    def title(self) -> str:
+        """What tables call it."""
+        return self.label or self.traffic.name or " + ".join(self.traffic.mixture)
+
+
+class Cell(FrozenModel):
+    """An ego in a traffic."""
+
+    ego: EgoEntry
+    traffic: TrafficEntry
+
+    @property
+    def paper(self) -> dict[str, float]:
+        """What the paper reports of it, by metric."""
+        return {**self.traffic.paper, **self.ego.paper}
+
+
+class Suite(FrozenModel):
+    """An evaluation: every ego in every traffic, on the same episodes."""
+
+    suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+    """Its name, which is also that of its tables."""
+    title: Line = ""
+    episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
+    seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
+    """The first episode's seed; the others follow."""
+    scene: SceneSettings = SceneSettings()
+    egos: Annotated[
+        tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
+    ]
+    traffics: Annotated[
+        tuple[TrafficEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
+    ]
+    columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
+    """Metrics of the printed table; none: all that the paper reports."""
+    pairs: bool = False
+    """Whether tables also say how far the egos are apart, pair by pair."""
+    references: Annotated[
+        tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
+    ] = ()
+    """Human driving that each traffic is held against."""
+    folder: Path = Field(default=Path(), exclude=True, strict=False)
+    """Where relative paths start: the suite file's folder."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _remember_folder(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, dict) and info.context:
+            if "folder" in value:
+                raise ValueError("folder: unknown key")
+            return {**value, "folder": info.context["folder"]}
+        return value
+
+    @model_validator(mode="after")
+    def _labels_differ(self) -> "Suite":
+        for what, entries in (("egos", self.egos), ("traffics", self.traffics)):
+            titles = [entry.title for entry in entries]
+            for title in titles:
+                if titles.count(title) > 1:
+                    raise ValueError(f"two {what} are called '{title}'; give them labels")
+        if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
+            raise ValueError("pairs compares two egos or more in one traffic")
+        if self.references and len(self.egos) > 1:
+            raise ValueError("references are for traffics; give one ego")
+        if len({reference.title for reference in self.references}) < len(self.references):
+            raise ValueError("a reference stands here twice")
+        return self
+
+    @model_validator(mode="after")
+    def _is_bounded(self) -> "Suite":
+        total = self.episodes * len(self.egos) * len(self.traffics)
+        if total > EPISODES_LIMIT:
+            raise ValueError(
+                f"{total:,} episodes in all cells; expected {EPISODES_LIMIT:,} at most"
+            )
+        return self
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """Every ego with every traffic."""
+        return tuple(
+            Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics
+        )
+
+    def fingerprint(self) -> str:
+        """Hash of everything that decides its results but the number of episodes."""
+        fields = self.model_dump(mode="json", exclude={"episodes", *PRESENTATION})
+        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+
+
+def load_suite(path: Path) -> Suite:
+    """The suite of a YAML file.
+
+    Raises:
+        SuiteError: Something in it is wrong, or an agent or traffic is not installed.
+    """
+    return suite_of(Document(path))
+
+
+def suite_of(document: Document) -> Suite:
+    """The suite of a document; see `load_suite`."""
+    suite = document.validate(Suite)
+    both: dict[str, Sequence[EgoEntry | TrafficEntry]]
+    both = {"egos": suite.egos, "traffics": suite.traffics}
+    for what, entries in both.items():
+        for index, entry in enumerate(entries):
+            try:
+                _check_names(entry)
+            except InputError as error:
+                raise document.error((what, index), str(error)) from error
+        for index, entry in enumerate(entries):
+            for metric in entry.paper:
+                _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
+    for index, metric in enumerate(suite.columns):
+        _check_metric(document, ("columns", index), metric, METRIC_SETS)
+    return suite
+
+
+def _check_metric(
+    document: Document, location: Location, name: str, sets: tuple[MetricSet, ...]
+) -> None:
+    known = {metric.name: metric for metric_set in sets for metric in metric_set.metrics}
+    if name not in known:
+        raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
+
+
+def _check_names(entry: EgoEntry | TrafficEntry) -> None:
+    if isinstance(entry, EgoEntry):
+        if entry.agent.name is not None:
+            find(AGENTS, entry.agent.name)
+        return
+    for agent in entry.traffic.make().agents:
+        find(AGENTS, agent)

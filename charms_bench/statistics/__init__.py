@@ -1,0 +1,1 @@
+"""How certain a value is: intervals, paired comparison, divergences, corrections."""

@@ -1,0 +1,56 @@
+"""How far one distribution is from another, both given as counts in the same bins.
+
+Every function takes reference counts [K] and other counts [..., K], and returns [...] with NaN
+where nothing was counted.
+"""
+
+import numpy as np
+from scipy.special import rel_entr
+
+from charms_bench.world.scene import Floats
+
+PSEUDO_COUNT = 0.5
+"""Added to each bin before KL, which an empty bin would make infinite; Krichevsky & Trofimov 1981
+(IEEE Transactions on Information Theory 27)."""
+
+
+def kl_divergence(reference: Floats, other: Floats) -> Floats:
+    """KL(reference || other) of the smoothed shares, in nats.
+
+    With human driving as the reference it is large where people do what the other traffic does
+    not: a traffic that shows one kind of driving well is not rewarded for leaving out the rest.
+    What is left out weighs the more, the more was counted, as smoothing then hides less.
+    """
+    p, q = (_shares(counts + PSEUDO_COUNT) for counts in (reference, other))
+    return _defined(rel_entr(p, q).sum(axis=-1), reference, other)
+
+
+def js_divergence(reference: Floats, other: Floats) -> Floats:
+    """The Jensen-Shannon divergence in bits: 0 for the same shares, 1 where no bin is shared.
+
+    Lin 1991 (IEEE Transactions on Information Theory 37). Not smoothed, as it is always finite.
+    """
+    p, q = _shares(reference), _shares(other)
+    middle = (p + q) / 2
+    nats = (rel_entr(p, middle) + rel_entr(q, middle)).sum(axis=-1) / 2
+    return _defined(nats / np.log(2), reference, other)
+
+
+def wasserstein(reference: Floats, other: Floats, width: float) -> Floats:
+    """How far, on average, the one has to be moved to become the other, in units of `width`.
+
+    The first Wasserstein distance; all that is in a bin of that width lies at one place.
+    """
+    between = _shares(reference).cumsum(axis=-1) - _shares(other).cumsum(axis=-1)
+    return _defined(width * np.abs(between).sum(axis=-1), reference, other)
+
+
+def _shares(counts: Floats) -> Floats:
+    total = counts.sum(axis=-1, keepdims=True)
+    shares: Floats = counts / np.where(total > 0, total, 1.0)
+    return shares
+
+
+def _defined(values: Floats, reference: Floats, other: Floats) -> Floats:
+    counted = (reference.sum(axis=-1) > 0) & (other.sum(axis=-1) > 0)
+    return np.where(counted, values, np.nan)

@@ -1,0 +1,101 @@
+"""How sure a metric's value is: 95 % intervals.
+
+Steps of an episode depend on one another, episodes do not. So intervals come from resampled
+episodes (a cluster bootstrap, Davison & Hinkley 1997, section 3.8; percentiles), or, for what
+happens at most once an episode, from Wilson (1927) and Garwood (1936).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from charms_bench.metrics.metric import Metric
+from charms_bench.world.scene import Floats
+
+CONFIDENCE = 0.95
+RESAMPLES = 1000
+
+Bounds = tuple[float, float]
+NO_BOUNDS: Bounds = (np.nan, np.nan)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A metric's value over some episodes; NaN stands for what is not defined."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+    """What it rests on; `Metric.rests_on` says what that counts."""
+
+
+def wilson(successes: int, trials: int) -> Bounds:
+    """The interval of a share, Wilson 1927."""
+    interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def garwood(events: int) -> Bounds:
+    """The exact interval of the expected number of events of a Poisson process, Garwood 1936."""
+    tail = (1 - CONFIDENCE) / 2
+    low = stats.chi2.ppf(tail, 2 * events) / 2 if events else 0.0
+    return float(low), float(stats.chi2.isf(tail, 2 * (events + 1)) / 2)
+
+
+def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES) -> Floats:
+    """How often each episode is in each resample, [resamples, episodes]."""
+    drawn = rng.integers(max(episodes, 1), size=(resamples, episodes))
+    drawn += np.arange(resamples)[:, None] * episodes
+    counts = np.bincount(drawn.ravel(), minlength=resamples * episodes)
+    return counts.reshape(resamples, episodes).astype(np.float64)
+
+
+def estimate(
+    metrics: Sequence[Metric], sums: Sequence[Floats], rng: np.random.Generator
+) -> list[Estimate]:
+    """Each metric's value and interval; all share one set of resamples.
+
+    Args:
+        metrics: What is estimated.
+        sums: Their sums [E, k], a row an episode (`metrics.sums_by_episode`).
+        rng: Draws the resamples.
+    """
+    weights = resample(rng, len(sums[0]))
+    resampled = weights @ np.concatenate(sums, axis=1)
+    ends = np.cumsum([each.shape[1] for each in sums])[:-1]
+    return [
+        _estimate(metric, own, totals)
+        for metric, own, totals in zip(
+            metrics, sums, np.split(resampled, ends, axis=1), strict=True
+        )
+    ]
+
+
+def _estimate(metric: Metric, sums: Floats, resampled: Floats) -> Estimate:
+    totals = sums.sum(axis=0)
+    n, events = round(totals[0]), round(totals[-1])
+    value = float(metric.value(totals))
+    if np.isnan(value):
+        bounds = NO_BOUNDS
+    elif metric.interval == "wilson":
+        bounds = wilson(events, n)
+    elif metric.interval == "garwood" or (metric.interval == "rate" and not events):
+        low, high = garwood(events)
+        bounds = low / float(totals[-2]), high / float(totals[-2])
+    elif metric.interval == "share" and events in (0, n):
+        counted = int((sums[:, 0] > 0).sum())
+        bounds = wilson(counted if events else 0, counted)
+    else:
+        bounds = _percentiles(metric.value(resampled))
+    return Estimate(value, bounds[0], bounds[1], n)
+
+
+def _percentiles(values: Floats) -> Bounds:
+    """The interval of resampled values; none where they do not vary."""
+    values = values[~np.isnan(values)]
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(values, [tail, 1 - tail]) if values.size else NO_BOUNDS
+    return NO_BOUNDS if np.isclose(low, high, rtol=1e-9, atol=0) else (float(low), float(high))

@@ -1,0 +1,213 @@
+"""Compares the two engines, simulation step by simulation step."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs.document import Document
+from charms_bench.runs.suite import Suite
+from charms_bench.runs.workers import in_processes, use_exact_maths
+from charms_bench.world.fields import FrozenModel
+from charms_bench.world.scene import SceneSettings
+
+TOLERANCE = 1e-6
+"""Largest difference allowed in a position or a speed, m or m/s, or a heading, rad."""
+EVENTS = ("lane", "target_lane", "crashed", "timer_s")
+CONTINUOUS = ("x", "y", "heading", "speed")
+_CHUNK = 4
+
+
+class Case(FrozenModel):
+    """One ego in one traffic in one kind of scene."""
+
+    scene: SceneSettings
+    ego: AgentSpec
+    traffic: TrafficSpec
+    folder: Path = Path()
+
+    @property
+    def title(self) -> str:
+        """What it is, in a line."""
+        scene = self.scene
+        return (
+            f"{self.ego.name or self.ego.onnx}, {scene.profile.name}: {scene.lanes} lanes, "
+            f"{scene.vehicles} vehicles, density {scene.density:g}"
+        )
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first difference between the engines in an episode."""
+
+    episode: int
+    step: int
+    """Simulation step, from 1."""
+    vehicle: int
+    quantity: str
+    batched: float
+    highway_env: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What was compared in some episodes of a case, and what was not the same."""
+
+    case: Case
+    episodes: int = 0
+    steps: int = 0
+    """Simulation steps, of all episodes together."""
+    lane_changes: int = 0
+    """Times a vehicle got a new target lane."""
+    crashed: int = 0
+    """Vehicles crashed at the end."""
+    largest: float = 0.0
+    """Largest difference of a continuous quantity up to the first one beyond the tolerance."""
+    differences: tuple[Difference, ...] = ()
+
+    def __add__(self, other: "Comparison") -> "Comparison":
+        return Comparison(
+            self.case,
+            self.episodes + other.episodes,
+            self.steps + other.steps,
+            self.lane_changes + other.lane_changes,
+            self.crashed + other.crashed,
+            max(self.largest, other.largest),
+            self.differences + other.differences,
+        )
+
+
+class _DefaultCases(FrozenModel):
+    episodes: Annotated[int, Field(ge=1)]
+    scenes: tuple[SceneSettings, ...] = Field(strict=False)
+    egos: tuple[AgentSpec, ...] = Field(strict=False)
+    traffic: TrafficSpec
+
+
+def default_cases() -> tuple[list[Case], int]:
+    """The cases compared when no suite is named, and the episodes of each."""
+    cases = Document(Path(__file__).with_name("verify.yaml")).validate(_DefaultCases)
+    return [
+        Case(scene=scene, ego=ego, traffic=cases.traffic)
+        for ego in cases.egos
+        for scene in cases.scenes
+    ], cases.episodes
+
+
+def cases_of(suite: Suite) -> list[Case]:
+    """A suite's cells."""
+    return [
+        Case(
+            scene=suite.scene,
+            ego=cell.ego.agent,
+            traffic=cell.traffic.traffic,
+            folder=suite.folder,
+        )
+        for cell in suite.cells
+    ]
+
+
+def verify(
+    cases: list[Case],
+    episodes: int,
+    seed: int,
+    workers: int | None = None,
+    progress: Callable[[int], None] = lambda episodes: None,
+) -> list[Comparison]:
+    """Compares the engines over some episodes of each case, from the seed on.
+
+    highway-env runs with NumPy's vectorised approximations switched off, see
+    `workers.use_exact_maths`. `progress` is told of every few episodes compared.
+    """
+    results = [Comparison(case) for case in cases]
+    chunks = [
+        _Chunk(index, case, seed + start, min(_CHUNK, episodes - start))
+        for index, case in enumerate(cases)
+        for start in range(0, episodes, _CHUNK)
+    ]
+    use_exact_maths()
+    count = min(workers or os.cpu_count() or 1, len(chunks))
+    for chunk, found in in_processes(_compare, chunks, count, _Chunk.title):
+        results[chunk.index] += found
+        progress(chunk.episodes)
+    return results
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A few episodes of a case."""
+
+    index: int
+    case: Case
+    seed: int
+    episodes: int
+
+    def title(self) -> str:
+        return f"{self.case.title}, episodes {self.seed} to {self.seed + self.episodes - 1}"
+
+
+def _compare(chunk: _Chunk) -> Comparison:
+    return compare(chunk.case, chunk.seed, chunk.episodes)
+
+
+def compare(case: Case, seed: int, episodes: int) -> Comparison:
+    """Compares the engines over the episodes `seed` to `seed + episodes - 1`."""
+    traffic = case.traffic.make()
+    agents = {name: AgentSpec(name=name).make(case.folder) for name in traffic.agents}
+    agents[case.ego.key] = case.ego.make(case.folder)
+    ours, theirs = (
+        Simulation(case.scene, episodes, case.ego.key, traffic, agents, engine)
+        for engine in ("batched", "highway-env")
+    )
+    for simulation in (ours, theirs):
+        simulation.reset(np.arange(seed, seed + episodes, dtype=np.uint64))
+    differences: list[Difference] = []
+    largest, steps, lane_changes, frame = 0.0, 0, 0, 0
+    while ours.scene.active.any():
+        for _ in range(case.scene.simulation_hz // case.scene.decision_hz):
+            frame += 1
+            steps += int(ours.scene.active.sum())
+            before = ours.scene.target_lane.copy()
+            ours.advance()
+            theirs.advance()
+            lane_changes += int((ours.scene.target_lane != before).sum())
+            found, size = _differences(ours, theirs, frame)
+            differences += found
+            largest = max(largest, size)
+        ours.finish_step()
+        theirs.finish_step()
+        for row in np.nonzero(ours.ending != theirs.ending)[0]:
+            pair = (float(ours.ending[row]), float(theirs.ending[row]))
+            differences.append(
+                Difference(int(ours.seeds[row]), frame, int(ours.scene.ego[row]), "ending", *pair)
+            )
+            ours.scene.active[row] = theirs.scene.active[row] = False
+    crashed = int(ours.scene.crashed.sum())
+    return Comparison(case, episodes, steps, lane_changes, crashed, largest, tuple(differences))
+
+
+def _differences(
+    ours: Simulation, theirs: Simulation, frame: int
+) -> tuple[list[Difference], float]:
+    """The first difference of every scene that still runs, which ends it, and the largest."""
+    rows = np.nonzero(ours.scene.active)[0]
+    found: dict[int, Difference] = {}
+    largest = 0.0
+    for name in (*EVENTS, *CONTINUOUS):
+        a, b = getattr(ours.scene, name)[rows], getattr(theirs.scene, name)[rows]
+        apart = np.abs(a.astype(np.float64) - b)
+        if name in CONTINUOUS and apart.size:
+            largest = max(largest, float(apart.max()))
+        for r, vehicle in zip(*np.nonzero(~(apart <= TOLERANCE)), strict=True):
+            values = (float(a[r, vehicle]), float(b[r, vehicle]))
+            episode = int(ours.seeds[rows[r]])
+            found.setdefault(rows[r], Difference(episode, frame, int(vehicle), name, *values))
+    for row in found:
+        ours.scene.active[row] = theirs.scene.active[row] = False
+    return list(found.values()), largest

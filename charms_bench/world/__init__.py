@@ -1,0 +1,1 @@
+"""What is simulated: profiles, scenes, lanes, actions and observations."""

@@ -1,0 +1,63 @@
+"""Files: regular ones of a known size are read, and written ones appear whole or not at all."""
+
+import errno
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+from charms_bench.errors import RunFolderError
+
+
+def size_of(path: Path) -> int:
+    """The size of a regular file, bytes.
+
+    Raises:
+        OSError: There is none, or it is a folder, a pipe or a device, which may never end.
+    """
+    try:
+        found = path.stat()
+    except ValueError as error:  # a NUL in the name
+        raise OSError(errno.EINVAL, "no file can have this name") from error
+    if stat.S_ISDIR(found.st_mode):
+        raise OSError(errno.EISDIR, "is a folder")
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "is a pipe or a device, not a file")
+    return found.st_size
+
+
+def read_limited(path: Path, limit: int) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        OSError: It cannot be read, or holds more than `limit` bytes, whatever its announced size.
+    """
+    if size_of(path) <= limit:
+        with path.open("rb") as file:
+            data = file.read(limit + 1)
+        if len(data) <= limit:
+            return data
+    raise OSError(errno.EFBIG, f"larger than {limit:,} bytes")
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Lets `write` fill a file beside `path` and then puts it in its place.
+
+    Raises:
+        RunFolderError: The folder cannot be written to.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            write(partial)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Puts a file in its place, whole; see `write_atomically`."""
+    write_atomically(path, lambda partial: partial.write_bytes(data))

@@ -1,0 +1,137 @@
+"""A profile: the constants of the road, the vehicles and their controllers.
+
+Two are built in: `charms`, the constants of the CHARMS paper and its release, and
+`highway-env`, the values highway-env 1.12 ships with. A suite names one and may override any
+field. The names in brackets are highway-env's.
+"""
+
+from itertools import pairwise
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from charms_bench.world.fields import Finite, FrozenModel, NonNegative, Positive
+
+
+class IdmMobilConstants(FrozenModel):
+    """IDM (Treiber et al. 2000) and MOBIL (Kesting et al. 2007) as `IDMVehicle` combines them."""
+
+    acceleration_mps2: Positive = 3.0
+    """Desired maximum acceleration, a [COMFORT_ACC_MAX]."""
+    deceleration_mps2: Positive = 5.0
+    """Comfortable deceleration, b [-COMFORT_ACC_MIN]."""
+    jam_distance_m: Positive = 10.0
+    """Distance to a standing leader, centre to centre, s0 [DISTANCE_WANTED]."""
+    time_headway_s: Positive = 1.5
+    """Desired time headway, T [TIME_WANTED]."""
+    exponent_low: Positive = 3.5
+    """Smallest acceleration exponent, delta [DELTA_RANGE]."""
+    exponent_high: Positive = 4.5
+    """Largest acceleration exponent; each driver's lies uniformly between the two."""
+    acceleration_limit_mps2: Positive = 6.0
+    """Bound of the commanded acceleration, either way [ACC_MAX]."""
+    politeness: NonNegative = 0.0
+    """Weight of the followers' accelerations in MOBIL's incentive [POLITENESS]."""
+    lane_change_gain_mps2: Finite = 0.2
+    """Acceleration to be gained by a lane change [LANE_CHANGE_MIN_ACC_GAIN]."""
+    imposed_braking_mps2: Positive = 2.0
+    """Braking that may be imposed on the new follower [LANE_CHANGE_MAX_BRAKING_IMPOSED]."""
+    lane_change_period_s: Positive = 1.0
+    """Time between two considerations of a lane change [LANE_CHANGE_DELAY]."""
+
+
+class Profile(FrozenModel):
+    """Constants that hold for every vehicle and every scene of a suite."""
+
+    name: str
+    lane_width_m: Positive = 4.0
+    road_length_m: Positive = 10_000.0
+    speed_limit_mps: Positive
+    vehicle_length_m: Positive = 5.0
+    vehicle_width_m: Positive = 2.0
+    speed_min_mps: Finite
+    """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
+    speed_max_mps: Positive
+    """A faster vehicle is braked towards this speed [MAX_SPEED]."""
+    tau_acceleration_s: Positive
+    """Time constant of the speed controller [TAU_ACC]."""
+    tau_heading_s: Positive
+    """Time constant of the heading controller [TAU_HEADING]."""
+    tau_lateral_s: Positive
+    """Time constant of the lateral position controller [TAU_LATERAL]."""
+    steering_limit_rad: Positive = 1.0471975511965976
+    """[MAX_STEERING_ANGLE], pi / 3."""
+    lane_command_from: Literal["current_lane", "target_lane"]
+    """The lane from which LANE_LEFT and LANE_RIGHT count."""
+    target_speed_step_mps: Positive = 5.0
+    """What FASTER and SLOWER change the target speed by, without `target_speeds_mps`."""
+    target_speed_min_mps: Finite
+    target_speed_max_mps: Positive
+    target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
+    """Evenly spaced target speeds between which FASTER and SLOWER choose [target_speeds]."""
+    spawn_speed_low: Positive = 0.7
+    """Smallest initial speed of the traffic, as a share of the speed limit."""
+    spawn_speed_high: Positive = 0.8
+    ego_speed_mps: Positive
+    """Initial speed of the ego."""
+    ego_spacing: Positive | None = None
+    """Spacing ahead of which the ego spawns; none: that of the traffic, 1 / density."""
+    offroad_terminal: bool
+    """Whether the episode ends when the ego leaves the road."""
+    idm_mobil: IdmMobilConstants = IdmMobilConstants()
+
+    @model_validator(mode="after")
+    def _ranges_are_ordered(self) -> "Profile":
+        for low, high in (
+            ("speed_min_mps", "speed_max_mps"),
+            ("target_speed_min_mps", "target_speed_max_mps"),
+            ("spawn_speed_low", "spawn_speed_high"),
+        ):
+            if getattr(self, low) > getattr(self, high):
+                raise ValueError(f"{low} {getattr(self, low)} exceeds {high} {getattr(self, high)}")
+        if self.idm_mobil.exponent_low > self.idm_mobil.exponent_high:
+            raise ValueError("idm_mobil.exponent_low exceeds idm_mobil.exponent_high")
+        if len(self.target_speeds_mps) == 1:
+            raise ValueError("target_speeds_mps needs none or at least two speeds")
+        if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
+            raise ValueError("target_speeds_mps do not grow")
+        return self
+
+
+CHARMS = Profile(
+    name="charms",
+    speed_limit_mps=33.0,
+    speed_min_mps=22.0,
+    speed_max_mps=33.0,
+    tau_acceleration_s=0.8,
+    tau_heading_s=0.5,
+    tau_lateral_s=1.5,
+    lane_command_from="current_lane",
+    target_speed_step_mps=1.0,
+    target_speed_min_mps=22.0,
+    target_speed_max_mps=33.0,
+    ego_speed_mps=30.0,
+    offroad_terminal=True,
+    idm_mobil=IdmMobilConstants(time_headway_s=1.0),
+)
+"""The constants of the CHARMS paper and its release."""
+
+HIGHWAY_ENV = Profile(
+    name="highway-env",
+    speed_limit_mps=30.0,
+    speed_min_mps=-40.0,
+    speed_max_mps=40.0,
+    tau_acceleration_s=0.6,
+    tau_heading_s=0.2,
+    tau_lateral_s=0.6,
+    lane_command_from="target_lane",
+    target_speed_min_mps=20.0,
+    target_speed_max_mps=30.0,
+    target_speeds_mps=(20.0, 25.0, 30.0),
+    ego_speed_mps=25.0,
+    ego_spacing=2.0,
+    offroad_terminal=False,
+)
+"""The values highway-env 1.12's `highway-v0` ships with."""
+
+PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV)}

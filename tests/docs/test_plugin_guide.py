@@ -1,0 +1,44 @@
+"""Every example of `docs/plugins.md` runs, in the order in which it stands there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from plugin_folder import installed, python
+
+GUIDE = Path(__file__).parents[2] / "docs" / "plugins.md"
+
+
+def examples(language: str) -> str:
+    return "\n\n".join(re.findall(rf"```{language}\n(.*?)```", GUIDE.read_text(), re.DOTALL))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The distribution that the guide describes."""
+    (tmp_path / "my_plugins.py").write_text(examples("python"))
+    (tmp_path / "pyproject.toml").write_text(examples("toml"))
+    (tmp_path / "suite.yaml").write_text(examples("yaml"))
+    return tmp_path
+
+
+def test_every_command_of_the_guide_does_what_it_is_for(folder: Path) -> None:
+    environment = installed(folder)
+    for line in examples("sh").splitlines():
+        command, *arguments = shlex.split(line)
+        assert command == "charms-bench"
+        finished = python(["charms_bench", *arguments], folder, environment)
+        assert finished.returncode == 0, f"{line}\n{finished.stdout}{finished.stderr}"
+    assert (folder / "runs" / "rush" / "tables" / "rush.csv").read_text().count("haste") == 2
+
+
+def test_the_tests_of_the_guide_pass(folder: Path) -> None:
+    arguments = ["pytest", "-q", "-p", "no:cacheprovider", "my_plugins.py"]
+    tested = python(arguments, folder, installed(folder))
+    assert tested.returncode == 0, tested.stdout
+
+
+def test_the_guide_has_no_example_that_is_not_run() -> None:
+    languages = re.findall(r"^```(\w*)$", GUIDE.read_text(), re.MULTILINE)[::2]
+    assert set(languages) == {"python", "toml", "yaml", "sh"}

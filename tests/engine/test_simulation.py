@@ -1,0 +1,158 @@
+"""Episodes: how they end, who acts, and what is said of agents that misbehave."""
+
+import numpy as np
+import pytest
+
+from charms_bench.engine.simulation import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, Simulation
+from charms_bench.errors import AgentError, InputError
+from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import Mixture, OneAgent
+from charms_bench.world.actions import ACTIONS, IDLE, Actions
+from charms_bench.world.scene import Observations, SceneSettings
+
+
+class Always(Policy):
+    """Takes one action for ever."""
+
+    def __init__(self, action: str = "IDLE", hz: float = 3.0) -> None:
+        self.action, self.decision_hz, self.calls = ACTIONS.index(action), hz, 0
+
+    def decide(self, observations: Observations) -> Actions:
+        self.calls += 1
+        return np.full(len(observations), self.action)
+
+
+def simulate(ego: Agent, settings: SceneSettings, scenes: int = 8) -> Simulation:
+    agents = {"ego": ego, "idm_mobil": make_agent("idm_mobil")}
+    simulation = Simulation(settings, scenes, "ego", OneAgent("idm_mobil"), agents)
+    simulation.reset(np.arange(scenes, dtype=np.uint64))
+    while simulation.scene.active.any():
+        simulation.step()
+    return simulation
+
+
+def two_vehicles(other_x: float, other_y: float, **ego: float) -> Simulation:
+    """One scene of an idle ego on the middle lane at x = 100 and another vehicle."""
+    settings = SceneSettings(traffic_vehicles=1, ego_slots=1)
+    idle = {"ego": Always(), "other": Always()}
+    simulation = Simulation(settings, 1, "ego", OneAgent("other"), idle)
+    simulation.reset(np.zeros(1, dtype=np.uint64))
+    scene = simulation.scene
+    scene.x[:], scene.y[:], scene.heading[:] = (100.0, other_x), (4.0, other_y), 0.0
+    scene.speed[:] = scene.target_speed[:] = 25.0
+    for name, value in ego.items():
+        getattr(scene, name)[0, 0] = value
+    from charms_bench.engine.kernels import locate
+
+    locate(scene, np.array([0]))
+    scene.target_lane[:] = scene.lane
+    return simulation
+
+
+def test_an_episode_of_20_s_at_3_hz_has_60_decisions() -> None:
+    simulation = simulate(make_agent("idm_mobil"), SceneSettings())
+    assert (simulation.ending == TIME).all()
+    assert (simulation.steps == 60).all()
+
+
+def test_a_vehicle_that_runs_into_its_leader_ends_its_episode_as_a_rear_end() -> None:
+    simulation = two_vehicles(108.0, 4.0, speed=33.0, target_speed=33.0)
+    for _ in range(6):
+        simulation.step()
+    assert simulation.ending[0] == REAR_END
+
+
+def test_a_vehicle_that_steers_into_its_neighbour_ends_its_episode_as_a_side_collision() -> None:
+    simulation = two_vehicles(100.5, 8.0)
+    simulation.scene.target_lane[0, 0] = 2
+    for _ in range(12):
+        simulation.step()
+    assert simulation.ending[0] == SIDE
+
+
+def test_leaving_the_road_ends_the_episode_where_the_profile_says_so() -> None:
+    simulation = two_vehicles(300.0, 4.0, y=10.5)
+    simulation.step()
+    assert simulation.ending[0] == OFF_ROAD
+
+
+def test_an_ended_scene_stays_as_it_was() -> None:
+    simulation = two_vehicles(300.0, 4.0, y=10.5)
+    simulation.step()
+    before = simulation.scene.x.copy()
+    simulation.step()
+    assert (simulation.scene.x == before).all()
+    assert simulation.steps[0] == 1
+
+
+def test_a_scene_depends_on_its_seed_and_not_on_its_drivers_or_neighbours() -> None:
+    settings = SceneSettings()
+    agents = {name: make_agent(name) for name in ("idm_mobil", "stackelberg")}
+    many = Simulation(settings, 5, "idm_mobil", OneAgent("idm_mobil"), agents)
+    many.reset(np.arange(5, dtype=np.uint64))
+    one = Simulation(settings, 1, "stackelberg", OneAgent("stackelberg"), agents)
+    one.reset(np.array([3], dtype=np.uint64))
+    for name in ("x", "y", "speed", "temperament"):
+        assert (getattr(many.scene, name)[3] == getattr(one.scene, name)[0]).all(), name
+
+
+def test_a_mixture_is_drawn_anew_for_every_episode_and_again_for_the_same_seed() -> None:
+    mixture = Mixture({"slow": 0.5, "fast": 0.5})
+    agents = {"ego": Always(), "slow": Always("SLOWER"), "fast": Always("FASTER")}
+    simulation = Simulation(SceneSettings(), 2, "ego", mixture, agents)
+    simulation.reset(np.array([7, 8], dtype=np.uint64))
+    simulation.step()
+    first = simulation.action.copy()
+    assert (first[0] != first[1]).any()
+    simulation.reset(np.array([7, 7], dtype=np.uint64))
+    simulation.step()
+    assert (simulation.action[0] == first[0]).all()
+    assert (simulation.action[1] == first[0]).all()
+
+
+def test_an_agent_decides_at_its_own_rate() -> None:
+    quick, slow = Always(hz=15.0), Always(hz=1.0)
+    simulation = Simulation(
+        SceneSettings(duration_s=2), 1, "quick", OneAgent("slow"), {"quick": quick, "slow": slow}
+    )
+    simulation.reset(np.zeros(1, dtype=np.uint64))
+    while simulation.ending[0] == RUNNING:
+        simulation.step()
+    assert (quick.calls, slow.calls) == (30, 2)
+
+
+def test_a_rate_that_does_not_fit_the_simulation_is_refused() -> None:
+    with pytest.raises(InputError, match=r"'ego' decides 4\.0 times a second, of which"):
+        simulate(Always(hz=4.0), SceneSettings())
+
+
+def test_an_observation_that_does_not_exist_is_refused() -> None:
+    class Psychic(Always):
+        observation = "tomorrow"
+
+    with pytest.raises(InputError, match=r"no observation named 'tomorrow'\. Known: neigh"):
+        simulate(Psychic(), SceneSettings())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("outside_raising", r"raised ValueError: out of petrol \(.*outside_plugin\.py:\d+\)"),
+        ("outside_misshapen", r"decide returned int64 of shape \(8, 2\); expected integers"),
+        ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
+        ("outside_not_finite", "drive returned nan; expected a finite acceleration"),
+    ],
+)
+def test_an_agent_that_misbehaves_is_named_with_episode_and_step(name: str, message: str) -> None:
+    with pytest.raises(AgentError, match=rf"agent 'ego', episode 0, step 0: {message}"):
+        simulate(make_agent(name), SceneSettings())
+
+
+def test_an_ego_driven_from_outside_does_what_it_is_told() -> None:
+    agents = {"idm_mobil": make_agent("idm_mobil")}
+    simulation = Simulation(SceneSettings(), 2, None, OneAgent("idm_mobil"), agents)
+    simulation.reset(np.arange(2, dtype=np.uint64))
+    simulation.step(np.array([ACTIONS.index("SLOWER"), IDLE]))
+    targets = simulation.scene.target_speed[simulation.ego_vehicles]
+    assert targets.tolist() == [29.0, 30.0]  # REFERENCE: starts at 30, SLOWER is -1 m/s

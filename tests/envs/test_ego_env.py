@@ -1,0 +1,219 @@
+"""`charms_bench/Ego-v0`: accepted by the checkers, and the same episodes as a run's."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import highway_env  # noqa: F401  # registers highway-v0
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import FlattenObservation
+
+from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
+from charms_bench.envs import ID
+from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.errors import InputError, RegistryError
+from charms_bench.plugins.registry import make_agent, make_traffic
+from charms_bench.world.actions import FASTER, IDLE
+from charms_bench.world.observations import neighbours
+from charms_bench.world.profile import PROFILES
+from charms_bench.world.scene import EVALUATION_SEEDS, Floats, SceneSettings
+
+SHORT = {"duration_s": 2.0, "traffic_vehicles": 8}
+
+
+class Forward:
+    """The ego's speed, m/s."""
+
+    def prepare(self, simulation: Simulation, actions: Any) -> None:
+        pass
+
+    def __call__(self, simulation: Simulation, prepared: None) -> Floats:
+        return simulation.scene.speed[simulation.ego_vehicles]
+
+
+def made(**arguments: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make(ID, **arguments)
+
+
+def until_over(env: Any, seed: int, actions: Iterator[Any]) -> list[tuple[Any, ...]]:
+    observation, _ = env.reset(seed=seed)
+    steps: list[tuple[Any, ...]] = [(observation,)]
+    while len(steps) == 1 or not (steps[-1][2] or steps[-1][3]):
+        steps.append(env.step(next(actions)))
+    return steps
+
+
+def whims(seed: int) -> Iterator[np.int64]:
+    rng = np.random.default_rng(seed)
+    while True:
+        yield rng.integers(5)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_gymnasiums_checker_has_nothing_to_say(profile: str) -> None:
+    check_env(made(profile=profile).unwrapped)
+
+
+def test_stable_baselines_checker_has_nothing_to_say_but_that_it_likes_flat_observations() -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(FlattenObservation(made()))
+    with pytest.warns(UserWarning, match="unconventional shape") as said:
+        checker.check_env(made())
+    assert len(said) == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*being initialised with render_mode='rgb_array'")
+def test_stable_baselines_own_helper_makes_some() -> None:
+    helper = pytest.importorskip("stable_baselines3.common.env_util")
+    some = helper.make_vec_env(ID, 2, seed=0, env_kwargs=SHORT)
+    assert some.reset().shape == (2, 7, 5)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_what_the_ego_sees_lies_in_the_space_until_the_last_step(profile: str) -> None:
+    env = made(profile=profile, density=2.0)
+    endings = set()
+    for seed in range(20):
+        steps = until_over(env, seed, whims(seed))
+        assert all(step[0] in env.observation_space for step in steps)
+        endings.add(steps[-1][4]["ending"])
+    assert endings >= {"rear_end", "side"}
+
+
+def test_an_episode_is_that_of_a_simulation_with_the_same_seed() -> None:
+    env = made(traffic="outside_traffic", density=1.5)
+    traffic = make_traffic("outside_traffic")
+    agents = {name: make_agent(name) for name in traffic.agents}
+    simulation = Simulation(SceneSettings(density=1.5), 1, None, traffic, agents)
+    for seed in (5, 6, 7):
+        steps = until_over(env, seed, whims(seed))
+        simulation.reset(np.array([seed], dtype=np.uint64))
+        actions = whims(seed)
+        for observation, *rest in steps:
+            expected = neighbours(simulation.scene, simulation.ego_vehicles)[0]
+            np.testing.assert_array_equal(observation, expected)
+            if not rest or not (rest[1] or rest[2]):
+                simulation.step(np.array([next(actions)]))
+        assert steps[-1][4]["ending"] == ENDINGS[simulation.ending[0]]
+        assert simulation.ending[0] != RUNNING
+
+
+def test_the_vector_environment_has_the_same_episodes() -> None:
+    many = gymnasium.make_vec(ID, num_envs=3, vectorization_mode="vector_entry_point", **SHORT)
+    assert isinstance(many, HighwayVectorEnv)
+    together, _ = many.reset(seed=4)
+    one = made(**SHORT)
+    for row in range(3):
+        np.testing.assert_array_equal(together[row], one.reset(seed=4 + row)[0])
+    seen, rewards, terminated, truncated, _ = many.step(np.full(3, FASTER))
+    expected = one.step(FASTER)  # of the last of the three
+    np.testing.assert_array_equal(seen[2], expected[0])
+    assert (rewards[2], terminated[2], truncated[2]) == expected[1:4]
+    assert many.single_observation_space == one.observation_space
+
+
+def test_episodes_of_stock_highway_are_there_with_its_observations_and_rewards() -> None:
+    config = {"lanes_count": 4, "vehicles_count": 12, "duration": 8}
+    theirs = gymnasium.make("highway-v0", config=config)
+    scene = {"profile": "highway-env", "lanes": 4, "traffic_vehicles": 12, "ego_slots": 1}
+    arguments = {**scene, "decision_hz": 1, "duration_s": 8.0, "observation": "Kinematics"}
+    ours = made(**arguments)
+    many = ego_vector_env(2, **arguments)
+    assert ours.observation_space == many.single_observation_space == theirs.observation_space
+    together, _ = many.reset(seed=1)
+    for seed in (1, 2):
+        expected = until_over(theirs, seed, whims(seed))
+        found = until_over(ours, seed, whims(seed))
+        np.testing.assert_array_equal(found[0][0], together[seed - 1])
+        for step, (there, here) in enumerate(zip(expected, found, strict=True)):
+            np.testing.assert_allclose(here[0], there[0], rtol=0, atol=1e-6, err_msg=f"{step}")
+            assert here[1:4] == pytest.approx(there[1:4])
+
+
+def test_seeds_reproduce_and_without_one_the_next_episode_follows_from_the_last_seed() -> None:
+    env = made(**SHORT)
+    runs = []
+    for _ in range(2):
+        _, first = env.reset(seed=3)
+        runs.append([first["seed"], *(env.reset()[1]["seed"] for _ in range(3))])
+    assert runs[0] == runs[1]
+    assert len(set(runs[0])) == 4
+    assert all(seed >= EVALUATION_SEEDS for seed in runs[0][1:])
+
+
+def test_gymnasium_imports_what_registers_it_when_its_name_says_so() -> None:
+    code = (
+        "import gymnasium, sys; assert 'charms_bench' not in sys.modules;"
+        "print(gymnasium.make('charms_bench.envs:charms_bench/Ego-v0').reset()[0].shape)"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert finished.stdout == "(7, 5)\n", finished.stderr
+
+
+@pytest.mark.parametrize("mode", ["sync", "vector_entry_point"])
+def test_gymnasium_makes_many_either_way(mode: str) -> None:
+    many = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, **SHORT)
+    assert many.reset(seed=0)[0].shape == (2, 7, 5)
+    assert many.step(np.array([IDLE, FASTER]))[1].shape == (2,)
+
+
+def test_without_a_seed_two_environments_do_not_repeat_each_other() -> None:
+    assert made().reset()[1]["seed"] != made().reset()[1]["seed"]
+    assert ego_vector_env(2, **SHORT).reset()[0].shape == (2, 7, 5)
+
+
+def test_time_that_is_over_truncates_and_the_info_says_so() -> None:
+    *_, last = until_over(
+        made(duration_s=1.0, traffic_vehicles=0, ego_slots=1), 0, iter([IDLE] * 9)
+    )
+    assert last[2:] == (False, True, {"ending": "time"})
+
+
+def test_scenes_and_traffics_are_what_was_asked_for() -> None:
+    env = EgoEnv(traffic={"idm_mobil": 0.5, "stackelberg": 0.5}, lanes=5, traffic_vehicles=40)
+    env.reset(seed=0)
+    assert env.simulation.scene.x.shape == (1, 41)
+    assert set(env.simulation.drivers[0]) == {"", "idm_mobil", "stackelberg"}
+    assert env.simulation.scene.constants.lanes == 5
+    given = EgoEnv(
+        traffic=make_traffic("stackelberg"), profile={"name": "charms", "speed_max_mps": 35}
+    )
+    assert given.simulation.settings.profile.speed_max_mps == 35
+
+
+def test_another_reward_takes_the_place_of_highway_envs() -> None:
+    env = made(reward=Forward(), traffic_vehicles=0, ego_slots=1)
+    env.reset(seed=0)
+    assert env.step(IDLE)[1] == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"lane": 3}, "charms_bench/Ego-v0: lane: unknown key"),
+        ({"lanes": 1}, "charms_bench/Ego-v0: lanes: Input should be greater.*found 1"),
+        ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
+        ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
+        ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),
+    ],
+)
+def test_what_cannot_be_is_one_message(arguments: dict[str, Any], message: str) -> None:
+    for make in (EgoEnv, lambda **scene: ego_vector_env(2, **scene)):
+        with pytest.raises(InputError, match=message):
+            make(**arguments)
+
+
+def test_unknown_traffics_actions_and_options_are_named() -> None:
+    with pytest.raises(RegistryError, match="no traffic named 'idm'"):
+        EgoEnv(traffic="idm")
+    env = EgoEnv()
+    with pytest.raises(InputError, match="got speed"):
+        env.reset(options={"speed": 3})
+    env.reset()
+    with pytest.raises(InputError, match="no action 5; expected 0 to 4: LANE_LEFT, IDLE"):
+        env.step(5)

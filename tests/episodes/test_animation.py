@@ -1,0 +1,61 @@
+"""Animations: as long as the episode, and the vehicles where they are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade_replay import replay_of
+from PIL import Image, ImageColor
+
+from charms_bench.episodes.animation import AGENTS, EGO, WRECK, animate, picture
+from charms_bench.errors import InputError
+
+RED, ASPHALT = ImageColor.getrgb(WRECK), (211, 215, 220)
+
+
+def test_it_lasts_as_long_as_the_episode_and_holds_the_end(tmp_path: Path) -> None:
+    x = np.stack([np.linspace(0.0, 50.0, 31), np.linspace(20.0, 60.0, 31)], axis=1)
+    animate(replay_of(x=x), tmp_path / "there" / "a.gif", "nothing happened")
+    with Image.open(tmp_path / "there" / "a.gif") as animation:
+        assert animation.size[0] == 800
+        durations = []
+        for frame in range(animation.n_frames):
+            animation.seek(frame)
+            durations.append(animation.info["duration"])
+    assert len(durations) == 31
+    assert sum(durations) == 2000 + 2000  # 30 steps at 15 Hz, and 2 s at the end
+
+
+def pixel(image: Image.Image, ahead_m: float, lane: int) -> tuple[int, int, int]:
+    """The colour at a distance ahead of the ego: 8 px/m, 38 m behind it, 38 px above the road."""
+    return image.getpixel((round((38.0 + ahead_m) * 8), 38 + round((4.0 * lane + 3.0) * 8)))
+
+
+def test_vehicles_are_drawn_to_scale_around_the_ego() -> None:
+    image = picture(replay_of(x=[[100.0, 120.0, 90.0]], y=[[4.0, 0.0, 8.0]]), 0)
+    ego, other = ImageColor.getrgb(EGO), ImageColor.getrgb(AGENTS[0])
+    assert pixel(image, -2.3, 1) == pixel(image, 2.3, 1) == ego
+    assert pixel(image, -2.7, 1) == pixel(image, 2.7, 1) == ASPHALT
+    assert pixel(image, 20.0 - 2.3, 0) == pixel(image, -10.0 + 2.3, 2) == other
+
+
+def test_a_wreck_is_crossed_out() -> None:
+    still = {"x": [[0.0, 20.0]], "y": [[4.0, 4.0]]}
+    whole = picture(replay_of(**still), 0)
+    wrecked = picture(replay_of(**still, crashed=[[False, True]]), 0)
+    assert RED not in {colour for _, colour in whole.getcolors(100_000)}
+    assert RED in {colour for _, colour in wrecked.getcolors(100_000)}
+
+
+def test_who_changes_lanes_and_who_brakes_has_lights() -> None:
+    quiet = picture(replay_of(x=[[0.0]], y=[[4.0]]), 0)
+    changing = picture(replay_of(x=[[0.0]], y=[[4.0]], target_lane=[[0]]), 0)
+    braking = picture(replay_of(x=[[0.0]], y=[[4.0]], acceleration=[[-3.0]]), 0)
+    for image, light in ((changing, (255, 176, 0)), (braking, (224, 27, 36))):
+        assert light in {colour for _, colour in image.getcolors(100_000)}
+        assert light not in {colour for _, colour in quiet.getcolors(100_000)}
+
+
+def test_another_format_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.mp4: expected a name that ends in \.gif"):
+        animate(replay_of(x=[[0.0]]), tmp_path / "a.mp4")

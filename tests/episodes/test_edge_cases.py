@@ -1,0 +1,125 @@
+"""The ranking of a run's episodes, and the commands that show it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from charms_bench.episodes.edge_cases import edge_cases
+from charms_bench.runs.runner import Run, run
+from charms_bench.runs.suite import Suite
+
+SUITE = {
+    "suite": "small",
+    "episodes": 30,
+    "scene": {"duration_s": 8.0, "density": 1.5, "traffic_vehicles": 10},
+    "egos": [{"agent": "idm_mobil"}, {"agent": "prior_level_k", "label": "[b]Level-k[/b]"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run(Suite.model_validate(SUITE), tmp_path_factory.mktemp("run") / "small", workers=1)
+
+
+def charms_bench(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "charms_bench", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "COLUMNS": "160", "NO_COLOR": "1"},
+    )
+
+
+def test_collisions_come_first_and_then_the_most_critical(finished: Run) -> None:
+    found = edge_cases(finished, 60, None, [0, 1], Path())
+    assert [case.rank for case in found] == list(range(1, 61))
+    assert [case.criticality for case in found] == sorted(
+        (case.criticality for case in found), reverse=True
+    )
+    ended = [case.ending != "time" for case in found]
+    assert ended == sorted(ended, reverse=True)
+    stored = pl.concat([cell.episodes for cell in finished.cells()])
+    assert sum(ended) == (stored["ending"] != "time").sum() > 0
+
+
+def test_every_collision_is_told_as_one(finished: Run) -> None:
+    found = edge_cases(finished, 60, "collision", [0, 1], Path())
+    verbs = ("hit vehicle", "was hit from behind", "steered", "clipped", "left the road")
+    assert found
+    assert all(any(verb in case.what for verb in verbs) for case in found)
+
+
+def test_a_near_miss_is_told_by_its_measured_ttc(finished: Run) -> None:
+    found = edge_cases(finished, 60, "near-miss", [0, 1], Path())
+    assert found
+    for case in found:
+        assert case.ending == "time"
+        assert case.ttc_min_s is not None
+        assert case.what.startswith(f"TTC {case.ttc_min_s:.1f} s behind vehicle ")
+
+
+def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: Run) -> None:
+    found = edge_cases(finished, 60, "abandoned-lane-change", [0, 1], Path())
+    assert found
+    for case in found:
+        assert case.abandoned_changes > 0
+        assert "took the gap" in case.what
+
+
+def test_top_and_cells_limit_the_list(finished: Run) -> None:
+    found = edge_cases(finished, 3, None, [0], Path())
+    assert [case.ego for case in found] == ["idm_mobil"] * 3
+
+
+def test_the_command_prints_a_line_an_episode_or_json(finished: Run) -> None:
+    shown = charms_bench("edge-cases", finished.folder.path, "--top", 3)
+    assert shown.returncode == 0, shown.stderr
+    cases = json.loads(
+        charms_bench("edge-cases", finished.folder.path, "--top", 3, "--json").stdout
+    )
+    assert [case["rank"] for case in cases] == [1, 2, 3]
+    for case, line in zip(cases, shown.stdout.splitlines()[1:], strict=True):
+        assert line.split()[0] == str(case["rank"])
+        assert all(text in line for text in (case["ego"], str(case["episode"]), case["what"]))
+
+
+def test_a_kind_that_did_not_happen_is_no_error(finished: Run) -> None:
+    options = ["--agent", "idm_mobil", "--kind", "collision"]
+    result = charms_bench("edge-cases", finished.folder.path, *options)
+    assert (result.returncode, "No collision in" in result.stdout) == (0, True)
+
+
+def test_replay_writes_an_animation_and_trajectories(finished: Run) -> None:
+    result = charms_bench("replay", finished.folder.path, 4, "--agent", "[b]Level-k[/b]", "--json")
+    assert result.returncode == 0, result.stderr
+    made = json.loads(result.stdout)
+    animation = Path(made["animation"])
+    assert animation == finished.folder.path / "replays" / "b-level-k-b-in-idm_mobil-4.gif"
+    assert animation.read_bytes().startswith(b"GIF89a")
+    table = pl.read_parquet(made["trajectories"])
+    assert table["t_s"].max() == made["duration_s"]
+    assert table["vehicle"].n_unique() == 11
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "has this episode 2 times, choose one with --agent and --traffic: idm_mobil in idm_"),
+        (["--agent", "idm"], "no ego called 'idm'. Known: idm_mobil, [b]Level-k[/b]."),
+        (["--agent", "idm_mobil", "--output", "a.mp4"], "a.mp4: expected a name that ends in .gif"),
+    ],
+)
+def test_a_mistake_is_one_message_and_exit_code_2(
+    finished: Run, options: list[str], message: str
+) -> None:
+    result = charms_bench("replay", finished.folder.path, 4, *options)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,122 @@
+"""Replays: the episodes of the run, from its folder alone."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, find_cells, replay
+from charms_bench.errors import RunFolderError
+from charms_bench.runs.folder import KINDS, in_parquet
+from charms_bench.runs.runner import Run, open_run, run
+from charms_bench.runs.suite import Suite
+
+SMALL = {
+    "suite": "small",
+    "episodes": 6,
+    "seed": 10,
+    "scene": {"duration_s": 3.0, "traffic_vehicles": 8},
+    "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy", "label": "Keep right"}],
+    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return run(Suite.model_validate(SMALL), tmp_path_factory.mktemp("run") / "small", workers=1)
+
+
+@pytest.fixture
+def copied(finished: Run, tmp_path: Path) -> Run:
+    return open_run(Path(shutil.copytree(finished.folder.path, tmp_path / "copy")))
+
+
+def test_a_replay_passes_through_the_rows_of_the_run(finished: Run) -> None:
+    first, second = replay(finished, 1, [13, 11], Path())
+    stored = finished.cells()[1].steps
+    for replayed, episode in ((first, 13), (second, 11)):
+        rows = stored.filter(episode=episode)
+        frames = [replayed.frame_of(step) for step in rows["step"]]
+        for name in ("x", "y", "heading", "speed", "acceleration", "lane", "target_lane"):
+            values = getattr(replayed, name)[frames, replayed.ego]
+            np.testing.assert_array_equal(values.astype(rows[name].to_numpy().dtype), rows[name])
+        assert replayed.episode == episode
+        assert replayed.t_s[frames[0]] == pytest.approx(1 / 3)
+
+
+def test_a_copied_run_folder_is_enough(copied: Run) -> None:
+    (replayed,) = replay(copied, 0, [15], Path())
+    assert replayed.cell.ego.title == "idm_mobil"
+    assert replayed.t_s[-1] == 3.0
+
+
+def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: Run) -> None:
+    (replayed,) = replay(finished, 1, [12], Path())
+    others = [name for k, name in enumerate(replayed.agents) if k != replayed.ego]
+    rng = np.random.default_rng([12, 1])
+    assert others == rng.choice(["idm_mobil", "outside_policy"], size=8, p=[0.5, 0.5]).tolist()
+    assert replayed.agents[replayed.ego] == "outside_policy"
+
+
+def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: Run) -> None:
+    (replayed,) = replay(finished, 1, [12], Path())
+    table = replayed.trajectories()
+    assert table.schema == TRAJECTORY_SCHEMA
+    assert table.height == 9 * (45 + 1)
+    assert table["t_s"].unique().sort().to_list() == pytest.approx(np.arange(46) / 15)
+    ego = table.filter("ego")
+    np.testing.assert_array_equal(ego["x"], replayed.x[:, replayed.ego])
+    decided = pl.col("action").is_not_null()
+    assert set(table.filter(decided)["agent"]) == {"outside_policy"}
+    assert table.filter(t_s=0.0)["action"].is_null().all()
+
+
+def test_an_episode_that_goes_another_way_is_refused(copied: Run) -> None:
+    shard, folder = copied.shards[0], copied.folder
+    rows = folder.read("steps", [shard])
+    later = (pl.col("episode") == 12) & (pl.col("step") >= 4)
+    faster = pl.when(later).then(pl.col("speed") + 1).otherwise("speed").alias("speed")
+    files = {kind: in_parquet(folder.read(kind, [shard])) for kind in KINDS}
+    folder.write(shard, files | {"steps": in_parquet(rows.with_columns(faster))})
+    with pytest.raises(
+        RunFolderError, match="episode 12 of idm_mobil goes another way now: step 4, speed was"
+    ):
+        replay(copied, 0, [12], Path())
+    assert replay(copied, 0, [13], Path())
+
+    manifest = copied.folder.manifest()
+    manifest["agents"]["idm_mobil"]["version"] = "0.0.1"
+    (copied.folder.path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RunFolderError, match="had other versions of: idm_mobil; install those"):
+        replay(copied, 0, [12], Path())
+
+
+def test_an_episode_that_the_run_has_not_is_refused(finished: Run) -> None:
+    with pytest.raises(RunFolderError, match="holds the episodes 10 to 15, not 16"):
+        replay(finished, 0, [12, 16], Path())
+
+
+def test_cells_are_found_by_their_titles(finished: Run) -> None:
+    assert find_cells(finished, None, None) == [0, 1]
+    assert find_cells(finished, "Keep right", None) == [1]
+    assert find_cells(finished, "Keep right", "idm_mobil + outside_policy") == [1]
+    with pytest.raises(RunFolderError, match=r"no ego called 'Keep left'.*Did you mean 'Keep ri"):
+        find_cells(finished, "Keep left", None)
+
+
+def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
+    network_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    network = network_file()
+    own = {**SMALL, "egos": [{"agent": {"onnx": network.name}}], "folder": network.parent}
+    run(Suite.model_validate(own), tmp_path / "run", workers=1)
+    network.unlink()
+    opened = open_run(Path(shutil.move(tmp_path / "run", tmp_path / "copy")))
+    assert replay(opened, 0, [10], tmp_path / "elsewhere")
+    network_file(np.ones((35, 5)), name=str(next((tmp_path / "copy" / "networks").iterdir())))
+    with pytest.raises(RunFolderError, match=r"\.onnx: has changed since it was written; run the"):
+        replay(opened, 0, [10], tmp_path / "elsewhere")

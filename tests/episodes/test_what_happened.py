@@ -1,0 +1,147 @@
+"""What happened, in episodes written by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from handmade_replay import replay_of
+
+from charms_bench.episodes.what_happened import abandoned_changes, gave_way, what_happened
+
+
+def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
+    """The words for a crash in the third simulation step, at 0.2 s."""
+    fields: dict[str, Any] = {
+        name: np.tile([ego.get(name, 0.0), other.get(name, 0.0)], (5, 1))
+        for name in ("x", "y", "heading", "speed")
+    }
+    crashed = np.zeros((5, 2), dtype=bool)
+    crashed[3:] = True
+    return what_happened(replay_of(ending, crashed=crashed, **fields))
+
+
+@pytest.mark.parametrize(
+    ("ending", "ego", "other", "words"),
+    [
+        (
+            "rear_end",
+            {"speed": 30.0},
+            {"x": 4.9, "speed": 22.0},
+            "hit vehicle 1 from behind at 30.0 m/s, 8.0 m/s faster than it, 0.2 s in",
+        ),
+        (
+            "rear_end",
+            {"speed": 22.0},
+            {"x": -4.9, "speed": 30.0},
+            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster than the ego, 0.2 s in",
+        ),
+        (
+            "side",
+            {"speed": 30.0, "heading": 0.05},
+            {"x": 1.0, "y": 1.9, "speed": 30.0},
+            "steered to the right into vehicle 1 at 30.0 m/s, 0.2 s in",
+        ),
+        (
+            "side",
+            {"speed": 30.0},
+            {"x": 1.0, "y": -1.9, "speed": 24.0, "heading": 0.05},
+            "vehicle 1 steered into the ego from the left at 24.0 m/s, 0.2 s in",
+        ),
+        (
+            "side",
+            {"speed": 30.0, "heading": 0.05},
+            {"x": 4.0, "y": -1.9, "speed": 24.0},
+            "clipped vehicle 1 on the left, 6.0 m/s faster than it, 0.2 s in",
+        ),
+    ],
+)
+def test_a_collision_says_who_hit_whom(
+    ending: str, ego: dict[str, float], other: dict[str, float], words: str
+) -> None:
+    assert crash(ending, ego, other) == words
+
+
+def test_who_leaves_the_road_has_hit_nobody() -> None:
+    replay = replay_of("off_road", x=np.zeros((6, 2)), speed=31.0)
+    assert what_happened(replay) == "left the road at 31.0 m/s, 0.3 s in"
+
+
+def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
+    x = np.tile([0.0, 10.0, 15.0, 40.0], (11, 1))
+    lane = np.tile([1, 0, 1, 1], (11, 1))
+    near = {"leader_distance": 15.0, "leader_speed": 15.0}
+    replay = replay_of("time", [{}, near], x=x, y=lane * 4.0)
+    assert what_happened(replay) == (
+        "TTC 1.0 s behind vehicle 2, 10.0 m/s faster than it and 10.0 m away "
+        "(DRAC 5.0 m/s²), 0.7 s in"
+    )
+
+
+def test_hard_braking_names_the_follower_and_the_side() -> None:
+    x = np.tile([0.0, -15.0, -9.0], (11, 1))
+    y = np.tile([8.0, 8.0, 4.0], (11, 1))
+    changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
+    words = what_happened(replay_of("time", [{}, changed], x=x, y=y))
+    assert words == "changed to the right, where vehicle 1 behind braked with 4.5 m/s², 0.7 s in"
+
+
+def test_a_quiet_episode_says_so() -> None:
+    assert what_happened(replay_of(x=np.zeros((6, 1)))) == "never closed in on a vehicle"
+
+
+def given_up(
+    other_x: float, other_lane: int, comes_at: int, frames: int = 12, gives_up_at: int = 8
+) -> Any:
+    """The ego, on lane 2, wants lane 1 from step 2 on; so does the other from `comes_at` on."""
+    target = np.tile([2, other_lane], (frames, 1))
+    target[2:gives_up_at, 0] = 1
+    target[comes_at:, 1] = 1
+    lane = np.tile([2, other_lane], (frames, 1))
+    rows = [{"lane": 2, "target_lane": t} for t in (1, 2)]
+    x = np.tile([0.0, other_x], (frames, 1))
+    return replay_of("time", rows, x=x, y=lane * 4.0, target_lane=target)
+
+
+@pytest.mark.parametrize(
+    ("other_x", "other_lane", "comes_at", "taker"),
+    [
+        (18.0, 0, 5, 1),
+        (-18.0, 0, 5, 1),
+        (18.0, 0, 1, 1),  # it was on its way already
+        (18.0, 0, 9, None),  # after the ego gave up
+        (18.0, 1, 0, None),  # it was there all the time
+        (51.0, 0, 5, None),
+    ],
+)
+def test_the_gap_is_taken_by_who_comes_into_it(
+    other_x: float, other_lane: int, comes_at: int, taker: int | None
+) -> None:
+    (change,) = abandoned_changes(given_up(other_x, other_lane, comes_at))
+    assert (change.lane, change.began, change.ended) == (1, 2, 8)
+    assert change.taker == taker
+
+
+def test_an_abandoned_lane_change_is_told() -> None:
+    replay = given_up(18.0, 0, 5)
+    assert what_happened(replay) == (
+        "began a change to the left, gave it up after 0.4 s as vehicle 1 took the gap, "
+        "18 m ahead, 0.5 s in"
+    )
+    alone = given_up(51.0, 0, 5)
+    assert what_happened(alone) == "began a change to the left, gave it up after 0.4 s, 0.5 s in"
+
+
+def test_the_nearest_of_two_decides_whether_the_gap_was_taken() -> None:
+    x = np.tile([0.0, 30.0, 15.0], (12, 1))
+    lane = np.tile([2, 0, 1], (12, 1))  # vehicle 2 was on the lane between them all the time
+    target = lane.copy()
+    target[2:8, 0] = 1
+    target[4:, 1] = 1
+    (change,) = abandoned_changes(replay_of(x=x, y=lane * 4.0, target_lane=target))
+    assert change.taker is None
+
+
+def test_a_change_taken_back_at_once_is_no_giving_way() -> None:
+    assert gave_way(given_up(18.0, 0, 3, gives_up_at=7))  # 5 steps at 15 Hz: a decision interval
+    assert not gave_way(given_up(18.0, 0, 3, gives_up_at=6))
+    assert not gave_way(given_up(51.0, 0, 3))

@@ -1,0 +1,77 @@
+"""Human driving as histograms."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trios import Row, write_trio
+
+from charms_bench.errors import DataError
+from charms_bench.people.reference import (
+    REFERENCES,
+    Reference,
+    ReferenceSpec,
+    histogram,
+    read_references,
+)
+
+PROJECT = Path(__file__).parents[2]
+DATA = PROJECT / "../shared/data"
+SHIPPED = sorted(path.stem for path in REFERENCES.glob("*.json"))
+
+
+def read(folder: Path = Path(), **spec: object) -> Reference:
+    (reference,) = read_references([ReferenceSpec.model_validate(spec)], folder)
+    return reference
+
+
+def test_values_are_counted_in_bins_of_a_half_and_the_last_takes_the_rest() -> None:
+    counts = np.array(histogram(np.array([0.0, 0.49, 0.5, 49.9, 50.0, 80.0])))
+    assert counts.size == 100
+    assert {int(k): int(counts[k]) for k in counts.nonzero()[0]} == {0: 2, 1: 1, 99: 3}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_what_is_shipped_says_where_it_is_from_and_what_it_counts(name: str) -> None:
+    reference = read(name=name)
+    assert reference.name == name
+    assert reference.origin
+    assert reference.terms
+    assert reference.counts("speed") is not None
+    assert reference.to_json() == (REFERENCES / f"{name}.json").read_text(encoding="utf-8")
+
+
+def test_a_quantity_that_was_not_recorded_has_no_counts() -> None:
+    assert read(name="i24").counts("dhw") is None
+
+
+def test_recordings_of_ones_own_are_counted_and_named_as_the_suite_names_them(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "mine").mkdir()
+    write_trio(tmp_path / "mine", [Row(vehicle=1, vx=31.2), Row(vehicle=2, x=120.0)])
+    reference = read(tmp_path, recordings="mine")
+    assert reference.name == "mine"
+    speeds = reference.counts("speed")
+    assert speeds is not None
+    assert speeds.nonzero()[0].tolist() == [62]  # 31.0 to 31.5
+    assert reference.counts("dhw") is None  # nobody changes lanes
+
+
+def test_a_folder_without_recordings_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="nowhere: cannot be read: No such file or directory"):
+        read(tmp_path, recordings="nowhere")
+
+
+@pytest.mark.skipif(not DATA.exists(), reason=f"no recordings in {DATA}")
+def test_the_shipped_histograms_are_made_from_the_recordings(tmp_path: Path) -> None:
+    path = PROJECT / "tools" / "make_references.py"
+    spec = importlib.util.spec_from_file_location("make_references", path)
+    assert spec is not None
+    assert spec.loader is not None
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    tool.main(DATA, tmp_path)
+    made = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert made == {path.name: path.read_bytes() for path in REFERENCES.iterdir()}

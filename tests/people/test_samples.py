@@ -1,0 +1,174 @@
+"""Samples: labelled, rejected, undersampled, split and cached."""
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from trios import Row, busy_road, write_trio
+
+from charms_bench.errors import DataError
+from charms_bench.people.highd import find_trios
+from charms_bench.people.samples import (
+    REASONS,
+    Collected,
+    SampleSettings,
+    collect,
+    fingerprint,
+    load_samples,
+)
+
+TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS = REASONS
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Five recordings of a busy road."""
+    for number in range(1, 6):
+        write_trio(tmp_path, busy_road(), number)
+    return tmp_path
+
+
+def of(collected: Collected, lane: int, place: int) -> dict[str, object]:
+    """The first decision of a vehicle of the busy road."""
+    rows = collected.decisions.filter(vehicle=11 * lane + place + 1)
+    return rows.row(0, named=True)
+
+
+def test_rows_are_rejected_for_the_first_reason_that_holds(folder: Path) -> None:
+    collected = collect(folder)
+    assert of(collected, 1, 5)["rejected"] == TRUCK
+    assert of(collected, 1, 0)["rejected"] == HIDDEN
+    assert of(collected, 2, 4)["rejected"] == NO_LANE  # the 27th: drifts right on the right lane
+    assert of(collected, 1, 4)["rejected"] is None
+
+
+def test_other_reasons_are_beside_the_road_few_lanes_and_few_neighbours(tmp_path: Path) -> None:
+    far = Row(vehicle=90, x=-500.0), Row(vehicle=91, x=1000.0)
+    beside = Row(vehicle=92, x=200.0, y=44.0, lane_id=8)
+    alone = Row(vehicle=93, x=450.0)
+    narrow = Row(vehicle=94, y=15.0, vx=-30.0, lane_id=3, direction=1)
+    write_trio(tmp_path, [*busy_road(frames=1), *far, beside, alone, narrow], upper="10;14;18")
+    rows = collect(tmp_path).decisions
+    reasons = dict(rows.select("vehicle", "rejected").iter_rows())
+    assert [reasons[v] for v in (92, 93, 94)] == [BESIDE, FEW_NEIGHBOURS, FEW_LANES]
+
+
+def test_trucks_are_samples_when_wanted(folder: Path) -> None:
+    rows = collect(folder, SampleSettings(cars_only=False)).decisions
+    assert TRUCK not in rows["rejected"].to_list()
+
+
+def test_a_label_follows_from_what_was_measured(folder: Path) -> None:
+    collected = collect(folder)
+    accepted = collected.decisions.filter(pl.col("rejected").is_null())
+    # Of the drivers' magnitudes 0.5, 0.8, 0, 0 m/s2 and 0, 0, 0.1 m/s.
+    numbers = accepted["vehicle"].to_numpy() - 1
+    a = np.array([0.5, 0.8, 0.0, 0.0])[numbers % 4]
+    v = np.array([0.0, 0.0, 0.1])[numbers % 3]
+    faster_right = (numbers % 4 == 0) & (numbers % 3 == 2)
+    p_speed = (0.5 / a.mean()) / (0.5 / a.mean() + 0.1 / v.mean())
+    labels = accepted["label"].to_numpy()[faster_right]
+    np.testing.assert_allclose(labels, [[0, 0, 1 - p_speed, p_speed, 0]] * len(labels), rtol=1e-6)
+    assert len(labels) > 0
+
+
+def test_idle_rows_are_drawn_down_to_their_ratio(folder: Path) -> None:
+    collected = collect(folder, SampleSettings(idle_ratio=0.1))
+    for _, rows in collected.decisions.filter("sampled").group_by("recording"):
+        idle = (rows["longitudinal"] == 0) & (rows["lateral"] == 0)
+        assert idle.sum() == int(0.1 * (~idle).sum())
+    everything = collect(folder, SampleSettings(idle_ratio=9)).decisions
+    assert (everything["sampled"] == everything["rejected"].is_null()).all()
+
+
+def test_whole_recordings_are_held_out(folder: Path) -> None:
+    samples = collect(folder, SampleSettings(held_out=0.4)).samples
+    held_out = set(samples.rows.filter(samples.held_out)["recording"])
+    training = set(samples.rows.filter(~samples.held_out)["recording"])
+    assert (len(held_out), len(training), held_out & training) == (2, 3, set())
+
+
+def test_a_single_recording_is_all_for_training(tmp_path: Path) -> None:
+    assert not collect(write_trio(tmp_path, busy_road())).samples.held_out.any()
+
+
+def test_the_seed_decides_on_what_is_drawn_and_held_out(folder: Path) -> None:
+    runs = [collect(folder, SampleSettings(seed=seed)).samples for seed in (0, 0, 1)]
+    assert runs[0].rows.equals(runs[1].rows)
+    assert not runs[0].rows.equals(runs[2].rows)
+
+
+def test_the_cache_is_read_back_and_its_bytes_do_not_vary(folder: Path, tmp_path: Path) -> None:
+    caches = [tmp_path / name for name in ("one", "two")]
+    first, second = (load_samples(folder, cache) for cache in caches)
+    again = load_samples(folder, caches[0])
+    made = collect(folder).samples
+    for samples in (first, again):
+        np.testing.assert_array_equal(samples.observations, made.observations)
+        np.testing.assert_array_equal(samples.labels, made.labels)
+        np.testing.assert_array_equal(samples.held_out, made.held_out)
+        assert samples.rows.equals(made.rows)
+    files = [path for cache in caches for path in cache.iterdir()]
+    assert [path.name for path in files] == [f"samples-{second.fingerprint[:16]}.parquet"] * 2
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_the_fingerprint_follows_files_and_settings(folder: Path) -> None:
+    before = fingerprint(find_trios(folder), SampleSettings())
+    assert fingerprint(find_trios(folder), SampleSettings(seed=1)) != before
+    path = folder / "03_tracks.csv"
+    path.write_text(path.read_text().replace(",0.5,", ",0.6,", 1))
+    assert fingerprint(find_trios(folder), SampleSettings()) != before
+
+
+@pytest.mark.parametrize("content", [b"", b"no parquet"])
+def test_a_damaged_cache_says_so(folder: Path, tmp_path: Path, content: bytes) -> None:
+    load_samples(folder, tmp_path / "cache")
+    (path,) = (tmp_path / "cache").iterdir()
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"cannot be read: .*; delete it and try again"):
+        load_samples(folder, tmp_path / "cache")
+
+
+def test_another_table_in_the_cache_is_refused(folder: Path, tmp_path: Path) -> None:
+    load_samples(folder, tmp_path / "cache")
+    (path,) = (tmp_path / "cache").iterdir()
+    pl.DataFrame({"a": [1]}).write_parquet(path)
+    with pytest.raises(DataError, match="holds other columns; delete it"):
+        load_samples(folder, tmp_path / "cache")
+
+
+def test_a_road_of_one_lane_leaves_nothing_to_learn(tmp_path: Path) -> None:
+    write_trio(tmp_path, [replace(Row(), y=31.0, lane_id=6)], lower="30;34")
+    with pytest.raises(DataError, match=f"no row to learn from; rejected: {FEW_LANES} 1"):
+        collect(tmp_path)
+
+
+@settings(
+    max_examples=150,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    kind=st.sampled_from(["tracks", "tracksMeta", "recordingMeta"]),
+    at=st.floats(0, 1),
+    length=st.integers(0, 40),
+    text=st.text(st.sampled_from("0123456789.,;-+enaxif=\"'\r\n \t\0é"), max_size=12),
+)
+def test_damage_is_an_error_of_the_data_or_does_no_harm(
+    tmp_path: Path, kind: str, at: float, length: int, text: str
+) -> None:
+    path = write_trio(tmp_path, busy_road(frames=1)) / f"01_{kind}.csv"
+    content = path.read_text()
+    start = int(at * len(content))
+    path.write_text(content[:start] + text + content[start + length :], newline="")
+    with suppress(DataError):
+        samples = collect(tmp_path).samples
+        assert np.isfinite(samples.observations).all()
+        np.testing.assert_allclose(samples.labels.sum(axis=1), 1, rtol=1e-6)

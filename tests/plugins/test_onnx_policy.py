@@ -1,0 +1,132 @@
+"""Networks from files: checked before they are loaded, and the action of the highest value."""
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charms_bench.errors import ModelError
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.testing import agent_rules
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.observations import described, neighbours
+
+NetworkFile = Callable[..., Path]
+
+
+def test_it_takes_the_action_of_the_highest_value(network_file: NetworkFile) -> None:
+    weights = np.random.default_rng(1).normal(size=(35, 5)).astype(np.float32)
+    observations = np.random.default_rng(2).uniform(-1, 1, (64, 7, 5)).astype(np.float32)
+    expected = (observations.reshape(64, 35) @ weights).argmax(axis=1)
+    policy = OnnxPolicy(network_file(weights))
+    assert (policy.decide(observations) == expected).all()
+
+
+def test_the_hash_is_that_of_the_file(network_file: NetworkFile) -> None:
+    path = network_file()
+    assert OnnxPolicy(path).weights_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_it_keeps_the_contract_of_agents(network_file: NetworkFile) -> None:
+    for rule in agent_rules(OnnxPolicy(network_file())):
+        rule()
+
+
+def test_it_survives_pickling_by_its_path(network_file: NetworkFile) -> None:
+    policy = OnnxPolicy(network_file(), decision_hz=5.0)
+    again = pickle.loads(pickle.dumps(policy))
+    assert (again.weights_sha256, again.decision_hz) == (policy.weights_sha256, 5.0)
+
+
+def with_metadata(path: Path, **said: str) -> Path:
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(path)
+    onnx.helper.set_model_props(model, said)
+    onnx.save(model, path)
+    return path
+
+
+def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None:
+    assert OnnxPolicy(network_file()).decision_hz == 3.0
+    path = with_metadata(network_file(), decision_hz="5")
+    assert OnnxPolicy(path).decision_hz == 5.0
+    assert OnnxPolicy(path, decision_hz=1.0).decision_hz == 1.0
+
+
+@pytest.mark.parametrize("said", ["often", "0", "-1", "nan", "inf"])
+def test_a_file_that_says_no_rate_is_refused(network_file: NetworkFile, said: str) -> None:
+    path = with_metadata(network_file(), decision_hz=said)
+    with pytest.raises(ModelError, match=f"its metadata say decision_hz '{said}'"):
+        OnnxPolicy(path)
+
+
+def test_it_sees_what_the_file_says(network_file: NetworkFile) -> None:
+    assert OnnxPolicy(with_metadata(network_file())).observation == neighbours
+    path = with_metadata(network_file(), observation="neighbours: (7, 5) float32, rows self")
+    assert OnnxPolicy(path).observation == neighbours
+    wide = Kinematics(vehicles_count=10, absolute=True, features_range={"x": (0, 99)})
+    path = with_metadata(network_file(inputs=50), observation=described(wide))
+    policy = OnnxPolicy(path)
+    assert policy.observation == wide
+    for rule in agent_rules(policy):
+        rule()
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("tomorrow", "no observation named 'tomorrow'"),
+        ('{"type": "Kinematics", "see": 1}', "observation Kinematics: see: unknown key"),
+        ('{"type": "Kin', "observation: is no JSON"),
+        ('{"type": "Kinematics"}', r"expected one float32 input \(batch, 25\) or \(batch, 5, 5\)"),
+    ],
+)
+def test_a_file_that_sees_what_is_not_there_is_refused(
+    network_file: NetworkFile, said: str, message: str
+) -> None:
+    path = with_metadata(network_file(), observation=said)
+    with pytest.raises(ModelError, match=message):
+        OnnxPolicy(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"none\.onnx: cannot be read: No such file"):
+        OnnxPolicy(tmp_path / "none.onnx")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x09" * 50])
+def test_a_broken_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "broken.onnx"
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=r"broken\.onnx: "):
+        OnnxPolicy(path)
+
+
+def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "large.onnx"
+    with path.open("wb") as file:
+        file.truncate(65 * 2**20)
+    with pytest.raises(ModelError, match="cannot be read: larger than 67,108,864 bytes"):
+        OnnxPolicy(path)
+
+
+@pytest.mark.parametrize(
+    "other", [{"inputs": 30}, {"batch": 1}, {"dtype": 11}, {"weights": np.ones((35, 4))}]
+)
+def test_a_network_of_another_shape_is_refused(
+    network_file: NetworkFile, other: dict[str, object]
+) -> None:
+    with pytest.raises(ModelError, match="expected one float32 input"):
+        OnnxPolicy(network_file(**other))
+
+
+def test_tensors_in_other_files_are_refused(network_file: NetworkFile, tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(network_file())
+    path = tmp_path / "external.onnx"
+    onnx.save(model, path, save_as_external_data=True, size_threshold=0, location="weights.bin")
+    with pytest.raises(ModelError, match="keeps tensors in other files"):
+        OnnxPolicy(path)

@@ -1,0 +1,79 @@
+"""Plugins by name: found without import, blamed by distribution, never ambiguous."""
+
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from types import SimpleNamespace
+
+import pytest
+
+from charms_bench.errors import RegistryError
+from charms_bench.plugins import registry
+from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
+from charms_bench.plugins.traffic import OneAgent
+
+
+def entry_point(name: str, value: str, distribution: str) -> EntryPoint:
+    point = EntryPoint(name, value, AGENTS)
+    vars(point)["dist"] = SimpleNamespace(name=distribution, version="1.0")
+    return point
+
+
+def test_the_outside_plugin_is_listed_with_its_distribution_and_version() -> None:
+    plugin = plugins(AGENTS)["outside_policy"]
+    assert (plugin.distribution, plugin.version) == ("outside-plugin", "1.2.3")
+    assert plugins(TRAFFIC)["outside_traffic"].role == "traffic"
+
+
+def test_listing_imports_no_plugin() -> None:
+    code = (
+        "import sys; from charms_bench.plugins.registry import *; plugins(AGENTS); "
+        "plugins(TRAFFIC); "
+        "print([name for name in sys.modules if 'outside' in name or 'charms_b' in name])"
+    )
+    listed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert "outside_plugin" not in listed
+    assert "charms_baselines" not in listed
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(RegistryError, match=r"no agent named 'stackelbrg'.*Did you mean 'stack"):
+        make_agent("stackelbrg")
+
+
+def test_a_broken_plugin_is_blamed_on_its_distribution_when_it_is_asked_for() -> None:
+    expected = r"agent 'outside_broken' of outside-plugin 1\.2\.3 cannot be imported: Module"
+    with pytest.raises(RegistryError, match=expected):
+        make_agent("outside_broken")
+
+
+def test_something_that_is_no_agent_is_refused() -> None:
+    with pytest.raises(RegistryError, match="is a NoAgent, not a Policy or a DriverModel"):
+        make_agent("outside_no_agent")
+
+
+def test_options_an_agent_does_not_take_are_named() -> None:
+    with pytest.raises(RegistryError, match=r"cannot be made \(options: gian\).*gian"):
+        make_agent("stackelberg", {"gian": 0.2})
+
+
+def test_two_distributions_that_claim_one_name_are_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rivals = [entry_point("racer", "a:A", "one"), entry_point("racer", "b:B", "two")]
+    monkeypatch.setattr(registry, "entry_points", lambda group: rivals)
+    with pytest.raises(RegistryError, match="'racer' is claimed by two distributions, one and two"):
+        plugins(AGENTS)
+
+
+def test_an_agents_name_is_also_that_of_a_traffic() -> None:
+    traffic = make_traffic("stackelberg")
+    assert isinstance(traffic, OneAgent)
+    assert traffic.agents == ("stackelberg",)
+
+
+def test_an_unknown_traffic_lists_traffics_and_agents() -> None:
+    with pytest.raises(RegistryError, match=r"no traffic named 'x'.*outside_traffic.*stackelberg"):
+        make_traffic("x")

@@ -1,0 +1,250 @@
+"""Runs on a cluster as docs/cluster.md starts one: the bytes of home, whatever workers do."""
+
+import hashlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from importlib.resources import files as packaged
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dask", reason="needs the extra 'cluster'")
+
+from dask_cluster import PATIENCE_S, DaskCluster, wait_until
+
+from charms_bench.errors import ClusterError, InputError
+from charms_bench.runs.cluster import on_cluster
+from charms_bench.runs.cluster_worker import differences
+from charms_bench.runs.folder import Shard
+from charms_bench.runs.suite import Suite
+
+SHARDS = 8
+SUITE = """\
+suite: away
+episodes: 600
+egos: [{agent: {onnx: ../network.onnx}}, {agent: stackelberg}]
+traffics: [{traffic: idm_mobil}]
+"""
+HURRIED = "import charms_bench.runs.cluster as client; client.WORKERLESS_S = 1.0"
+
+
+@pytest.fixture(scope="module")
+def suite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A suite of `SHARDS` shards, and a network that does not lie below it."""
+    folder = tmp_path_factory.mktemp("client")
+    network = packaged("charms_agents") / "policies" / "imitation.onnx"
+    (folder / "network.onnx").write_bytes(network.read_bytes())
+    path = folder / "suites" / "away.yaml"
+    path.parent.mkdir()
+    path.write_text(SUITE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def at_home(suite_file: Path) -> dict[str, str]:
+    """The files that the suite gives on this machine."""
+    output = suite_file.parent / "home"
+    assert finished(start(suite_file, output, "--workers", "1")) == (0, "")
+    return files(output)
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    (tmp_path / "cluster").mkdir()
+    started = DaskCluster(tmp_path / "cluster")
+    yield started
+    started.stop()
+
+
+def start(
+    suite: Path, output: Path, *options: str, before: str = "", connect_s: int = 30
+) -> subprocess.Popen[str]:
+    """A run that is under way; `before` is Python to run first."""
+    main = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {before}"
+    arguments = ["run", str(suite), "--output", str(output), "--json", *options]
+    return subprocess.Popen(
+        [sys.executable, "-c", f"{main}\nfrom charms_bench.cli import main; main()", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": f"{connect_s}s"},
+    )
+
+
+def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
+    """Its exit code and what it said, but for how far it was."""
+    _, said = run.communicate(timeout=PATIENCE_S)
+    return run.returncode, re.sub(r"[\d,]+ of [\d,]+ episodes\n", "", said)
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def landed(output: Path) -> int:
+    """How many shards are in a run folder."""
+    return len(list(output.glob("checksums/*.sha256")))
+
+
+def test_a_worker_that_is_killed_changes_no_byte(
+    suite_file: Path, at_home: dict[str, str], cluster: DaskCluster, tmp_path: Path
+) -> None:
+    cluster.start_worker()
+    victim = cluster.start_worker("--no-nanny")
+    run = start(suite_file, tmp_path / "run", "--cluster", cluster.address)
+    wait_until(lambda: landed(tmp_path / "run") >= 1)
+    assert landed(tmp_path / "run") < SHARDS
+    victim.kill()
+    assert finished(run) == (0, "")
+    assert files(tmp_path / "run") == at_home
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["localhost:8786", "tcp://localhost", "http://h:8786", "tcp://h:86000", "tcp://h:1/x", "tcp:"],
+)
+def test_an_address_that_is_none_says_how_one_looks(address: str) -> None:
+    with pytest.raises(InputError, match=re.escape(f"{address}: expected tcp://HOST:PORT or tls:")):
+        on_cluster(address)
+
+
+def test_tls_without_a_certificate_says_where_dask_looks_for_one() -> None:
+    shards = on_cluster("tls://127.0.0.1:8786")(
+        Suite.model_validate({"suite": "x", "episodes": 1, "egos": [{"agent": "idm_mobil"}],
+                              "traffics": [{"traffic": "idm_mobil"}]}),
+        {}, [Shard(0, 0, 1, "")], str, 1.0,
+    )  # fmt: skip
+    with pytest.raises(ClusterError, match=r"needs a certificate.*distributed\.comm\.tls\.ca-file"):
+        next(shards)
+
+
+def test_a_scheduler_that_does_not_answer_is_named(suite_file: Path, tmp_path: Path) -> None:
+    run = start(suite_file, tmp_path / "run", "--cluster", "tcp://127.0.0.1:9", connect_s=1)
+    code, said = finished(run)
+    assert code == 2
+    assert said.startswith("error: no Dask scheduler answers at tcp://127.0.0.1:9: Timed out")
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--workers", "2"], "--workers are processes on this machine"),
+        (["--engine", "highway-env"], "--cluster runs the engine batched"),
+    ],
+)
+def test_what_a_cluster_cannot_do_is_refused(
+    suite_file: Path, tmp_path: Path, options: list[str], message: str
+) -> None:
+    run = start(suite_file, tmp_path / "run", "--cluster", "tcp://127.0.0.1:9", *options)
+    code, said = finished(run)
+    assert (code, message in said) == (2, True)
+
+
+def test_differences_are_said_as_what_was_found_and_what_was_expected() -> None:
+    found = {"numba": "0.60.0", "polars": None, "python": "3.11.7"}
+    expected = {"numba": "0.68.1", "polars": "2.1.0", "python": "3.11.7"}
+    assert differences(found, expected) == (
+        "numba is 0.60.0, expected 0.68.1; polars is missing, expected 2.1.0"
+    )
+    assert differences(expected, expected) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_a_worker_may_be_killed_at_any_moment(
+    suite_file: Path, at_home: dict[str, str], cluster: DaskCluster, tmp_path: Path, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    cluster.start_worker()
+    nannied = seed % 2 == 0
+    victim = cluster.start_worker(*([] if nannied else ["--no-nanny"]))
+    run = start(suite_file, tmp_path / "run", "--cluster", cluster.address)
+    shards = int(rng.integers(SHARDS - 1))
+    wait_until(lambda: landed(tmp_path / "run") >= shards)
+    time.sleep(rng.uniform(0.0, 0.5))
+    if nannied:
+        (worker,) = children(victim.pid)
+        os.kill(worker, signal.SIGKILL)  # which the nanny replaces
+    else:
+        victim.kill()
+    assert finished(run) == (0, "")
+    assert files(tmp_path / "run") == at_home
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("distribution", "version"), [("numba", "0.0.1"), ("outside-plugin", "9")])
+def test_a_worker_with_other_versions_is_named(
+    cluster: DaskCluster, tmp_path: Path, distribution: str, version: str
+) -> None:
+    other = tmp_path / f"{distribution.replace('-', '_')}-{version}.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text(f"Name: {distribution}\nVersion: {version}\n")
+    cluster.start_worker()
+    cluster.start_worker(packages=tmp_path)
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(SUITE.replace("{onnx: ../network.onnx}", "outside_policy"))
+    code, said = finished(start(suite, tmp_path / "run", "--cluster", cluster.address))
+    assert code == 2
+    assert re.match(rf"error: worker tcp://\S+: {distribution} is {version}, expected \d", said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gone", ["workers", "scheduler"])
+def test_a_cluster_that_is_gone_is_said_to_be_and_the_run_goes_on_later(
+    suite_file: Path, at_home: dict[str, str], cluster: DaskCluster, tmp_path: Path, gone: str
+) -> None:
+    worker = cluster.start_worker("--no-nanny")
+    output = tmp_path / "run"
+    run = start(suite_file, output, "--cluster", cluster.address, before=HURRIED, connect_s=3)
+    wait_until(lambda: landed(output) >= 2)
+    (worker if gone == "workers" else cluster.scheduler).kill()
+    code, said = finished(run)
+    expected = {"workers": "has had no workers for 1 s", "scheduler": "the scheduler is gone"}
+    assert (code, expected[gone] in said, "Traceback" in said) == (2, True, False)
+    assert f"finished shards are in {output}; the same command goes on" in said
+    assert finished(start(suite_file, output)) == (0, "")
+    assert files(output) == at_home
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_nothing_to_do_on_the_cluster(
+    suite_file: Path, cluster: DaskCluster, tmp_path: Path
+) -> None:
+    cluster.start_worker()
+    run = start(suite_file, tmp_path / "run", "--cluster", cluster.address, "--episodes", "60000")
+    wait_until(lambda: landed(tmp_path / "run") >= 1)
+    run.send_signal(signal.SIGINT)
+    code, said = finished(run)
+    assert code == 130
+    assert "interrupted; finished shards are in" in said
+    left = (
+        "import sys; from distributed import Client; client = Client(sys.argv[1])\n"
+        "print(client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.clients)))\n"
+        "print(client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.unrunnable) +"
+        " sum(task.state in ('queued', 'waiting') for task in dask_scheduler.tasks.values())))"
+    )
+    asked = [sys.executable, "-c", left, cluster.address]
+    clients, tasks = subprocess.run(asked, capture_output=True, text=True).stdout.splitlines()[:2]
+    assert (clients.count("Client-"), tasks) == (1, "0")
+
+
+def children(pid: int) -> list[int]:
+    """The worker processes of a nanny."""
+    import psutil
+
+    return [
+        child.pid
+        for child in psutil.Process(pid).children()
+        if any("spawn_main" in word for word in child.cmdline())
+    ]

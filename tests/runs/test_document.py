@@ -1,0 +1,102 @@
+"""YAML from users: what is wrong is said with file, line and field."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from charms_bench.errors import SuiteError
+from charms_bench.runs.document import Document
+from charms_bench.runs.suite import Suite
+
+SUITE = """\
+suite: small
+episodes: 4
+scene:
+  profile: charms
+  lanes: 3
+egos:
+  - agent: idm_mobil
+  - agent: stackelberg
+traffics:
+  - traffic: idm_mobil
+"""
+
+
+def complaint(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "suite.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SuiteError) as caught:
+        Document(path).validate(Suite)
+    return str(caught.value).removeprefix(f"{tmp_path}/")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("lanes: 3", "lanes: three", "suite.yaml:5: scene.lanes: Input should be a valid integer"),
+        ("lanes: 3", "lane: 3", "suite.yaml:5: scene.lane: unknown key"),
+        ("episodes: 4", "episodes: 0", "suite.yaml:2: episodes: Input should be greater than"),
+        ("episodes: 4\n", "", "suite.yaml:1: episodes: Field required"),
+        ("profile: charms", "profile: charm", "suite.yaml:4: scene.profile: no profile named"),
+        ("profile: charms", "profile: charm", "Did you mean 'charms'?"),
+        ("agent: stackelberg", "agent: 7", "suite.yaml:8: egos[1].agent"),
+        ("stackelberg", "idm_mobil", "two egos are called 'idm_mobil'"),
+        ("suite: small", "suite: ../small", "suite.yaml:1: suite: String should match"),
+        ("lanes: 3", "lanes: 3\n  lanes: 4", "suite.yaml:6: the key 'lanes' stands here twice"),
+        ("lanes: 3", "lanes: [3", "is not YAML"),
+        ("lanes: 3", "lanes: &a 3\n  density: *a", "suite.yaml:6: aliases (*name) are not"),
+        ("lanes: 3", "lanes: !!python/name:os.system 3", "suite.yaml:5: tags (!name) are not"),
+        ("lanes: 3", "duration_s: 0.1", "duration_s is shorter than one decision"),
+        ("lanes: 3", "decision_hz: 4", "simulation_hz 15 is no multiple of decision_hz 4"),
+    ],
+)
+def test_a_mistake_is_named_with_its_line_and_field(
+    tmp_path: Path, old: str, new: str, expected: str
+) -> None:
+    assert expected in complaint(tmp_path, SUITE.replace(old, new))
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SuiteError, match=r"nowhere\.yaml: cannot be read: No such file"):
+        Document(tmp_path / "nowhere.yaml")
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_bytes(b"suite: \xff\xfe")
+    with pytest.raises(SuiteError, match="is no UTF-8 text"):
+        Document(path)
+
+
+def test_an_enormous_file_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_bytes(b"#" * (2**17 + 1))
+    with pytest.raises(SuiteError, match="larger than 131,072 bytes"):
+        Document(path)
+
+
+@settings(
+    derandomize=True,
+    deadline=None,
+    max_examples=200,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    position=st.integers(0, len(SUITE)),
+    removed=st.integers(0, 12),
+    inserted=st.text("ab:-[]{}&*!%@#'\"\n\t 019.,|>?~\x00é", max_size=12),
+)
+def test_a_damaged_suite_is_valid_or_refused_in_words(
+    tmp_path: Path, position: int, removed: int, inserted: str
+) -> None:
+    path = tmp_path / "suite.yaml"
+    text = SUITE[:position] + inserted + SUITE[position + removed :]
+    path.write_text(text, encoding="utf-8")
+    message = f"{path}: nothing"
+    try:
+        Document(path).validate(Suite)
+    except SuiteError as error:
+        message = str(error)
+    assert message.startswith(f"{path}:")

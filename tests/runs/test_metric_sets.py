@@ -1,0 +1,123 @@
+"""Metric sets by name, and runs that are measured again with them."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from charms_bench.errors import InputError
+from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD
+from charms_bench.runs.metric_sets import metric_sets
+from charms_bench.runs.runner import run
+from charms_bench.runs.suite import Suite
+
+SUITE = {
+    "suite": "small",
+    "episodes": 12,
+    "scene": {"duration_s": 5.0, "traffic_vehicles": 8},
+    "egos": [{"agent": "outside_policy"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+def test_without_names_there_are_the_usual_sets() -> None:
+    assert metric_sets([]) == METRIC_SETS == (PAPER, STANDARD)
+
+
+def test_other_thresholds_show_in_the_label_and_in_names() -> None:
+    (found,) = metric_sets(["standard:ttc_s=2,drac_mps2=3.4"])
+    assert found.label == "standard-1(ttc_s=2,drac_mps2=3.4)"
+    names = [metric.name for metric in found.metrics]
+    assert {"ttc_below_2s", "drac_above_3_4"} < set(names)
+    assert not {"ttc_below_3s", "drac_above_3_35"} & set(names)
+    assert len(names) == len(STANDARD.metrics)
+
+
+def test_a_plugins_set_has_its_own_version() -> None:
+    usual, strict = metric_sets(["outside_metrics", "outside_metrics:jerk_mps3=1"])
+    assert (usual.label, strict.label) == ("comfort-3", "comfort-3(jerk_mps3=1)")
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["standrad"], "no metric set named 'standrad'.*Did you mean 'standard'"),
+        (["standard:ttc_s"], "'standard:ttc_s': expected NAME:OPTION=VALUE, found 'ttc_s'"),
+        (["standard:ttc_s=[1"], "ttc_s: cannot be read: expected ',' or"),
+        (["standard:ttc=2"], r"cannot be made \(options: ttc\): TypeError: .*'ttc'"),
+        (["paper:ttc_s=2"], "metric set 'paper' takes no options; given: ttc_s"),
+        (["paper", "paper"], "metric set 'paper-1': asked for twice"),
+        (["outside_no_metrics"], "is a NoAgent, not a MetricSet"),
+        (["outside_broken_metrics"], "'broken': fuel: ColumnNotFoundError: .*\"fuel\""),
+    ],
+)
+def test_what_is_no_metric_set_is_said_in_a_sentence(texts: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        metric_sets(texts)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    run(Suite.model_validate(SUITE), folder, workers=1)
+    return folder
+
+
+def rescore(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "charms_bench", "rescore", str(folder), *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
+    )
+
+
+def test_a_run_is_measured_again_from_its_rows_alone(finished: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "copy"))
+    result = rescore(folder)
+    assert result.returncode == 0, result.stderr
+    table = pl.read_csv(folder / "tables" / "small.csv")
+    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
+    rows = sorted(path.name for path in folder.rglob("*.parquet"))
+    assert rows == sorted(path.name for path in finished.rglob("*.parquet"))
+
+
+def test_a_plugins_metric_is_computed_from_rows_it_has_never_seen(
+    finished: Path, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "copy"))
+    result = rescore(folder, "--set", "outside_metrics:jerk_mps3=0.5", "--json")
+    (row,) = json.loads(result.stdout)
+    assert (row["metric_set"], row["metric"]) == ("comfort-3(jerk_mps3=0.5)", "jerky")
+    steps = pl.concat(map(pl.read_parquet, sorted((folder / "steps").glob("*.parquet"))))
+    endings = pl.concat(map(pl.read_parquet, sorted((folder / "episodes").glob("*.parquet"))))
+    assert endings["ending"].unique().to_list() == ["time"]  # so all steps count
+    jerk = steps["acceleration"].cast(pl.Float64).diff().abs() * 3
+    jerk = jerk.filter(steps["step"] > 1)
+    assert row["n"] == len(jerk)
+    assert row["value"] == pytest.approx((jerk > 0.5).mean(), rel=1e-5)
+    text = (folder / "tables" / "small.md").read_text()
+    assert "## comfort-3(jerk_mps3=0.5)" in text
+    assert "- `jerky`: share of decisions with a jerk beyond 0.5 m/s³." in text
+
+
+def test_a_longer_threshold_exposes_more(finished: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "copy"))
+    sets = ("--set", "standard:ttc_s=1", "--set", "standard:ttc_s=60")
+    rows = json.loads(rescore(folder, *sets, "--json").stdout)
+    exposed = [row["value"] for row in rows if row["metric"] == "tet"]
+    assert exposed[0] < exposed[1]
+
+
+def test_a_mistake_is_a_message_and_leaves_the_tables(finished: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(finished, tmp_path / "copy"))
+    result = rescore(folder, "--set", "standard:ttc=2")
+    assert result.returncode == 2
+    assert "error: metric set 'standard' cannot be made (options: ttc)" in result.stderr
+    assert not (folder / "tables").exists()

@@ -1,0 +1,183 @@
+"""Comparisons of runs: what is compared with what, and what is refused."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from charms_bench.errors import InputError
+from charms_bench.metrics import METRIC_SETS
+from charms_bench.runs.pairing import pairs_of
+from charms_bench.runs.runner import Run, open_run, run
+from charms_bench.runs.suite import Suite
+
+SMALL = {
+    "suite": "small",
+    "episodes": 12,
+    "scene": {"duration_s": 3.0, "traffic_vehicles": 5},
+    "egos": [{"agent": "idm_mobil"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+    """Runs the small suite with changes, once each."""
+    folder, runs = tmp_path_factory.mktemp("runs"), {}
+
+    def make(name: str, **changes: object) -> Run:
+        if name not in runs:
+            suite = Suite.model_validate({**SMALL, **changes})
+            run(suite, folder / name, workers=1)
+            runs[name] = open_run(folder / name)
+        return runs[name]
+
+    return make
+
+
+def named(pairs: list) -> list[tuple[str, str, str]]:
+    return [(one.agent, other.agent, one.traffic) for one, other in pairs]
+
+
+def test_two_runs_of_one_ego_each_need_no_names(made: Callable[..., Run]) -> None:
+    one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
+    assert named(pairs_of(one, other, None)) == [("idm_mobil", "stackelberg", "idm_mobil")]
+
+
+def test_egos_of_the_same_names_are_told_apart_by_their_runs(made: Callable[..., Run]) -> None:
+    both = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
+    calm = [{"agent": "idm_mobil"}, {"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]
+    one, other = made("both", egos=both), made("calm", egos=calm)
+    assert named(pairs_of(one, other, None)) == [
+        (f"{ego} ({one.folder.path})", f"{ego} ({other.folder.path})", "idm_mobil")
+        for ego in ("idm_mobil", "stackelberg")
+    ]
+
+
+def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(made: Callable[..., Run]) -> None:
+    crossed = made(
+        "crossed",
+        egos=[{"agent": "idm_mobil"}, {"agent": "stackelberg"}],
+        traffics=[{"traffic": "idm_mobil"}, {"traffic": "stackelberg", "label": "games"}],
+    )
+    assert named(pairs_of(crossed, None, ("stackelberg", "idm_mobil"))) == [
+        ("stackelberg", "idm_mobil", traffic) for traffic in ("idm_mobil", "games")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "difference"),
+    [
+        ("seed", {"seed": 7}, "seed is 0 in the first and 7 in the second"),
+        ("episodes", {"episodes": 11}, "episodes is 12 in the first and 11 in the second"),
+        (
+            "denser",
+            {"scene": {"duration_s": 3.0, "traffic_vehicles": 5, "density": 1.5}},
+            r"scene\.density is 1\.0 in the first and 1\.5 in the second",
+        ),
+        (
+            "stock",
+            {"scene": {"duration_s": 3.0, "traffic_vehicles": 5, "profile": "highway-env"}},
+            r"scene\.profile\.\S+ is .* in the first and .* in the second",
+        ),
+        (
+            "games",
+            {"traffics": [{"traffic": "stackelberg"}]},
+            r"traffics\[0\]\.name is idm_mobil in the first and stackelberg in the second",
+        ),
+    ],
+)
+def test_runs_of_other_episodes_are_refused_and_the_field_named(
+    made: Callable[..., Run], name: str, changes: dict[str, object], difference: str
+) -> None:
+    with pytest.raises(InputError, match=f"not of the same episodes: {difference}; run one of"):
+        pairs_of(made("idm"), made(name, **changes), None)
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        (lambda manifest: manifest.update(charms_bench="9.9"), "charms_bench is 0.1.0 in the"),
+        (
+            lambda manifest: manifest["agents"]["idm_mobil"].update(version="9.9"),
+            "agents.idm_mobil.version is 0.1.0 in the first and 9.9 in the second",
+        ),
+    ],
+    ids=["harness", "traffic"],
+)
+def test_other_versions_of_the_harness_or_the_traffic_are_refused(
+    made: Callable[..., Run],
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[dict], None],
+    difference: str,
+) -> None:
+    one = made("idm")
+    other = replace(one, folder=type(one.folder)(one.folder.path))
+    manifest = one.folder.manifest()
+    change(manifest)
+    monkeypatch.setattr(other.folder, "manifest", lambda: manifest)
+    with pytest.raises(InputError) as refused:
+        pairs_of(one, other, None)
+    assert difference in str(refused.value)
+
+
+def charms_bench(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "charms_bench", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
+    )
+
+
+def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Run]) -> None:
+    one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
+    result = charms_bench(
+        "compare", one.folder.path.name, other.folder.path.name, cwd=one.folder.path.parent
+    )
+    assert result.returncode == 0, result.stderr
+    for metric_set in METRIC_SETS:
+        assert f"idm_mobil less stackelberg, in idm_mobil: {metric_set.label}" in result.stdout
+        assert all(metric.name in result.stdout for metric in metric_set.metrics)
+    assert max(map(len, result.stdout.splitlines())) <= 100
+
+
+def test_json_has_a_row_for_every_metric_that_was_asked_for(made: Callable[..., Run]) -> None:
+    one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
+    only = ("--metric", "crashed_episodes", "--metric", "jerk_rms")
+    paths = (one.folder.path.name, other.folder.path.name)
+    result = charms_bench("compare", *paths, *only, "--json", cwd=one.folder.path.parent)
+    rows = json.loads(result.stdout)
+    assert [row["metric"] for row in rows] == ["crashed_episodes", "jerk_rms"]
+    # 12 episodes without a crash on either side: z² / (n + z²).
+    most = pytest.approx(3.8415 / (12 + 3.8415), abs=1e-4)
+    assert (-rows[0]["low"], rows[0]["high"]) == (most, most)
+    assert rows[0]["corrected_p"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("idm",), "idm: compared with what? Give a second run, or two of its agents with"),
+        (("idm", "nowhere"), "nowhere/manifest.json: cannot be read"),
+        (("idm", "both"), "say with --agents which one of each to compare"),
+        (("idm", "--agents", "idm_mobil", "idm"), "no ego named 'idm'. Known: idm_mobil"),
+        (("idm", "idm", "--metric", "speed"), "no metric named 'speed'. Known: collision_rate"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_in_a_sentence(
+    made: Callable[..., Run], arguments: tuple[str, ...], message: str
+) -> None:
+    folder = made("idm").folder.path.parent
+    made("both", egos=[{"agent": "idm_mobil"}, {"agent": "stackelberg"}])
+    result = charms_bench("compare", *arguments, cwd=folder)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,198 @@
+"""Runs: the same rows whatever the workers, the order or the interruptions."""
+
+import hashlib
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from charms_bench.errors import AgentError, RunFolderError, SuiteError
+from charms_bench.runs import runner
+from charms_bench.runs.runner import open_run, plan, run
+from charms_bench.runs.suite import Suite
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+SMALL: dict[str, Any] = {
+    "suite": "small",
+    "episodes": 25,
+    "scene": {"duration_s": 2.0, "traffic_vehicles": 5},
+    "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+def suite(**changes: object) -> Suite:
+    return Suite.model_validate({**SMALL, **changes})
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(runner.SHARD_EPISODES, "batched", 10)
+    return
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
+    run(suite(), tmp_path / "one", workers=1)
+    run(suite(), tmp_path / "two", workers=2)
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+    assert len(files(tmp_path / "one")) == 2 + 2 * 3 * 4  # manifest, lock; 2 cells of 3 shards
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
+    first = run(suite(), tmp_path, workers=1)
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.parquet")}
+    lost = sorted(before)[0]
+    lost.unlink()
+    run(suite(), tmp_path, workers=1)
+    after = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.parquet")}
+    assert {path for path in before if before[path] != after[path]} <= {
+        path for path in before if path.name == lost.name
+    }
+    assert len(first.shards) * 3 == len(after)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_run_is_read_from_a_copy_of_its_folder_alone(tmp_path: Path) -> None:
+    ran = run(suite(columns=("speed_mean",)), tmp_path / "here", workers=1)
+    opened = open_run(Path(shutil.move(tmp_path / "here", tmp_path / "there [*]")))
+    assert opened.suite == ran.suite
+    here = [shard.name for shard in ran.shards]
+    assert [shard.name for shard in opened.shards] == here
+    assert [cell.agent for cell in opened.cells()] == ["idm_mobil", "outside_policy"]
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_run_that_is_not_finished_says_how_much_is_missing(tmp_path: Path) -> None:
+    run(suite(), tmp_path, workers=1)
+    max((tmp_path / "checksums").iterdir()).unlink()
+    with pytest.raises(RunFolderError, match="20 of 25 episodes of outside_policy"):
+        open_run(tmp_path)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_more_episodes_add_to_what_is_there(tmp_path: Path) -> None:
+    run(suite(episodes=10), tmp_path, workers=1)
+    before = files(tmp_path / "episodes")
+    run(suite(episodes=20), tmp_path, workers=1)
+    assert before.items() <= files(tmp_path / "episodes").items()
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_rows_of_another_run_are_taken_whatever_their_cells_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(suite(), tmp_path / "one", workers=1)
+    idm, outside = SMALL["egos"]
+    turned = suite(suite="turned", episodes=20, egos=[{**outside, "label": "Outside"}, idm])
+    expected = run(turned, tmp_path / "simulated", workers=1)
+
+    def simulate(work: object, tasks: list[object], *others: object) -> Iterator[None]:
+        assert not tasks
+        yield from ()
+
+    monkeypatch.setattr(runner, "in_processes", simulate)
+    run(turned, tmp_path / "taken", rows=tmp_path / "one")
+    assert len(expected.shards) == 4
+    for kind in ("episodes", "steps", "counts"):
+        assert files(tmp_path / "taken" / kind) == files(tmp_path / "simulated" / kind)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_what_another_run_lacks_is_simulated(tmp_path: Path) -> None:
+    run(suite(episodes=15), tmp_path / "short", workers=1)  # whose second shard is half of ours
+    next((tmp_path / "short" / "counts").iterdir()).unlink()
+    taken = run(suite(), tmp_path / "taken", workers=1, rows=tmp_path / "short")
+    assert sum(len(cell.episodes) for cell in taken.cells()) == 50
+
+
+def test_another_run_without_rows_of_the_suite_is_refused(tmp_path: Path) -> None:
+    run(suite(episodes=2), tmp_path / "one", workers=1)
+    with pytest.raises(RunFolderError, match=r"one: holds no rows of this suite; expected"):
+        run(suite(episodes=2, seed=7), tmp_path / "two", workers=1, rows=tmp_path / "one")
+
+
+def test_another_suite_is_kept_out_of_a_folder_and_the_difference_named(tmp_path: Path) -> None:
+    run(suite(episodes=2), tmp_path, workers=1)
+    before = files(tmp_path)
+    denser = suite(episodes=2, scene={**SMALL["scene"], "density": 1.5})
+    with pytest.raises(RunFolderError, match=r"scene\.density was 1\.0, now 1\.5"):
+        run(denser, tmp_path, workers=1)
+    assert files(tmp_path) == before
+
+
+def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(RunFolderError, match="is not empty and holds no run"):
+        run(suite(), tmp_path, workers=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"suite": '])
+def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) -> None:
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(RunFolderError, match=r"manifest\.json: (is no JSON|expected a JSON)"):
+        run(suite(), tmp_path, workers=1)
+
+
+def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
+    finished = run(suite(episodes=2), tmp_path, workers=1)
+    path = next((tmp_path / "steps").iterdir())
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(RunFolderError, match=rf"{path.name}: has changed since.*sha256; run the"):
+        finished.cells()
+    path.unlink()
+    with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
+        finished.cells()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunFolderError, match=r"file/run.*: cannot be written"):
+        run(suite(), tmp_path / "file" / "run", workers=1)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Path) -> None:
+    egos = [{"agent": "idm_mobil"}, {"agent": "outside_raising"}]
+    with pytest.raises(AgentError, match="agent 'outside_raising', episode 0, step 0: raised"):
+        run(suite(egos=egos), tmp_path, workers=1)
+    assert len(list((tmp_path / "episodes").glob("000-*.parquet"))) == 3
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_evaluation_seeds_stay_below_those_of_trainings() -> None:
+    with pytest.raises(SuiteError, match="reach those of trainings, which start at 1000000000"):
+        plan(suite(seed=999_999_990), "batched")
+
+
+def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
+    def keys(**changes: object) -> set[str]:
+        return {shard.key for shard in plan(suite(**changes), "batched")[0]}
+
+    eager = [{"agent": {"name": "stackelberg", "options": {"gain": 0.05}}}]
+    calm = [{"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]
+    assert not keys(egos=eager) & keys(egos=calm)
+    assert not keys() & keys(scene={"lanes": 4})
+
+
+def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path: Path) -> None:
+    scene = {"duration_s": 4.0, "traffic_vehicles": 8, "density": 2.0}
+    egos = [{"agent": "outside_policy"}, {"agent": "outside_model"}]
+    both = suite(episodes=3, scene=scene, egos=egos, traffics=[{"traffic": "outside_traffic"}])
+    ours = run(both, tmp_path / "batched", "batched", workers=2).cells()
+    theirs = run(both, tmp_path / "highway-env", "highway-env", workers=2).cells()
+    for a, b in zip(ours, theirs, strict=True):
+        assert a.episodes.equals(b.episodes)
+        assert a.steps.equals(b.steps)

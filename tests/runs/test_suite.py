@@ -1,0 +1,113 @@
+"""Suites: profiles with overrides, agents by name or path, cells and fingerprints."""
+
+from pathlib import Path
+
+import pytest
+
+from charms_bench.errors import SuiteError
+from charms_bench.plugins.specs import AgentSpec
+from charms_bench.runs.suite import Suite, load_suite
+
+MINIMAL = {
+    "suite": "small",
+    "episodes": 4,
+    "egos": [{"agent": "idm_mobil"}],
+    "traffics": [{"traffic": "idm_mobil"}],
+}
+
+
+def test_a_profile_is_a_name_with_overrides() -> None:
+    profile = {"name": "charms", "tau_heading_s": 0.4, "idm_mobil": {"time_headway_s": 1.2}}
+    suite = Suite.model_validate({**MINIMAL, "scene": {"profile": profile}})
+    assert suite.scene.profile.tau_heading_s == 0.4
+    assert suite.scene.profile.idm_mobil.time_headway_s == 1.2
+    assert suite.scene.profile.idm_mobil.jam_distance_m == 10.0  # REFERENCE: s0, untouched
+
+
+def test_the_profiles_have_the_constants_of_the_release_and_of_highway_env() -> None:
+    from highway_env.vehicle.behavior import IDMVehicle
+    from highway_env.vehicle.controller import ControlledVehicle
+    from highway_env.vehicle.kinematics import Vehicle
+
+    stock = Suite.model_validate({**MINIMAL, "scene": {"profile": "highway-env"}}).scene.profile
+    assert (stock.speed_min_mps, stock.speed_max_mps) == (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
+    assert stock.tau_acceleration_s == ControlledVehicle.TAU_ACC
+    assert stock.tau_heading_s == ControlledVehicle.TAU_HEADING
+    assert stock.tau_lateral_s == ControlledVehicle.TAU_LATERAL
+    assert stock.idm_mobil.time_headway_s == IDMVehicle.TIME_WANTED
+    assert stock.idm_mobil.jam_distance_m == IDMVehicle.DISTANCE_WANTED
+
+
+def test_every_ego_meets_every_traffic() -> None:
+    egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
+    traffics = [{"traffic": "idm_mobil"}, {"traffic": {"mixture": {"level_0": 1.0}}}]
+    suite = Suite.model_validate({**MINIMAL, "egos": egos, "traffics": traffics})
+    assert [(cell.ego.title, cell.traffic.title) for cell in suite.cells] == [
+        ("idm_mobil", "idm_mobil"),
+        ("idm_mobil", "level_0"),
+        ("stackelberg", "idm_mobil"),
+        ("stackelberg", "level_0"),
+    ]
+
+
+def test_the_fingerprint_ignores_the_number_of_episodes_and_nothing_else_that_counts() -> None:
+    base = Suite.model_validate(MINIMAL)
+    longer = Suite.model_validate({**MINIMAL, "episodes": 5})
+    denser = Suite.model_validate({**MINIMAL, "scene": {"density": 1.5}})
+    assert base.fingerprint() == longer.fingerprint() != denser.fingerprint()
+
+
+def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:
+    dressed = {"title": "A", "columns": ["speed_mean"], "references": ["i24"]}
+    base = Suite.model_validate(MINIMAL)
+    assert base.fingerprint() == Suite.model_validate({**MINIMAL, **dressed}).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("references", "message"),
+    [
+        (["i42"], "no reference named 'i42'; .* Known: i24, i75, us101. Did you mean 'i24'"),
+        ([{"name": "i24", "recordings": "highd"}], "give a name, or a folder of recordings"),
+        (["i24", "us101", "i24"], "a reference stands here twice"),
+    ],
+)
+def test_a_reference_is_a_shipped_name_or_a_folder(references: list[object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Suite.model_validate({**MINIMAL, "references": references})
+
+
+def test_references_are_for_one_ego() -> None:
+    egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
+    with pytest.raises(ValueError, match="references are for traffics; give one ego"):
+        Suite.model_validate({**MINIMAL, "egos": egos, "references": ["i24"]})
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {"name": "a", "onnx": "b.onnx"},
+        {},
+        {"name": "a", "decision_hz": 3},
+        {"onnx": "b.onnx", "options": {"gain": 1}},
+    ],
+)
+def test_an_agent_is_a_name_or_a_network(spec: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"give a name|decision_hz is for|options are for"):
+        AgentSpec.model_validate(spec)
+
+
+def test_an_agent_that_is_not_installed_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_text(
+        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobl\ntraffics:\n- traffic: idm_mobil\n"
+    )
+    expected = r"suite\.yaml:4: egos\[0\]: no agent named 'idm_mobl'\. .*Did you mean 'idm_mobil'"
+    with pytest.raises(SuiteError, match=expected):
+        load_suite(path)
+
+
+@pytest.mark.parametrize("path", sorted(Path("suites").glob("*.yaml")), ids=lambda path: path.stem)
+def test_the_suites_of_the_project_are_valid(path: Path) -> None:
+    if "pipeline:" in path.read_text():
+        pytest.skip("a training; its pipeline validates it")
+    assert load_suite(path).suite == path.stem

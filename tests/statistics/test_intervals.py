@@ -1,0 +1,147 @@
+"""Intervals, against published figures and scipy."""
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+from charms_bench.metrics.metric import Interval, Metric, ratio, standard_deviation
+from charms_bench.statistics.intervals import RESAMPLES, estimate, garwood, resample, wilson
+
+
+def metric_of(interval: Interval = "bootstrap", value=ratio) -> Metric:
+    return Metric("made_up", "", "", "steps", (pl.lit(1), pl.lit(1)), value, interval)
+
+
+def interval_of(sums: list[list[float]], interval: Interval) -> tuple[float, float]:
+    array = np.array(sums, dtype=np.float64)
+    (result,) = estimate([metric_of(interval)], [array], np.random.default_rng(0))
+    return result.low, result.high
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    # Newcombe 1998, Statistics in Medicine 17, table I, method 3.
+    [
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
+def test_wilsons_interval_is_that_of_newcombes_table(
+    successes: int, trials: int, low: float, high: float
+) -> None:
+    assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("events", "low", "high"),
+    # As in Garwood 1936, Biometrika 28.
+    [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.390)],
+)
+def test_garwoods_interval_is_the_tabulated_one(events: int, low: float, high: float) -> None:
+    assert garwood(events) == pytest.approx((low, high), rel=1e-3)
+
+
+def test_each_resample_has_as_many_episodes_as_there_are() -> None:
+    weights = resample(np.random.default_rng(1), 7, resamples=2000)
+    assert weights.shape == (2000, 7)
+    assert (weights.sum(axis=1) == 7).all()
+    assert weights.mean() == 1.0
+    # Multinomial: the variance of a count is 7 (1/7) (6/7).
+    assert weights.var() == pytest.approx(6 / 7, abs=0.05)
+
+
+def test_the_bootstrap_interval_of_a_ratio_is_scipys() -> None:
+    rng = np.random.default_rng(2)
+    steps = rng.integers(5, 60, size=200).astype(float)
+    total = steps * rng.normal(25.0, 2.0, size=200)
+    (ours,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], rng)
+    theirs = stats.bootstrap(
+        (steps, total),
+        lambda n, s, axis=-1: s.sum(axis=axis) / n.sum(axis=axis),
+        paired=True,
+        method="percentile",
+        n_resamples=5000,
+        rng=rng,
+    ).confidence_interval
+    width = theirs.high - theirs.low
+    assert ours.value == pytest.approx(total.sum() / steps.sum())
+    assert ours.n == steps.sum()
+    assert (ours.low, ours.high) == pytest.approx(tuple(theirs), abs=0.1 * width)
+
+
+def test_the_bootstrap_interval_of_a_standard_deviation_is_scipys() -> None:
+    rng = np.random.default_rng(3)
+    sample = rng.normal(5.0, 2.0, size=300)
+    sums = np.stack([np.ones(300), sample, sample**2], axis=1)
+    (ours,) = estimate([metric_of(value=standard_deviation)], [sums], rng)
+    theirs = stats.bootstrap(
+        (sample,), np.std, method="percentile", n_resamples=5000, rng=rng
+    ).confidence_interval
+    assert ours.value == pytest.approx(sample.std())
+    assert (ours.low, ours.high) == pytest.approx(
+        tuple(theirs), abs=0.1 * (theirs.high - theirs.low)
+    )
+
+
+def test_about_95_of_100_intervals_hold_the_truth() -> None:
+    rng = np.random.default_rng(4)
+    held = 0
+    for _ in range(200):
+        steps = np.full(80, 60.0)
+        # Steps of an episode depend on one another: the mean of each is drawn.
+        total = steps * rng.normal(25.0, 2.0, size=80)
+        (result,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], rng)
+        held += result.low <= 25.0 <= result.high
+    assert 0.90 <= held / 200 <= 0.985
+
+
+def test_the_same_generator_gives_the_same_interval_whatever_is_beside_it() -> None:
+    sums = np.random.default_rng(5).random((40, 2))
+    (alone,) = estimate([metric_of()], [sums], np.random.default_rng(6))
+    pair = estimate([metric_of()] * 2, [sums, sums + 1], np.random.default_rng(6))
+    assert pair[0].low == pytest.approx(alone.low, rel=1e-12)
+    assert pair[0].high == pytest.approx(alone.high, rel=1e-12)
+
+
+def test_a_share_that_never_happens_is_bounded_by_the_episodes_it_could_have() -> None:
+    never = [[60, 0], [30, 0], [0, 0]]
+    always = [[60, 60], [30, 30]]
+    assert interval_of(never, "share") == wilson(0, 2)
+    assert interval_of(always, "share") == wilson(2, 2)
+
+
+def test_a_rate_that_never_happens_is_bounded_by_garwood() -> None:
+    never = [[1, 0.5, 0], [1, 1.5, 0]]  # 2 km
+    assert interval_of(never, "rate") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
+    assert interval_of(never, "garwood") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
+
+
+def test_a_share_of_episodes_has_wilsons_interval() -> None:
+    sums = [[1, 1]] * 81 + [[1, 0]] * 182
+    assert interval_of(sums, "wilson") == wilson(81, 263)
+
+
+@pytest.mark.parametrize("sums", [[[60, 1500]], [[60, 1500]] * 5, [[60, 0]] * 5])
+def test_resamples_that_do_not_vary_give_no_interval(sums: list[list[float]]) -> None:
+    assert np.isnan(interval_of(sums, "bootstrap")).all()
+
+
+def test_resamples_without_a_value_are_left_out() -> None:
+    # One resample in 16 misses both episodes with a leader.
+    low, high = interval_of([[10, 200], [10, 300], [0, 0], [0, 0]], "bootstrap")
+    assert (low, high) == (20.0, 30.0)
+
+
+@pytest.mark.parametrize("interval", ["bootstrap", "share", "rate", "garwood", "wilson"])
+def test_what_is_not_defined_has_no_interval(interval: Interval) -> None:
+    assert np.isnan(interval_of([[0, 0], [0, 0]], interval)).all()
+
+
+def test_no_episodes_give_no_numbers() -> None:
+    (result,) = estimate([metric_of()], [np.empty((0, 2))], np.random.default_rng(0))
+    assert np.isnan([result.value, result.low, result.high]).all()
+    assert result.n == 0
+    assert resample(np.random.default_rng(0), 0).shape == (RESAMPLES, 0)

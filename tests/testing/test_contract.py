@@ -1,0 +1,168 @@
+"""The contract tests: they pass good plugins and find each kind of bad one."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from charms_bench.plugins.agent import DriverModel, Policy
+from charms_bench.plugins.registry import AGENTS, make_agent, make_traffic, plugins
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.testing import agent_rules, contract, example_scene, traffic_rules
+from charms_bench.world.actions import Actions
+from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
+
+RNG = np.random.default_rng(0)
+OURS = [name for name, plugin in plugins(AGENTS).items() if plugin.distribution == "charms-bench"]
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_agent_of_the_project_keeps_the_contract(name: str) -> None:
+    for rule in agent_rules(make_agent(name)):
+        rule()
+
+
+def test_one_agent_everywhere_keeps_the_contract_of_traffics() -> None:
+    for rule in traffic_rules(make_traffic("idm_mobil")):
+        rule()
+
+
+def test_the_example_scene_has_lane_changes_and_crashes() -> None:
+    scene = example_scene()
+    assert (scene.lane != scene.target_lane).any()
+    assert scene.crashed.any()
+
+
+class Decides(Policy):
+    """A policy made of a function."""
+
+    def __init__(self, function: Callable[[Observations], Actions]) -> None:
+        self.function = function
+
+    def decide(self, observations: Observations) -> Actions:
+        return self.function(observations)
+
+
+def scribble(observations: Observations) -> Actions:
+    observations[:] = 0
+    return np.ones(len(observations), dtype=np.int64)
+
+
+@pytest.mark.parametrize(
+    ("function", "rule", "message"),
+    [
+        (lambda o: np.ones(3, int), "policy_returns_an_action_a_vehicle", r"shape \(3,\) for 336"),
+        (lambda o: np.ones(len(o)), "policy_returns_an_action_a_vehicle", "are float64"),
+        (lambda o: np.full(len(o), -1), "policy_returns_an_action_a_vehicle", "action -1"),
+        (lambda o: np.full(len(o), 5), "policy_returns_an_action_a_vehicle", "action 5"),
+        (
+            lambda o: np.full(len(o), min(len(o), 3)),
+            "policy_decides_for_each_vehicle_alone",
+            "336 vehicles decide otherwise when alone",
+        ),
+        (
+            lambda o: RNG.integers(0, 5, len(o)),
+            "policy_decides_the_same_again",
+            "actions changed",
+        ),
+        (scribble, "policy_leaves_its_observations_alone", "changed its observations"),
+    ],
+)
+def test_a_policy_that_breaks_a_rule_is_found(
+    function: Callable[[Observations], Actions], rule: str, message: str
+) -> None:
+    with pytest.raises(AssertionError, match=message):
+        getattr(contract, rule)(Decides(function))
+
+
+def test_a_policy_with_an_impossible_rate_or_observation_is_found() -> None:
+    policy = Decides(lambda observations: np.ones(len(observations), dtype=np.int64))
+    policy.decision_hz = 0.0
+    with pytest.raises(AssertionError, match=r"decision_hz is 0\.0"):
+        contract.policy_names_an_observation_and_a_rate(policy)
+
+
+class Drives(DriverModel):
+    """A driver model made of a function."""
+
+    def __init__(self, function: Callable[[Scene, Vehicles], tuple[Floats, Ints]]) -> None:
+        self.function = function
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        return self.function(scene, vehicles)
+
+
+def push(scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+    scene.x[vehicles] += 1.0
+    return np.zeros(vehicles[0].size), scene.lane[vehicles]
+
+
+@pytest.mark.parametrize(
+    ("function", "rule", "message"),
+    [
+        (
+            lambda s, v: (np.zeros(v[0].size), s.lane[v] + 1),
+            "model_returns_an_acceleration_and_a_lane_a_vehicle",
+            "lane 3 of 3",
+        ),
+        (
+            lambda s, v: (np.full(v[0].size, float(v[0].size)), s.lane[v]),
+            "model_drives_each_scene_alone",
+            "scene 0 is driven otherwise alone",
+        ),
+        (
+            lambda s, v: (RNG.random(v[0].size), s.lane[v]),
+            "model_drives_the_same_again",
+            "two calls on the same scene differ",
+        ),
+        (push, "model_leaves_the_scene_alone", r"drive changed scene\.x"),
+    ],
+)
+def test_a_driver_model_that_breaks_a_rule_is_found(
+    function: Callable[[Scene, Vehicles], tuple[Floats, Ints]], rule: str, message: str
+) -> None:
+    with pytest.raises(AssertionError, match=message):
+        getattr(contract, rule)(Drives(function))
+
+
+def test_a_traffic_that_assigns_strangers_is_found() -> None:
+    class Strange(Traffic):
+        agents = ("idm_mobil",)
+
+        def assign(self, rng, scenes, vehicles):  # type: ignore[no-untyped-def]  # as authors may
+            return np.full((scenes, vehicles), "stranger")
+
+    with pytest.raises(AssertionError, match=r"assigned \['stranger'\]"):
+        contract.traffic_assigns_its_agents(Strange())
+
+
+def test_an_agent_that_cannot_go_to_another_process_is_found() -> None:
+    policy = Decides(lambda observations: np.ones(len(observations), dtype=np.int64))
+    with pytest.raises(AssertionError, match=r"cannot be pickled: .*lambda"):
+        contract.agent_answers_the_same_in_another_process(policy)
+
+
+class Forgetful(Policy):
+    """Loses what it was made with on the way to another process."""
+
+    action = 1
+
+    def decide(self, observations: Observations) -> Actions:
+        return np.full(len(observations), self.action)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"lost": True}
+
+
+def test_an_agent_that_is_another_in_another_process_is_found() -> None:
+    policy = Forgetful()
+    contract.agent_answers_the_same_in_another_process(policy)
+    policy.action = 2
+    with pytest.raises(AssertionError, match="336 answers differ once it has been pickled"):
+        contract.agent_answers_the_same_in_another_process(policy)
+
+
+def test_an_agent_that_takes_its_time_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contract, "SLOW_MS", 0.0)
+    with pytest.raises(AssertionError, match=r"ms a vehicle; expected 0\.0 at most"):
+        contract.agent_answers_in_time(Forgetful())
