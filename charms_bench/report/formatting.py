@@ -1,0 +1,85 @@
+"""How the numbers of a table are written: the same digits in every view."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from charms_bench.report.table import Cell, Column, Number, Table
+
+NOTHING = "–"
+"""Stands for a value that is not defined."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A cell as text; what is not defined is empty, and a value that is not defined `NOTHING`."""
+
+    value: str
+    low: str = ""
+    high: str = ""
+    reference: str = ""
+    difference: str = ""
+    """Value less reference."""
+    n: str = ""
+    marked: bool = False
+
+    def interval(self, between: str) -> str:
+        """The ends of the interval with a text between them; empty without an interval."""
+        return f"{self.low}{between}{self.high}" if self.low and self.high else ""
+
+
+def write_cells(table: Table) -> list[list[Written]]:
+    """The cells of a table as text, row by row."""
+    columns = [
+        write_column(column, [row.cells[i] for row in table.rows])
+        for i, column in enumerate(table.columns)
+    ]
+    return [list(cells) for cells in zip(*columns, strict=True)]
+
+
+def write_column(column: Column, cells: Sequence[Cell]) -> list[Written]:
+    """The cells of a column as text."""
+    form = column.form or _four_digits(cell for cell in cells if isinstance(cell, Number))
+    if column.signed:
+        form = f"+{form}"
+    return [Written(cell) if isinstance(cell, str) else _written(cell, form) for cell in cells]
+
+
+def _written(number: Number, form: str) -> Written:
+    if form.endswith("margin"):
+        form = form.replace("margin", _two_digits_of_margin(number))
+    if form == "p":
+        small = number.value is not None and number.value < 0.001
+        return Written("<0.001" if small else _text(number.value, ".3f") or NOTHING)
+    known = Written(
+        value=_text(number.value, form) or NOTHING,
+        low=_text(number.low, form).removesuffix(" %"),
+        high=_text(number.high, form).removesuffix(" %"),
+        reference=_text(number.reference, form.removeprefix("+")),
+        n="" if number.n is None else f"{number.n:,}",
+        marked=number.marked,
+    )
+    if number.value is None or number.reference is None:
+        return known
+    difference = _text(number.value - number.reference, f"+{form.removeprefix('+')}")
+    return replace(known, difference=difference)
+
+
+def _text(number: float | None, form: str) -> str:
+    return "" if number is None else f"{number:{form}}".replace("%", " %")
+
+
+def _four_digits(numbers: Iterable[Number]) -> str:
+    """The form for a column: four digits of its largest number, three of one below 1."""
+    found = [each for number in numbers for each in (number.value, number.high, number.reference)]
+    largest = max((abs(each) for each in found if each is not None), default=0.0)
+    magnitude = math.floor(math.log10(largest)) if largest else 0
+    decimals = min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
+    return f"{',' * (largest >= 10_000)}.{decimals}f"
+
+
+def _two_digits_of_margin(number: Number) -> str:
+    """The form for a number: two digits of the half-width of its interval, which limits it."""
+    if number.value is None or number.high is None or number.high <= number.value:
+        return ".3g"
+    return f".{max(0, 1 - math.floor(math.log10(number.high - number.value)))}f"

@@ -1,0 +1,64 @@
+"""A table as HTML: in a page, linked to its definitions, or alone in a notebook."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from charms_bench.report.formatting import Written, write_cells
+from charms_bench.report.table import Column, Number, Row, Table
+
+TEMPLATES = Path(__file__).with_name("templates")
+
+
+@cache
+def environment() -> Environment:
+    """The templates; names that are filled in are text, whatever they look like."""
+    made = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["written"] = written
+    return made
+
+
+def written(table: Table) -> list[tuple[Row, list[Written]]]:
+    """Each row with its cells as text; numbers have the minus sign of typography."""
+    return [
+        (
+            row,
+            [
+                _typeset(text) if isinstance(cell, Number) else text
+                for cell, text in zip(row.cells, texts, strict=True)
+            ],
+        )
+        for row, texts in zip(table.rows, write_cells(table), strict=True)
+    ]
+
+
+def _typeset(text: Written) -> Written:
+    fields = ("value", "low", "high", "reference", "difference")
+    return replace(text, **{name: getattr(text, name).replace("-", "−") for name in fields})
+
+
+def definition_ids(columns: Iterable[Column]) -> dict[Column, str]:
+    """What links call the definition of each column; columns that say the same share one."""
+    ids: dict[Column, str] = {}
+    said: dict[Column, str] = {}
+    for column in columns:
+        same = replace(column, group="", quantity="", form="", signed=False)
+        found = re.sub(r"[^\w.-]", "_", f"is-{column.group}-{column.name}")
+        ids[column] = said.setdefault(same, found)
+    return ids
+
+
+def notebook(table: Table) -> str:
+    """The table as HTML that needs nothing around it."""
+    template = environment().get_template("notebook.html")
+    return template.render(tables=table.parts())

@@ -1,0 +1,249 @@
+"""The table model: every table of a report is a `Table`, which is data until a view draws it.
+
+Views: `terminal`, `bars`, `markdown`, `html.table`, and `Table.frame` for programs.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import polars as pl
+
+from charms_bench.errors import InputError, suggestion
+
+LONG = {
+    name: name
+    for name in ("group", "name", "value", "low", "high", "n", "reference", "p", "marked")
+}
+"""The columns of a long frame after the keys, each with the part of a number that it holds."""
+_TYPES: dict[str, pl.DataType] = {
+    "group": pl.String(),
+    "name": pl.String(),
+    "n": pl.Int64(),
+    "marked": pl.Boolean(),
+}
+
+
+@dataclass(frozen=True)
+class Number:
+    """A value and what is known about it; None stands for whatever is not defined."""
+
+    value: float | None = None
+    low: float | None = None
+    """Lower end of the 95 % interval."""
+    high: float | None = None
+    n: int | None = None
+    """How many observations the value is computed from; `Column.counted` says of what."""
+    reference: float | None = None
+    """The value to compare with, such as the paper's; `Table.reference` names its source."""
+    p: float | None = None
+    """The p-value, corrected for the number of tests."""
+    marked: bool = False
+    """Whether the number stands out, for the reason that the table's note gives."""
+
+
+Cell = Number | str
+
+
+@dataclass(frozen=True)
+class Column:
+    """What the numbers of a column are."""
+
+    name: str
+    unit: str = ""
+    """Empty for a share."""
+    definition: str = ""
+    counted: str = ""
+    """What `Number.n` counts."""
+    interval: str = ""
+    """How the 95 % interval is computed."""
+    group: str = ""
+    """Where the column belongs: the label of a metric set, or the name of a reference."""
+    quantity: str = ""
+    """What is measured, where a group has columns of several quantities."""
+    form: str = ""
+    """How numbers are written: a format specification such as `.1%`; `margin` for two digits of the
+    half-width of the interval; `p` for p-values; empty for four digits of the column's largest."""
+    signed: bool = False
+    """Whether the numbers are differences, which are written with their sign."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The labels of a row, one per key, and its cells, one per column."""
+
+    labels: tuple[str, ...]
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Labelled rows of numbers."""
+
+    name: str
+    """The name of its files, without the ending."""
+    title: str
+    keys: tuple[str, ...]
+    """What the labels of a row are, such as `agent` and `traffic`."""
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    note: str = ""
+    reference: str = ""
+    """Where reference values come from, such as `paper`."""
+    long: Mapping[str, str] = field(default_factory=lambda: LONG)
+    """The columns of `frame` after the keys, each with the part of a number that it holds."""
+    by_part: bool = False
+    """Whether `frame` lists one part after the other (`parts`) instead of row by row."""
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: pl.DataFrame,
+        name: str,
+        title: str,
+        keys: tuple[str, ...],
+        long: Mapping[str, str],
+        define: Callable[[str, str], Column],
+        **more: Any,
+    ) -> "Table":
+        """The table of a long frame, in the order of its rows; the inverse of `frame`.
+
+        Args:
+            frame: One number per row, with the columns `keys` and `long`.
+            name: As in `Table`, like the others.
+            title: The same.
+            keys: The same.
+            long: The same.
+            define: Makes a column from its group and name.
+            more: Further fields of `Table`.
+        """
+        at = {part: column for column, part in long.items()}
+        parts = {part: column for part, column in at.items() if part not in ("group", "name")}
+        columns: dict[tuple[str, str], None] = {}
+        rows: dict[tuple[str, ...], dict[tuple[str, str], Number]] = {}
+        for record in frame.iter_rows(named=True):
+            column = (record[at["group"]] if "group" in at else "", record[at["name"]])
+            columns.setdefault(column)
+            number = Number(**{part: record[name] for part, name in parts.items()})
+            rows.setdefault(tuple(record[key] for key in keys), {})[column] = number
+        return cls(
+            name=name,
+            title=title,
+            keys=keys,
+            columns=tuple(define(*column) for column in columns),
+            rows=tuple(
+                Row(labels, tuple(cells.get(column, Number()) for column in columns))
+                for labels, cells in rows.items()
+            ),
+            long=long,
+            **more,
+        )
+
+    @classmethod
+    def from_records(
+        cls,
+        records: Iterable[Mapping[str, Any]],
+        name: str,
+        title: str,
+        keys: tuple[str, ...],
+        columns: tuple[Column, ...],
+        note: str = "",
+    ) -> "Table":
+        """The table of some records: a cell that is not a `Number` yet becomes one, or a text."""
+
+        def cell(value: object) -> Cell:
+            if value is None or isinstance(value, int | float):
+                return Number(value)
+            return value if isinstance(value, Number) else str(value)
+
+        rows = tuple(
+            Row(
+                tuple(str(record[key]) for key in keys),
+                tuple(cell(record.get(column.name)) for column in columns),
+            )
+            for record in records
+        )
+        return cls(name, title, keys, columns, rows, note)
+
+    def frame(self) -> pl.DataFrame:
+        """The numbers as a long frame, one per row; texts are left out."""
+        records = [
+            dict(zip(self.keys, row.labels, strict=True))
+            | {name: _part(column, cell, part) for name, part in self.long.items()}
+            for places in (self._parts() if self.by_part else [range(len(self.columns))])
+            for row in self.rows
+            for column, cell in ((self.columns[i], row.cells[i]) for i in places)
+            if isinstance(cell, Number)
+        ]
+        types = {name: _TYPES.get(part, pl.Float64()) for name, part in self.long.items()}
+        return pl.DataFrame(records, schema={**dict.fromkeys(self.keys, pl.String()), **types})
+
+    def select(self, *names: str) -> "Table":
+        """The table with only these columns, group by group in this order.
+
+        Raises:
+            InputError: No column has such a name.
+        """
+        known = {column.name: None for column in self.columns}
+        for name in names:
+            if name not in known:
+                raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
+        groups = list(dict.fromkeys(column.group for column in self.columns))
+        places = [i for i, column in enumerate(self.columns) if column.name in names]
+        places.sort(
+            key=lambda i: (
+                groups.index(self.columns[i].group),
+                names.index(self.columns[i].name),
+            )
+        )
+        return self.take(places)
+
+    def take(self, places: Sequence[int]) -> "Table":
+        """The table with only the columns at these places, in this order."""
+        return replace(
+            self,
+            columns=tuple(self.columns[i] for i in places),
+            rows=tuple(
+                replace(row, cells=tuple(row.cells[i] for i in places)) for row in self.rows
+            ),
+        )
+
+    def parts(self) -> list["Table"]:
+        """A table for each group and quantity, titled by them, with their columns."""
+        found = [self.take(places) for places in self._parts()]
+        if len(found) == 1 and not self.columns[0].group:
+            return found
+        first = [part.columns[0] for part in found]
+        titles = [": ".join(filter(None, (each.group, each.quantity))) for each in first]
+        return [replace(part, title=title) for part, title in zip(found, titles, strict=True)]
+
+    def _parts(self) -> list[list[int]]:
+        """The places of the columns of each part."""
+        places: dict[tuple[str, str], list[int]] = {}
+        for i, column in enumerate(self.columns):
+            places.setdefault((column.group, column.quantity), []).append(i)
+        return list(places.values())
+
+    def without_constant_keys(self) -> "Table":
+        """The table without keys whose labels are all the same; at least one key stays."""
+        differ = [
+            len(set(labels)) > 1 for labels in zip(*(row.labels for row in self.rows), strict=True)
+        ]
+        kept = [i for i, differs in enumerate(differ) if differs] or [0]
+        rows = tuple(replace(row, labels=tuple(row.labels[i] for i in kept)) for row in self.rows)
+        return replace(self, keys=tuple(self.keys[i] for i in kept), rows=rows)
+
+    def column(self, place: int) -> list[Number]:
+        """The numbers of the column at this place; a text counts as one that is not defined."""
+        cells = (row.cells[place] for row in self.rows)
+        return [cell if isinstance(cell, Number) else Number() for cell in cells]
+
+    def _repr_html_(self) -> str:
+        """The table for a notebook."""
+        from charms_bench.report.html.table import notebook
+
+        return notebook(self)
+
+
+def _part(column: Column, number: Number, part: str) -> Any:
+    return getattr(column if part in ("group", "name") else number, part)
