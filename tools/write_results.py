@@ -17,7 +17,7 @@ import polars as pl
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.training import stored_training
-from charms_bench.runs.runner import open_run
+from charms_bench.runs.finished import open_finished
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
@@ -155,7 +155,7 @@ def crossplay(runs: Path) -> str:
 
 def edges(runs: Path) -> str:
     """The first of the most critical episodes of the suite `ego`, and how to see one."""
-    run = open_run(runs / "ego")
+    run = open_finished(runs / "ego")
     found = edge_cases(run, 2, None, range(len(run.suite.cells)), ROOT / "suites")
     lines = ["rank ego           traffic   episode criticality what happened"]
     lines += [

@@ -35,13 +35,13 @@ def compare(
     """Say in which metrics two agents differ by more than chance, and by how much."""
     from charms_bench.report.compare import compare as compare_cells
     from charms_bench.report.compare import render
+    from charms_bench.runs.finished import open_finished
     from charms_bench.runs.metric_sets import metric_sets as find
     from charms_bench.runs.pairing import pairs_of
-    from charms_bench.runs.runner import open_run
 
     sets = find(metric_sets or [])
-    one = open_run(first)
-    pairs = pairs_of(one, None if second is None else open_run(second), agents)
+    one = open_finished(first)
+    pairs = pairs_of(one, None if second is None else open_finished(second), agents)
     rows = compare_cells(pairs, sets, one.suite.scene, one.suite.seed, metrics or ())
     if as_json:
         print(json.dumps([row.to_dict() for row in rows], indent=2, ensure_ascii=False))

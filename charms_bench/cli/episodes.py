@@ -11,7 +11,7 @@ from charms_bench.cli.terminal import Json, app, out, plain
 from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
-    from charms_bench.runs.runner import Run
+    from charms_bench.runs.finished import FinishedRun
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a finished run.")]
 EgoTitle = Annotated[str | None, typer.Option("--agent", help="The ego, as tables call it.")]
@@ -43,9 +43,9 @@ def edge_cases(
 
     from charms_bench.episodes import edge_cases as ranking
     from charms_bench.episodes.replay import find_cells
-    from charms_bench.runs.runner import open_run
+    from charms_bench.runs.finished import open_finished
 
-    opened = open_run(run)
+    opened = open_finished(run)
     cells = find_cells(opened, agent, traffic)
     found = ranking.edge_cases(opened, top, kind, cells, suite_folder)
     if as_json:
@@ -90,10 +90,10 @@ def replay(
     from charms_bench.episodes.animation import animate, check_animation
     from charms_bench.episodes.replay import replay as simulate_again
     from charms_bench.episodes.what_happened import what_happened
-    from charms_bench.runs.runner import open_run
+    from charms_bench.runs.finished import open_finished
     from charms_bench.world.files import write_atomically
 
-    opened = open_run(run)
+    opened = open_finished(run)
     cell = _one_cell(opened, agent, traffic)
     chosen = opened.suite.cells[cell]
     name = f"{_slug(chosen.ego.title)}-in-{_slug(chosen.traffic.title)}-{episode}"
@@ -123,7 +123,7 @@ def replay(
     out.print(f"Trajectories: {plain(str(trajectories))}", highlight=False, soft_wrap=True)
 
 
-def _one_cell(run: "Run", agent: str | None, traffic: str | None) -> int:
+def _one_cell(run: "FinishedRun", agent: str | None, traffic: str | None) -> int:
     """The cell that the titles choose.
 
     Raises:

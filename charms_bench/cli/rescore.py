@@ -17,12 +17,12 @@ def rescore(
 ) -> None:
     """Compute a run's metrics again from its rows, and write its tables again; no simulation."""
     from charms_bench.report.tables import build_table, render_terminal, write_tables
+    from charms_bench.runs.finished import open_finished
     from charms_bench.runs.lock import locked
     from charms_bench.runs.metric_sets import metric_sets as find
-    from charms_bench.runs.runner import open_run
 
     sets = find(metric_sets or [])
-    opened = open_run(run)
+    opened = open_finished(run)
     suite = opened.suite
     with locked(run):
         table = build_table(opened.cells(), suite.scene, suite.seed, sets)

@@ -10,7 +10,7 @@ import polars as pl
 from charms_bench.episodes.criticality import IS_OF_KIND, Kind, criticality
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_happened import gave_way, what_happened
-from charms_bench.runs.runner import Run
+from charms_bench.runs.finished import FinishedRun
 
 AT_ONCE = 20
 """Episodes that are simulated again together: few enough for the memory of large scenes."""
@@ -43,7 +43,7 @@ class EdgeCase:
 
 
 def edge_cases(
-    run: Run, top: int, kind: Kind | None, cells: Sequence[int], folder: Path
+    run: FinishedRun, top: int, kind: Kind | None, cells: Sequence[int], folder: Path
 ) -> list[EdgeCase]:
     """The most critical episodes, ranked; of equally critical ones the first cell's and seed's.
 
@@ -86,7 +86,7 @@ _MEASURED = (
 )  # fmt: skip
 
 
-def ranked(run: Run, cells: Sequence[int]) -> pl.DataFrame:
+def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
     """Every episode of these cells, the most critical first: `criticality`, and its `cell`."""
     rows = run.cells()
     frames = [
@@ -100,7 +100,7 @@ def ranked(run: Run, cells: Sequence[int]) -> pl.DataFrame:
 
 
 def _replays(
-    run: Run, measured: pl.DataFrame, folder: Path
+    run: FinishedRun, measured: pl.DataFrame, folder: Path
 ) -> Iterator[tuple[dict[str, Any], Replay]]:
     """The rows in their order, each with its replay; simulated as far as is asked for."""
     for part in measured.iter_slices(AT_ONCE):

@@ -18,7 +18,8 @@ from charms_bench.errors import RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.specs import AgentSpec
-from charms_bench.runs.runner import Run, plan
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Cell, EgoEntry
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
@@ -101,7 +102,7 @@ _OF_SCENE = (
 )  # fmt: skip
 
 
-def find_cells(run: Run, agent: str | None, traffic: str | None) -> list[int]:
+def find_cells(run: FinishedRun, agent: str | None, traffic: str | None) -> list[int]:
     """The cells of a run whose ego and traffic have these titles; None is any.
 
     Raises:
@@ -122,7 +123,7 @@ def find_cells(run: Run, agent: str | None, traffic: str | None) -> list[int]:
     ]
 
 
-def replay(run: Run, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
+def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
     """Episodes of a cell, in the order asked for.
 
     Args:
@@ -174,7 +175,7 @@ def replay(run: Run, cell: int, episodes: Sequence[int], folder: Path) -> list[R
     return replays
 
 
-def _stored(run: Run, cell: int, episodes: Sequence[int]) -> pl.DataFrame:
+def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFrame:
     """The run's step rows of these episodes."""
     first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
     for episode in episodes:
@@ -191,7 +192,7 @@ def _stored(run: Run, cell: int, episodes: Sequence[int]) -> pl.DataFrame:
     return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
 
 
-def _simulation(run: Run, cell: int, scenes: int, folder: Path) -> Simulation:
+def _simulation(run: FinishedRun, cell: int, scenes: int, folder: Path) -> Simulation:
     ego = run.suite.cells[cell].ego.agent
     traffic = run.suite.cells[cell].traffic.traffic.make()
     agents = {name: AgentSpec(name=name).make(folder) for name in traffic.agents}
@@ -199,7 +200,7 @@ def _simulation(run: Run, cell: int, scenes: int, folder: Path) -> Simulation:
     return Simulation(run.suite.scene, scenes, ego.key, traffic, agents)
 
 
-def _ego(run: Run, ego: AgentSpec, folder: Path) -> Agent:
+def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
     """The ego's agent; a network given by path is the one that the run folder holds."""
     kept = None if ego.onnx is None else run.folder.network(ego.key)
     if kept is None:
@@ -216,7 +217,9 @@ def _frame(simulation: Simulation) -> dict[str, Any]:
     return scene | {"action": simulation.action.copy()}
 
 
-def _check(run: Run, cell: int, folder: Path, stored: pl.DataFrame, again: pl.DataFrame) -> None:
+def _check(
+    run: FinishedRun, cell: int, folder: Path, stored: pl.DataFrame, again: pl.DataFrame
+) -> None:
     """Refuses a replay whose ego's rows are not the run's."""
     if again.equals(stored):
         return
@@ -235,7 +238,7 @@ def _check(run: Run, cell: int, folder: Path, stored: pl.DataFrame, again: pl.Da
     )
 
 
-def _reason(run: Run, cell: int, folder: Path) -> str:
+def _reason(run: FinishedRun, cell: int, folder: Path) -> str:
     """Why an episode may go another way than when the run was made."""
     manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
     ego = chosen.ego

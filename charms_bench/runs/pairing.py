@@ -6,12 +6,14 @@ from typing import Any
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.runner import Run
+from charms_bench.runs.finished import FinishedRun
 
 Pair = tuple[CellRows, CellRows]
 
 
-def pairs_of(first: Run, second: Run | None, agents: tuple[str, str] | None) -> list[Pair]:
+def pairs_of(
+    first: FinishedRun, second: FinishedRun | None, agents: tuple[str, str] | None
+) -> list[Pair]:
     """The cells to compare, traffic by traffic.
 
     Args:
@@ -45,7 +47,7 @@ def pairs_of(first: Run, second: Run | None, agents: tuple[str, str] | None) -> 
     )
 
 
-def check_same_episodes(first: Run, second: Run) -> None:
+def check_same_episodes(first: FinishedRun, second: FinishedRun) -> None:
     """Sees to it that everything but the egos is the same in two runs.
 
     Raises:
@@ -61,7 +63,7 @@ def check_same_episodes(first: Run, second: Run) -> None:
             )
 
 
-def _conditions(run: Run) -> dict[str, Any]:
+def _conditions(run: FinishedRun) -> dict[str, Any]:
     """What episodes and their rows depend on, but for the egos.
 
     Metrics are computed from the rows when they are compared, so both runs get the same
@@ -94,7 +96,7 @@ def _leaves(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
         yield at, value
 
 
-def _matched(first: Run, second: Run, agents: list[tuple[str, str]]) -> list[Pair]:
+def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, str]]) -> list[Pair]:
     for run, names in zip((first, second), zip(*agents, strict=True), strict=True):
         known = {ego.title: ego for ego in run.suite.egos}
         for name in names:
@@ -115,7 +117,7 @@ def _matched(first: Run, second: Run, agents: list[tuple[str, str]]) -> list[Pai
     return pairs if same else [_told_apart(first, second, pair) for pair in pairs]
 
 
-def _told_apart(first: Run, second: Run, pair: Pair) -> Pair:
+def _told_apart(first: FinishedRun, second: FinishedRun, pair: Pair) -> Pair:
     """The pair; agents of one name are named by their runs too."""
     one, other = pair
     if one.agent != other.agent:

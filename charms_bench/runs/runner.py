@@ -4,9 +4,8 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,7 +18,7 @@ from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, plugins
 from charms_bench.plugins.specs import AgentSpec
-from charms_bench.runs.cells import CellRows, TrafficCounts
+from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.folder import RunFolder, Shard, ShardFiles, in_parquet, recorded_versions
 from charms_bench.runs.keys import code_sha256, harness_sha256
 from charms_bench.runs.suite import Cell, Suite
@@ -56,62 +55,6 @@ class Elsewhere(Protocol):
             title: What a shard is called in messages.
             limit_s: How long a shard may take.
         """
-
-
-@dataclass(frozen=True)
-class Run:
-    """A suite that has been run: its shards, in the folder."""
-
-    suite: Suite
-    folder: RunFolder
-    shards: tuple[Shard, ...]
-
-    def cells(self) -> list[CellRows]:
-        """The rows of every cell, as tables want them."""
-        return [
-            CellRows(
-                agent=cell.ego.title,
-                traffic=cell.traffic.title,
-                episodes=self.folder.read("episodes", shards),
-                steps=self.folder.read("steps", shards),
-                paper=cell.paper,
-            )
-            for cell, shards in self._cells()
-        ]
-
-    def following(self) -> list[TrafficCounts]:
-        """What the vehicles of every cell did while they followed, as realism wants it."""
-        return [
-            TrafficCounts.of(
-                cell.traffic.title,
-                self.folder.read("episodes", shards),
-                self.folder.read("counts", shards),
-            )
-            for cell, shards in self._cells()
-        ]
-
-    def _cells(self) -> Iterator[tuple[Cell, list[Shard]]]:
-        for index, cell in enumerate(self.suite.cells):
-            yield cell, [shard for shard in self.shards if shard.cell == index]
-
-
-def open_run(path: Path) -> Run:
-    """A finished run, from its folder alone.
-
-    Raises:
-        RunFolderError: It holds no run, one that is not finished, or one that is damaged.
-    """
-    folder = RunFolder(path)
-    suite = folder.suite()
-    shards = folder.shards()
-    for index, cell in enumerate(suite.cells):
-        there = sum(shard.episodes for shard in shards if shard.cell == index)
-        if there != suite.episodes:
-            raise RunFolderError(
-                f"{path}: holds {there:,} of {suite.episodes:,} episodes of {cell.ego.title} in "
-                f"{cell.traffic.title}; go on with `charms-bench run`"
-            )
-    return Run(suite, folder, shards)
 
 
 def plan(suite: Suite, engine: EngineName) -> tuple[tuple[Shard, ...], dict[str, Any]]:
@@ -165,7 +108,7 @@ def run(
     shard_limit_s: float = SHARD_LIMIT_S,
     notice: Callable[[str], None] = lambda what: None,
     elsewhere: Elsewhere | None = None,
-) -> Run:
+) -> FinishedRun:
     """Runs what is missing of a suite in the folder `output`.
 
     Args:
@@ -215,7 +158,7 @@ def run(
                 error.add_note(f"finished shards are in {output}; the same command goes on there")
                 raise
         folder.drop_others(shards)
-    return Run(suite, folder, shards)
+    return FinishedRun(suite, folder, shards)
 
 
 def run_shard(suite: Suite, engine: EngineName, shard: Shard) -> ShardFiles:

@@ -10,7 +10,8 @@ import polars as pl
 import pytest
 
 from charms_bench.episodes.edge_cases import edge_cases
-from charms_bench.runs.runner import Run, run
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 
 SUITE = {
@@ -23,7 +24,7 @@ SUITE = {
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     return run(Suite.model_validate(SUITE), tmp_path_factory.mktemp("run") / "small", workers=1)
 
 
@@ -37,7 +38,7 @@ def charms_bench(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_collisions_come_first_and_then_the_most_critical(finished: Run) -> None:
+def test_collisions_come_first_and_then_the_most_critical(finished: FinishedRun) -> None:
     found = edge_cases(finished, 60, None, [0, 1], Path())
     assert [case.rank for case in found] == list(range(1, 61))
     assert [case.criticality for case in found] == sorted(
@@ -49,14 +50,14 @@ def test_collisions_come_first_and_then_the_most_critical(finished: Run) -> None
     assert sum(ended) == (stored["ending"] != "time").sum() > 0
 
 
-def test_every_collision_is_told_as_one(finished: Run) -> None:
+def test_every_collision_is_told_as_one(finished: FinishedRun) -> None:
     found = edge_cases(finished, 60, "collision", [0, 1], Path())
     verbs = ("hit vehicle", "was hit from behind", "steered", "clipped", "left the road")
     assert found
     assert all(any(verb in case.what for verb in verbs) for case in found)
 
 
-def test_a_near_miss_is_told_by_its_measured_ttc(finished: Run) -> None:
+def test_a_near_miss_is_told_by_its_measured_ttc(finished: FinishedRun) -> None:
     found = edge_cases(finished, 60, "near-miss", [0, 1], Path())
     assert found
     for case in found:
@@ -65,7 +66,7 @@ def test_a_near_miss_is_told_by_its_measured_ttc(finished: Run) -> None:
         assert case.what.startswith(f"TTC {case.ttc_min_s:.1f} s behind vehicle ")
 
 
-def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: Run) -> None:
+def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: FinishedRun) -> None:
     found = edge_cases(finished, 60, "abandoned-lane-change", [0, 1], Path())
     assert found
     for case in found:
@@ -73,12 +74,12 @@ def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: Run) -> 
         assert "took the gap" in case.what
 
 
-def test_top_and_cells_limit_the_list(finished: Run) -> None:
+def test_top_and_cells_limit_the_list(finished: FinishedRun) -> None:
     found = edge_cases(finished, 3, None, [0], Path())
     assert [case.ego for case in found] == ["idm_mobil"] * 3
 
 
-def test_the_command_prints_a_line_an_episode_or_json(finished: Run) -> None:
+def test_the_command_prints_a_line_an_episode_or_json(finished: FinishedRun) -> None:
     shown = charms_bench("edge-cases", finished.folder.path, "--top", 3)
     assert shown.returncode == 0, shown.stderr
     cases = json.loads(
@@ -90,13 +91,13 @@ def test_the_command_prints_a_line_an_episode_or_json(finished: Run) -> None:
         assert all(text in line for text in (case["ego"], str(case["episode"]), case["what"]))
 
 
-def test_a_kind_that_did_not_happen_is_no_error(finished: Run) -> None:
+def test_a_kind_that_did_not_happen_is_no_error(finished: FinishedRun) -> None:
     options = ["--agent", "idm_mobil", "--kind", "collision"]
     result = charms_bench("edge-cases", finished.folder.path, *options)
     assert (result.returncode, "No collision in" in result.stdout) == (0, True)
 
 
-def test_replay_writes_an_animation_and_trajectories(finished: Run) -> None:
+def test_replay_writes_an_animation_and_trajectories(finished: FinishedRun) -> None:
     result = charms_bench("replay", finished.folder.path, 4, "--agent", "[b]Level-k[/b]", "--json")
     assert result.returncode == 0, result.stderr
     made = json.loads(result.stdout)
@@ -117,7 +118,7 @@ def test_replay_writes_an_animation_and_trajectories(finished: Run) -> None:
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(
-    finished: Run, options: list[str], message: str
+    finished: FinishedRun, options: list[str], message: str
 ) -> None:
     result = charms_bench("replay", finished.folder.path, 4, *options)
     assert (result.returncode, result.stdout) == (2, "")

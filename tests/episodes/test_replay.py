@@ -11,8 +11,9 @@ import pytest
 
 from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, find_cells, replay
 from charms_bench.errors import RunFolderError
+from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import KINDS, in_parquet
-from charms_bench.runs.runner import Run, open_run, run
+from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 
 SMALL = {
@@ -26,16 +27,16 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     return run(Suite.model_validate(SMALL), tmp_path_factory.mktemp("run") / "small", workers=1)
 
 
 @pytest.fixture
-def copied(finished: Run, tmp_path: Path) -> Run:
-    return open_run(Path(shutil.copytree(finished.folder.path, tmp_path / "copy")))
+def copied(finished: FinishedRun, tmp_path: Path) -> FinishedRun:
+    return open_finished(Path(shutil.copytree(finished.folder.path, tmp_path / "copy")))
 
 
-def test_a_replay_passes_through_the_rows_of_the_run(finished: Run) -> None:
+def test_a_replay_passes_through_the_rows_of_the_run(finished: FinishedRun) -> None:
     first, second = replay(finished, 1, [13, 11], Path())
     stored = finished.cells()[1].steps
     for replayed, episode in ((first, 13), (second, 11)):
@@ -48,13 +49,13 @@ def test_a_replay_passes_through_the_rows_of_the_run(finished: Run) -> None:
         assert replayed.t_s[frames[0]] == pytest.approx(1 / 3)
 
 
-def test_a_copied_run_folder_is_enough(copied: Run) -> None:
+def test_a_copied_run_folder_is_enough(copied: FinishedRun) -> None:
     (replayed,) = replay(copied, 0, [15], Path())
     assert replayed.cell.ego.title == "idm_mobil"
     assert replayed.t_s[-1] == 3.0
 
 
-def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: Run) -> None:
+def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: FinishedRun) -> None:
     (replayed,) = replay(finished, 1, [12], Path())
     others = [name for k, name in enumerate(replayed.agents) if k != replayed.ego]
     rng = np.random.default_rng([12, 1])
@@ -62,7 +63,7 @@ def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: Run) -> N
     assert replayed.agents[replayed.ego] == "outside_policy"
 
 
-def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: Run) -> None:
+def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: FinishedRun) -> None:
     (replayed,) = replay(finished, 1, [12], Path())
     table = replayed.trajectories()
     assert table.schema == TRAJECTORY_SCHEMA
@@ -75,7 +76,7 @@ def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: Run) ->
     assert table.filter(t_s=0.0)["action"].is_null().all()
 
 
-def test_an_episode_that_goes_another_way_is_refused(copied: Run) -> None:
+def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> None:
     shard, folder = copied.shards[0], copied.folder
     rows = folder.read("steps", [shard])
     later = (pl.col("episode") == 12) & (pl.col("step") >= 4)
@@ -95,12 +96,12 @@ def test_an_episode_that_goes_another_way_is_refused(copied: Run) -> None:
         replay(copied, 0, [12], Path())
 
 
-def test_an_episode_that_the_run_has_not_is_refused(finished: Run) -> None:
+def test_an_episode_that_the_run_has_not_is_refused(finished: FinishedRun) -> None:
     with pytest.raises(RunFolderError, match="holds the episodes 10 to 15, not 16"):
         replay(finished, 0, [12, 16], Path())
 
 
-def test_cells_are_found_by_their_titles(finished: Run) -> None:
+def test_cells_are_found_by_their_titles(finished: FinishedRun) -> None:
     assert find_cells(finished, None, None) == [0, 1]
     assert find_cells(finished, "Keep right", None) == [1]
     assert find_cells(finished, "Keep right", "idm_mobil + outside_policy") == [1]
@@ -115,7 +116,7 @@ def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
     own = {**SMALL, "egos": [{"agent": {"onnx": network.name}}], "folder": network.parent}
     run(Suite.model_validate(own), tmp_path / "run", workers=1)
     network.unlink()
-    opened = open_run(Path(shutil.move(tmp_path / "run", tmp_path / "copy")))
+    opened = open_finished(Path(shutil.move(tmp_path / "run", tmp_path / "copy")))
     assert replay(opened, 0, [10], tmp_path / "elsewhere")
     network_file(np.ones((35, 5)), name=str(next((tmp_path / "copy" / "networks").iterdir())))
     with pytest.raises(RunFolderError, match=r"\.onnx: has changed since it was written; run the"):

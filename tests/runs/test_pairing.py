@@ -12,8 +12,9 @@ import pytest
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.pairing import pairs_of
-from charms_bench.runs.runner import Run, open_run, run
+from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 
 SMALL = {
@@ -26,15 +27,15 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., FinishedRun]:
     """Runs the small suite with changes, once each."""
     folder, runs = tmp_path_factory.mktemp("runs"), {}
 
-    def make(name: str, **changes: object) -> Run:
+    def make(name: str, **changes: object) -> FinishedRun:
         if name not in runs:
             suite = Suite.model_validate({**SMALL, **changes})
             run(suite, folder / name, workers=1)
-            runs[name] = open_run(folder / name)
+            runs[name] = open_finished(folder / name)
         return runs[name]
 
     return make
@@ -44,12 +45,14 @@ def named(pairs: list) -> list[tuple[str, str, str]]:
     return [(one.agent, other.agent, one.traffic) for one, other in pairs]
 
 
-def test_two_runs_of_one_ego_each_need_no_names(made: Callable[..., Run]) -> None:
+def test_two_runs_of_one_ego_each_need_no_names(made: Callable[..., FinishedRun]) -> None:
     one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
     assert named(pairs_of(one, other, None)) == [("idm_mobil", "stackelberg", "idm_mobil")]
 
 
-def test_egos_of_the_same_names_are_told_apart_by_their_runs(made: Callable[..., Run]) -> None:
+def test_egos_of_the_same_names_are_told_apart_by_their_runs(
+    made: Callable[..., FinishedRun],
+) -> None:
     both = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
     calm = [{"agent": "idm_mobil"}, {"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]
     one, other = made("both", egos=both), made("calm", egos=calm)
@@ -59,7 +62,9 @@ def test_egos_of_the_same_names_are_told_apart_by_their_runs(made: Callable[...,
     ]
 
 
-def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(made: Callable[..., Run]) -> None:
+def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
+    made: Callable[..., FinishedRun],
+) -> None:
     crossed = made(
         "crossed",
         egos=[{"agent": "idm_mobil"}, {"agent": "stackelberg"}],
@@ -93,7 +98,7 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(made: Callable
     ],
 )
 def test_runs_of_other_episodes_are_refused_and_the_field_named(
-    made: Callable[..., Run], name: str, changes: dict[str, object], difference: str
+    made: Callable[..., FinishedRun], name: str, changes: dict[str, object], difference: str
 ) -> None:
     with pytest.raises(InputError, match=f"not of the same episodes: {difference}; run one of"):
         pairs_of(made("idm"), made(name, **changes), None)
@@ -111,7 +116,7 @@ def test_runs_of_other_episodes_are_refused_and_the_field_named(
     ids=["harness", "traffic"],
 )
 def test_other_versions_of_the_harness_or_the_traffic_are_refused(
-    made: Callable[..., Run],
+    made: Callable[..., FinishedRun],
     monkeypatch: pytest.MonkeyPatch,
     change: Callable[[dict], None],
     difference: str,
@@ -137,7 +142,7 @@ def charms_bench(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[s
     )
 
 
-def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Run]) -> None:
+def test_the_command_prints_a_table_of_every_metric(made: Callable[..., FinishedRun]) -> None:
     one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
     result = charms_bench(
         "compare", one.folder.path.name, other.folder.path.name, cwd=one.folder.path.parent
@@ -149,7 +154,9 @@ def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Run]) ->
     assert max(map(len, result.stdout.splitlines())) <= 100
 
 
-def test_json_has_a_row_for_every_metric_that_was_asked_for(made: Callable[..., Run]) -> None:
+def test_json_has_a_row_for_every_metric_that_was_asked_for(
+    made: Callable[..., FinishedRun],
+) -> None:
     one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
     only = ("--metric", "crashed_episodes", "--metric", "jerk_rms")
     paths = (one.folder.path.name, other.folder.path.name)
@@ -173,7 +180,7 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(made: Callable[..., 
     ],
 )
 def test_what_cannot_be_compared_is_said_in_a_sentence(
-    made: Callable[..., Run], arguments: tuple[str, ...], message: str
+    made: Callable[..., FinishedRun], arguments: tuple[str, ...], message: str
 ) -> None:
     folder = made("idm").folder.path.parent
     made("both", egos=[{"agent": "idm_mobil"}, {"agent": "stackelberg"}])

@@ -10,7 +10,8 @@ import pytest
 
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.runs import runner
-from charms_bench.runs.runner import open_run, plan, run
+from charms_bench.runs.finished import open_finished
+from charms_bench.runs.runner import plan, run
 from charms_bench.runs.suite import Suite
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
@@ -66,7 +67,7 @@ def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_shards")
 def test_a_run_is_read_from_a_copy_of_its_folder_alone(tmp_path: Path) -> None:
     ran = run(suite(columns=("speed_mean",)), tmp_path / "here", workers=1)
-    opened = open_run(Path(shutil.move(tmp_path / "here", tmp_path / "there [*]")))
+    opened = open_finished(Path(shutil.move(tmp_path / "here", tmp_path / "there [*]")))
     assert opened.suite == ran.suite
     here = [shard.name for shard in ran.shards]
     assert [shard.name for shard in opened.shards] == here
@@ -78,7 +79,7 @@ def test_a_run_that_is_not_finished_says_how_much_is_missing(tmp_path: Path) -> 
     run(suite(), tmp_path, workers=1)
     max((tmp_path / "checksums").iterdir()).unlink()
     with pytest.raises(RunFolderError, match="20 of 25 episodes of outside_policy"):
-        open_run(tmp_path)
+        open_finished(tmp_path)
 
 
 @pytest.mark.usefixtures("small_shards")

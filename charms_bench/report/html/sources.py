@@ -9,8 +9,8 @@ import polars as pl
 from charms_bench.errors import RunFolderError
 from charms_bench.report.stored import holds, stored_tables
 from charms_bench.report.training import CURVES, STAGES, stored_training
+from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
-from charms_bench.runs.runner import Run, open_run
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Evaluation:
     key: str
     """What it is called in the report's links: the suite's name, numbered if it is there twice."""
     path: Path
-    run: Run
+    run: FinishedRun
     tables: dict[str, pl.DataFrame]
     """By the ends of their names, as `stored_tables` has them."""
 
@@ -53,7 +53,7 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | Training]:
 
 def _open(path: Path, taken: Sequence[str]) -> Evaluation | Training:
     if holds(path, MANIFEST):
-        run = open_run(path)
+        run = open_finished(path)
         name = run.suite.suite
         tables = stored_tables(path, name)
         return Evaluation(_free(name, taken), path, run, tables)
