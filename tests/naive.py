@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from charms_bench.world.scene import Constants, IdmMobilParameters, Scene
+from charms_bench.world.profile import Constants, IdmMobilParameters
+from charms_bench.world.scene import Scene
 
 Driver = tuple[Scene, IdmMobilParameters, float]
 """A scene, and the IDM constants and exponent by which its driver reckons."""
@@ -62,8 +63,8 @@ def desired_gap(driver: Driver, i: int, j: int) -> float:
     direction = np.array([math.cos(scene.heading[0, i]), math.sin(scene.heading[0, i])])
     closing = (velocity(scene, i) - velocity(scene, j)) @ direction
     speed = scene.speed[0, i]
-    dynamic = speed * closing / (2 * math.sqrt(p.acceleration * p.deceleration))
-    return p.jam_distance + speed * p.time_headway + dynamic
+    dynamic = speed * closing / (2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2))
+    return p.jam_distance_m + speed * p.time_headway_s + dynamic
 
 
 def idm_acceleration(driver: Driver, i: int, leader: int) -> float:
@@ -72,11 +73,11 @@ def idm_acceleration(driver: Driver, i: int, leader: int) -> float:
     if i < 0:
         return 0.0
     wanted = np.clip(scene.target_speed[0, i], 0, scene.constants.speed_limit)
-    acceleration = p.acceleration * (1 - (max(scene.speed[0, i], 0) / wanted) ** exponent)
+    acceleration = p.acceleration_mps2 * (1 - (max(scene.speed[0, i], 0) / wanted) ** exponent)
     if leader >= 0:
         gap = scene.x[0, leader] - scene.x[0, i]
         gap = gap if abs(gap) > 0.01 else math.copysign(0.01, gap)
-        acceleration -= p.acceleration * (desired_gap(driver, i, leader) / gap) ** 2
+        acceleration -= p.acceleration_mps2 * (desired_gap(driver, i, leader) / gap) ** 2
     return float(acceleration)
 
 
@@ -86,12 +87,12 @@ def mobil(driver: Driver, i: int, lane: int) -> bool:
     leader, follower = neighbours(scene, i, scene.lane[0, i])
     new_leader, new_follower = neighbours(scene, i, lane)
     imposed = idm_acceleration(driver, new_follower, i)
-    if imposed < -p.imposed_braking:
+    if imposed < -p.imposed_braking_mps2:
         return False
     own = idm_acceleration(driver, i, new_leader) - idm_acceleration(driver, i, leader)
     new = imposed - idm_acceleration(driver, new_follower, new_leader)
     old = idm_acceleration(driver, follower, leader) - idm_acceleration(driver, follower, i)
-    return own + p.politeness * (new + old) >= p.lane_change_gain
+    return own + p.politeness * (new + old) >= p.lane_change_gain_mps2
 
 
 def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
@@ -112,7 +113,7 @@ def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
                 if j != i and rival and 0 < distance < desired_gap(driver, i, j):
                     targets[i] = int(lanes[i])
                     break
-        elif scene.timer_s[0, i] > p.lane_change_period and scene.speed[0, i] >= 1:
+        elif scene.timer_s[0, i] > p.lane_change_period_s and scene.speed[0, i] >= 1:
             for side in (lanes[i] - 1, lanes[i] + 1):
                 near = abs(scene.y[0, i] - side * c.lane_width) <= 2 * c.lane_width
                 on_length = 0 <= scene.x[0, i] < c.road_length + c.length
@@ -122,14 +123,14 @@ def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
             idm_acceleration(driver, i, neighbours(scene, i, lane)[0])
             for lane in (lanes[i], targets[i])
         ]
-        limit = p.acceleration_limit
+        limit = p.acceleration_limit_mps2
         accelerations.append(float(np.clip(min(wanted), -limit, limit)))
     return accelerations, targets
 
 
 def stackelberg(scene: Scene, i: int) -> tuple[float, int]:
     """Acceleration and target lane of a vehicle by the Stackelberg game, with default options."""
-    p = scene.constants.idm_mobil._replace(acceleration=3.0, deceleration=4.0)
+    p = scene.constants.idm_mobil._replace(acceleration_mps2=3.0, deceleration_mps2=4.0)
     driver = (scene, p, 4.0)
     lane, target = int(scene.lane[0, i]), int(scene.target_lane[0, i])
     if scene.crashed[0, i]:

@@ -4,7 +4,8 @@ import math
 from typing import NamedTuple
 
 from charms_bench.world.compiled import compiled
-from charms_bench.world.scene import IdmMobilParameters, Scene
+from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.scene import Scene
 
 
 class Motion(NamedTuple):
@@ -60,8 +61,8 @@ def not_zero(value: float) -> float:
 @compiled
 def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> float:
     """Gap wanted to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
-    braking = 2 * math.sqrt(p.acceleration * p.deceleration)
-    return p.jam_distance + speed * p.time_headway + speed * closing_speed / braking
+    braking = 2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2)
+    return p.jam_distance_m + speed * p.time_headway_s + speed * closing_speed / braking
 
 
 @compiled
@@ -76,7 +77,7 @@ def closing_speed(vehicle: Motion, leader: Motion) -> float:
 def free_acceleration(vehicle: Motion, exponent: float, p: IdmMobilParameters) -> float:
     """IDM acceleration on a free road, m/s2, Treiber et al. 2000 eq. 3, first part."""
     share = max(vehicle.speed, 0.0) / abs(not_zero(vehicle.wanted_speed))
-    return float(p.acceleration * (1 - share**exponent))
+    return float(p.acceleration_mps2 * (1 - share**exponent))
 
 
 @compiled
@@ -84,7 +85,7 @@ def interaction(vehicle: Motion, leader: Motion, p: IdmMobilParameters) -> float
     """IDM deceleration behind a leader, m/s2, Treiber et al. 2000 eq. 3, second part."""
     wanted = desired_gap(vehicle.speed, closing_speed(vehicle, leader), p)
     crowding = wanted / not_zero(leader.x - vehicle.x)
-    return p.acceleration * (crowding * crowding)
+    return p.acceleration_mps2 * (crowding * crowding)
 
 
 @compiled

@@ -17,7 +17,9 @@ from charms_baselines.idm import (
 )
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.compiled import compiled
-from charms_bench.world.scene import Floats, IdmMobilParameters, Ints, Scene, Vehicles
+from charms_bench.world.lanes import is_reachable
+from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
 class IdmMobil(DriverModel):
@@ -56,10 +58,10 @@ def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_
         if lane != target:
             if _someone_takes_the_gap(b, i, own, target, scene, targets, p):
                 target = lane
-        elif timer_s[b, i] > p.lane_change_period:
+        elif timer_s[b, i] > p.lane_change_period_s:
             timer_s[b, i] = 0.0
             for side in (lane - 1, lane + 1):
-                if _is_reachable(x[b, i], y[b, i], side, scene) and _changes(
+                if is_reachable(x[b, i], y[b, i], side, scene.constants) and _changes(
                     own,
                     free,
                     leader,
@@ -76,7 +78,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, free - interaction(own, leader, p))
-        acceleration[m] = min(max(wanted, -p.acceleration_limit), p.acceleration_limit)
+        acceleration[m] = min(max(wanted, -p.acceleration_limit_mps2), p.acceleration_limit_mps2)
 
 
 @compiled
@@ -105,17 +107,6 @@ def _someone_takes_the_gap(
 
 
 @compiled
-def _is_reachable(x: float, y: float, lane: int, scene: Scene) -> bool:
-    """[`AbstractLane.is_reachable_from`]; no lane beside the road is."""
-    c = scene.constants
-    return (
-        0 <= lane < c.lanes
-        and abs(y - lane * c.lane_width) <= 2 * c.lane_width
-        and 0 <= x < c.road_length + c.length
-    )
-
-
-@compiled
 def _changes(
     own: Motion,
     free: float,
@@ -130,7 +121,7 @@ def _changes(
     if abs(own.speed) < 1:
         return False
     new_follower_after = following(new_follower, own, exponent, p)
-    if new_follower_after < -p.imposed_braking:
+    if new_follower_after < -p.imposed_braking_mps2:
         return False
     gain = (free - interaction(own, new_leader, p)) - (free - interaction(own, leader, p))
     if p.politeness > 0:
@@ -140,4 +131,4 @@ def _changes(
             + following(follower, leader, exponent, p)
             - following(follower, own, exponent, p)
         )
-    return bool(gain >= p.lane_change_gain)
+    return bool(gain >= p.lane_change_gain_mps2)

@@ -13,7 +13,8 @@ from charms_baselines.idm import Motion, following, motion, motion_ahead, motion
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.compiled import compiled
-from charms_bench.world.scene import Floats, IdmMobilParameters, Ints, Scene, Vehicles
+from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
 class Stackelberg(DriverModel):
@@ -59,7 +60,7 @@ class Stackelberg(DriverModel):
         target_lane = np.empty(vehicles[0].size, dtype=np.int64)
         deceleration, exponent, braking, accelerating, distance, loss, gain = self._options
         parameters = scene.constants.idm_mobil._replace(
-            acceleration=accelerating, deceleration=deceleration
+            acceleration_mps2=accelerating, deceleration_mps2=deceleration
         )
         _drive(
             scene,
@@ -118,7 +119,7 @@ def _drive(
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, following(own, leader, exponent, p))
-        acceleration[m] = min(max(wanted, -braking), p.acceleration)
+        acceleration[m] = min(max(wanted, -braking), p.acceleration_mps2)
         target_lane[m] = target
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charms_bench.engine import kernels
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
+from charms_bench.world.lanes import is_reachable
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
@@ -79,12 +80,7 @@ class BatchedEngine:
         from_target = profile.lane_command_from == "target_lane"
         lane = (scene.target_lane if from_target else scene.lane)[vehicles] + side
         lane = lane.clip(0, self._settings.lanes - 1)
-        width, x = profile.lane_width_m, scene.x[vehicles]
-        reachable = (  # [`AbstractLane.is_reachable_from`]
-            (np.abs(scene.y[vehicles] - lane * width) <= 2 * width)
-            & (x >= 0)
-            & (x < profile.road_length_m + profile.vehicle_length_m)
-        )
+        reachable = is_reachable(scene.x[vehicles], scene.y[vehicles], lane, scene.constants)
         scene.target_lane[vehicles] = np.where(
             (side != 0) & reachable, lane, scene.target_lane[vehicles]
         )

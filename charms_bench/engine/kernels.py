@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.world.compiled import compiled
-from charms_bench.world.scene import Bools, Constants, Floats, Ints, Scene
+from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.profile import Constants
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 
 class SpawnRule(NamedTuple):
@@ -169,19 +171,15 @@ def find_neighbours(scene: Scene, rows: Ints) -> None:
         nearest[:] = -1
         for k in range(vehicles - 1, -1, -1):
             i = order[b, k]
-            beside = reach_beside(x[b, i], c)
             for on in range(c.lanes):
                 leaders[b, i, on] = nearest[on]
-                is_on = abs(y[b, i] - on * c.lane_width) <= beside
-                nearest[on] = i if is_on else nearest[on]
+                nearest[on] = i if is_on_lane(x[b, i], y[b, i], on, c) else nearest[on]
         nearest[:] = -1
         for k in range(vehicles):
             i = order[b, k]
-            beside = reach_beside(x[b, i], c)
             for on in range(c.lanes):
                 followers[b, i, on] = nearest[on]
-                is_on = abs(y[b, i] - on * c.lane_width) <= beside
-                nearest[on] = i if is_on else nearest[on]
+                nearest[on] = i if is_on_lane(x[b, i], y[b, i], on, c) else nearest[on]
             if k > 0 and x[b, order[b, k - 1]] == x[b, i]:
                 find_level_neighbours(b, k, scene)
 
@@ -196,15 +194,9 @@ def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
     while m >= 0 and x[b, order[b, m]] == x[b, i]:
         j = order[b, m]
         for on in range(c.lanes):
-            if abs(scene.y[b, j] - on * c.lane_width) <= reach_beside(x[b, j], c):
+            if is_on_lane(x[b, j], scene.y[b, j], on, c):
                 scene.leaders[b, i, on] = j
         m -= 1
-
-
-@compiled
-def reach_beside(x: float, c: Constants) -> float:
-    """How far beside a lane's centre a vehicle at x counts as on it [`AbstractLane.on_lane`]."""
-    return c.lane_width / 2 + 1.0 if -c.length <= x < c.road_length + c.length else -1.0
 
 
 @compiled

@@ -12,6 +12,7 @@ from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.observations import observation_of
+from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 ENDINGS = ("running", "time", "rear_end", "side", "off_road")
@@ -202,18 +203,28 @@ class Simulation:
         scene = self.scene
         new = np.nonzero(scene.active & (self._crash == 0) & scene.crashed[self.ego_vehicles])[0]
         for b in new:
-            self._crash[b] = _kind_of_crash(scene, int(b))
+            _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
+            self._crash[b] = REAR_END if rear_end else SIDE
 
 
-def _kind_of_crash(scene: Scene, b: int) -> int:
-    """REAR_END or SIDE, by the axis along which the ego and the vehicle it hit overlap less."""
-    ego, c = scene.ego[b], scene.constants
-    along = c.length - np.abs(scene.x[b] - scene.x[b, ego])
-    across = c.width - np.abs(scene.y[b] - scene.y[b, ego])
+def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
+    """The vehicle that the ego overlaps most, and whether it is a rear-end collision.
+
+    Args:
+        x: (N,) centres along the road, m.
+        y: (N,) centres across the road, m.
+        ego: The ego's place.
+        c: Of the scene.
+
+    Returns:
+        The other vehicle's place, and whether the two overlap less along the road than across it.
+    """
+    along = c.length - np.abs(x - x[ego])
+    across = c.width - np.abs(y - y[ego])
     overlap = np.minimum(along, across)
     overlap[ego] = -np.inf
     other = int(overlap.argmax())
-    return REAR_END if along[other] < across[other] else SIDE
+    return other, bool(along[other] < across[other])
 
 
 def _period(policy: Policy, settings: SceneSettings) -> int:

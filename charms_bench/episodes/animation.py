@@ -11,6 +11,7 @@ from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import write_atomically
+from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Floats
 
 WIDTH = 800
@@ -261,7 +262,7 @@ def _status(replay: Replay, frame: int) -> dict[str, str]:
     else:  # before the first decision, and under a driver model, which takes none
         doing = "keeps its lane" if lane == target else f"to the {_side(target - lane)}"
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
-    on_lane = np.abs(y - lane * profile.lane_width_m) <= profile.lane_width_m / 2 + 1.0
+    on_lane = is_on_lane(x, y, lane, replay.settings.constants)
     ahead = np.where(on_lane & (np.arange(x.size) != ego), x - x[ego], np.inf)
     ahead[ahead < 0] = np.inf
     leader = int(ahead.argmin())

@@ -6,10 +6,8 @@ import numpy as np
 
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
+from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
-
-BESIDE_LANE_M = 1.0
-"""How far beside a lane a vehicle's centre is still on it, as in highway-env."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,8 @@ class EgoView:
 def ego_view(replay: Replay) -> EgoView:
     """Looks around; the same vehicles as `Scene.leader` and `Scene.follower` find."""
     profile, ego = replay.settings.profile, replay.ego
-    lane = replay.lane[:, [ego]] * profile.lane_width_m
-    on_lane = np.abs(replay.y - lane) <= profile.lane_width_m / 2 + BESIDE_LANE_M
+    constants = replay.settings.constants
+    on_lane = is_on_lane(replay.x, replay.y, replay.lane[:, [ego]], constants)
     on_lane[:, ego] = False
     ahead = replay.x - replay.x[:, [ego]]
     driving = ~replay.crashed[:, ego]

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from charms_bench.engine.simulation import vehicle_hit
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import IMPOSED_BRAKING_WINDOW_S, LOGGED_RANGE_M, join_rows
+from charms_bench.world.lanes import is_on_lane
 
 GAP_RANGE_M = LOGGED_RANGE_M
 """Whoever enters the wanted lane further away than this, centre to centre, takes no gap."""
@@ -110,12 +112,7 @@ def _collision(replay: Replay) -> str:
         return f"left the road at {replay.speed[-1, ego]:.1f} m/s, {_at(replay, -1)}"
     frame = int(replay.crashed[:, ego].argmax())
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
-    profile = replay.settings.profile
-    overlap = np.minimum(
-        profile.vehicle_length_m - np.abs(x - x[ego]), profile.vehicle_width_m - np.abs(y - y[ego])
-    )
-    overlap[ego] = -np.inf
-    other = int(overlap.argmax())
+    other, _ = vehicle_hit(x, y, ego, replay.settings.constants)
     faster, when = speed[ego] - speed[other], _at(replay, frame)
     if replay.ending == "rear_end" and x[other] > x[ego]:
         return (
@@ -169,9 +166,8 @@ def _hard_braking(replay: Replay) -> str:
 def _nearest(replay: Replay, frame: int, ahead_m: float) -> int:
     """The vehicle on the ego's lane that is this far ahead of it."""
     x, y, ego = replay.x[frame], replay.y[frame], replay.ego
-    width = replay.settings.profile.lane_width_m
     off = np.abs(x - x[ego] - ahead_m)
-    off[np.abs(y - replay.lane[frame, ego] * width) > width / 2 + 1.0] = np.inf
+    off[~is_on_lane(x, y, replay.lane[frame, ego], replay.settings.constants)] = np.inf
     off[ego] = np.inf
     return int(off.argmin())
 

@@ -15,11 +15,12 @@ from charms_bench.engine.following import FOLLOWING_RANGE_M
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
 from charms_bench.people.labels import LATERAL_SPEED_MPS
 from charms_bench.people.situations import at_decisions
+from charms_bench.world.lanes import NEIGHBOUR_MARGIN_M
 from charms_bench.world.scene import Floats
 
 DECISION_HZ = 3
 """The rate at which the simulation counts."""
-_ON_LANE_M = LANE_WIDTH_M / 2 + 1.0
+_ON_LANE_M = LANE_WIDTH_M / 2 + NEIGHBOUR_MARGIN_M
 """A vehicle is on a lane while its centre is this near to the lane's; see `Scene.leader`."""
 
 

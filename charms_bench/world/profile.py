@@ -6,7 +6,7 @@ field. The names in brackets are highway-env's.
 """
 
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
@@ -96,6 +96,61 @@ class Profile(FrozenModel):
         if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
             raise ValueError("target_speeds_mps do not grow")
         return self
+
+
+class IdmMobilParameters(NamedTuple):
+    """`IdmMobilConstants` as compiled code reads them."""
+
+    acceleration_mps2: float
+    deceleration_mps2: float
+    jam_distance_m: float
+    time_headway_s: float
+    exponent_low: float
+    exponent_high: float
+    acceleration_limit_mps2: float
+    politeness: float
+    lane_change_gain_mps2: float
+    imposed_braking_mps2: float
+    lane_change_period_s: float
+
+
+class Constants(NamedTuple):
+    """The constants of a scene as compiled code reads them; SI units."""
+
+    lanes: int
+    lane_width: float
+    road_length: float
+    speed_limit: float
+    length: float
+    width: float
+    speed_min: float
+    speed_max: float
+    tau_acceleration: float
+    tau_heading: float
+    tau_lateral: float
+    steering_limit: float
+    dt: float
+    idm_mobil: IdmMobilParameters
+
+
+def constants(profile: Profile, lanes: int, simulation_hz: int) -> Constants:
+    """The constants of a road of some lanes, simulated at a rate, by a profile."""
+    return Constants(
+        lanes=lanes,
+        lane_width=profile.lane_width_m,
+        road_length=profile.road_length_m,
+        speed_limit=profile.speed_limit_mps,
+        length=profile.vehicle_length_m,
+        width=profile.vehicle_width_m,
+        speed_min=profile.speed_min_mps,
+        speed_max=profile.speed_max_mps,
+        tau_acceleration=profile.tau_acceleration_s,
+        tau_heading=profile.tau_heading_s,
+        tau_lateral=profile.tau_lateral_s,
+        steering_limit=profile.steering_limit_rad,
+        dt=1.0 / simulation_hz,
+        idm_mobil=IdmMobilParameters(**profile.idm_mobil.model_dump()),
+    )
 
 
 CHARMS = Profile(

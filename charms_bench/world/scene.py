@@ -12,7 +12,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from charms_bench.errors import suggestion
 from charms_bench.world.fields import FrozenModel, Positive
-from charms_bench.world.profile import CHARMS, PROFILES, Profile
+from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile, constants
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -86,61 +87,10 @@ class SceneSettings(FrozenModel):
         """Decisions in a full episode."""
         return round(self.duration_s * self.decision_hz)
 
-
-class IdmMobilParameters(NamedTuple):
-    """`profile.IdmMobilConstants` as compiled code reads them."""
-
-    acceleration: float
-    deceleration: float
-    jam_distance: float
-    time_headway: float
-    exponent_low: float
-    exponent_high: float
-    acceleration_limit: float
-    politeness: float
-    lane_change_gain: float
-    imposed_braking: float
-    lane_change_period: float
-
-
-class Constants(NamedTuple):
-    """What compiled code needs of the settings; SI units."""
-
-    lanes: int
-    lane_width: float
-    road_length: float
-    speed_limit: float
-    length: float
-    width: float
-    speed_min: float
-    speed_max: float
-    tau_acceleration: float
-    tau_heading: float
-    tau_lateral: float
-    steering_limit: float
-    dt: float
-    idm_mobil: IdmMobilParameters
-
-
-def constants(settings: SceneSettings) -> Constants:
-    """The constants of `settings` as compiled code reads them."""
-    profile = settings.profile
-    return Constants(
-        lanes=settings.lanes,
-        lane_width=profile.lane_width_m,
-        road_length=profile.road_length_m,
-        speed_limit=profile.speed_limit_mps,
-        length=profile.vehicle_length_m,
-        width=profile.vehicle_width_m,
-        speed_min=profile.speed_min_mps,
-        speed_max=profile.speed_max_mps,
-        tau_acceleration=profile.tau_acceleration_s,
-        tau_heading=profile.tau_heading_s,
-        tau_lateral=profile.tau_lateral_s,
-        steering_limit=profile.steering_limit_rad,
-        dt=1.0 / settings.simulation_hz,
-        idm_mobil=IdmMobilParameters(*profile.idm_mobil.model_dump().values()),
-    )
+    @property
+    def constants(self) -> Constants:
+        """The constants of a scene as compiled code reads them."""
+        return constants(self.profile, self.lanes, self.simulation_hz)
 
 
 class Scene(NamedTuple):
@@ -231,7 +181,7 @@ class Scene(NamedTuple):
             impact_x=floats(),
             impact_y=floats(),
             impact=bools(),
-            constants=constants(settings),
+            constants=settings.constants,
         )
 
     def leader(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
@@ -262,11 +212,5 @@ class Scene(NamedTuple):
     @property
     def off_road(self) -> Bools:
         """[B, N] whether the vehicle's centre is beside its lane [`RoadObject.on_road`]."""
-        c = self.constants
-        beside = np.abs(self.y - self.lane * c.lane_width) > c.lane_width / 2
-        on_length = (-c.length <= self.x) & (self.x < c.road_length + c.length)
-        return beside | ~on_length
-
-    def ego_of(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """The ego's entry (B,) of a `[B, N]` array."""
-        return np.take_along_axis(values, self.ego[:, None], axis=1)[:, 0]
+        margin = 0.0
+        return np.asarray(~is_on_lane(self.x, self.y, self.lane, self.constants, margin))

@@ -78,7 +78,7 @@ def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
 
 
 def test_hard_braking_names_the_follower_and_the_side() -> None:
-    x = np.tile([0.0, -15.0, -9.0], (11, 1))
+    x = np.tile([100.0, 85.0, 91.0], (11, 1))
     y = np.tile([8.0, 8.0, 4.0], (11, 1))
     changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
     words = what_happened(replay_of("time", [{}, changed], x=x, y=y))

@@ -1,0 +1,32 @@
+"""highway-env's rules of which lane a vehicle is on and which lane it can reach.
+
+Each rule is written once: compiled code calls it with numbers, other code with arrays.
+"""
+
+from typing import Any
+
+from numba.extending import register_jitable
+
+from charms_bench.world.profile import Constants
+
+NEIGHBOUR_MARGIN_M = 1.0
+"""How far beside a lane a vehicle's centre still makes it a neighbour on that lane."""
+
+
+@register_jitable
+def is_on_lane(x: Any, y: Any, lane: Any, c: Constants, margin: float = NEIGHBOUR_MARGIN_M) -> Any:
+    """Whether a vehicle's centre is within half a lane and a margin of a lane's centre.
+
+    It must also be on the road's length. With the default margin, a vehicle can be on two lanes
+    [`AbstractLane.on_lane`].
+    """
+    on_length = (-c.length <= x) & (x < c.road_length + c.length)
+    return on_length & (abs(y - lane * c.lane_width) <= c.lane_width / 2 + margin)
+
+
+@register_jitable
+def is_reachable(x: Any, y: Any, lane: Any, c: Constants) -> Any:
+    """Whether a lane exists and a vehicle may change to it [`AbstractLane.is_reachable_from`]."""
+    exists = (lane >= 0) & (lane < c.lanes)
+    on_length = (x >= 0) & (x < c.road_length + c.length)
+    return exists & on_length & (abs(y - lane * c.lane_width) <= 2 * c.lane_width)
