@@ -26,7 +26,7 @@ NOT_RUN = {
     "pip install '.[train]'": "so does the test's environment have the extra",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
-    "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_readme.py trains ppo.zip for it",
+    "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_train_your_own.py trains it",
 }
 """Commands that are not run here, and why."""
 SHORTENED = [

@@ -41,8 +41,8 @@ def commands(block: Block) -> list[str]:
     lines = block.text.replace("\\\n", " ").splitlines()
     if block.language == "console":
         lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
-    parts = [part.strip() for line in lines for part in line.split(" && ")]
-    return [" ".join(part.split()) for part in parts if part and not part.startswith("#")]
+    parts = [part for line in lines for part in re.sub(r"(^|\s+)#.*", "", line).split(" && ")]
+    return [" ".join(part.split()) for part in parts if part.strip()]
 
 
 def spans(page: Path) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The lines of the readme that train a PPO run as they stand there, but for fewer steps."""
+"""The code of `docs/train-your-own.md` runs as it is, except for fewer training steps."""
 
 import json
 import re
@@ -15,11 +15,10 @@ ROOT = Path(__file__).parent.parent.parent
 STEPS = "model.learn(300_000)"
 
 
-def test_the_ppo_of_the_readme_becomes_an_ego_of_the_suite(tmp_path: Path) -> None:
-    text = (ROOT / "README.md").read_text()
-    section = text.partition("## Train your own")[2]
-    code, commands = re.findall(r"```\w*\n(.*?)```", section, re.DOTALL)[:2]
-    (entry,) = re.findall(r"`(- \{agent: \{onnx: .*?)`", section)
+def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "train-your-own.md").read_text(encoding="utf-8")
+    _, code, commands = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    (entry,) = re.findall(r"`(- \{agent: \{onnx: .*?)`", text)
     (tmp_path / "train.py").write_text(code.replace(STEPS, "model.learn(6_400)"))
     assert STEPS in code
     subprocess.run([sys.executable, "train.py"], cwd=tmp_path, check=True)

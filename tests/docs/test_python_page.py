@@ -1,0 +1,35 @@
+"""The Python code of `docs/python.md` and of the README runs, in order."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from written import ROOT, blocks
+
+import charms_bench
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(charms_bench, "run"), reason="charms_bench.run is not there yet"
+)
+
+
+def code_of(page: Path) -> str:
+    """The Python blocks of a page that use `charms_bench`, with fewer episodes."""
+    parts = [block.text for block in blocks(page) if block.language == "python"]
+    # The README's other block is a policy, which goes into a module of its own.
+    code = "\n".join(part for part in parts if "class " not in part)
+    shortened, changed = re.subn(r"episodes=\d+", "episodes=4", code)
+    assert changed == 1, "the page runs one suite"
+    return shortened
+
+
+@pytest.mark.parametrize("page", ["docs/python.md", "README.md"])
+def test_the_code_of_the_page_runs(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(ROOT / "suites", tmp_path / "suites")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code_of(ROOT / page), page, "exec"), {"__name__": "page"})
+    assert list(tmp_path.glob("*.gif")), "a replay was drawn"
+    assert "IDM+MOBIL" in capsys.readouterr().out
