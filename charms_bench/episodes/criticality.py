@@ -1,17 +1,17 @@
-"""How near each episode came to harm, as one number.
+"""How close each episode came to harm, as one number that ranks episodes.
 
-What is observed of an episode, x, is put on one scale by x / (x + limit): 0 where there was
-nothing, 0.5 at the limit that the literature puts, below 1 whatever happens.
+Each measure x of an episode is scaled to x / (x + limit): 0 where nothing was measured, 0.5 at the
+limit that the literature gives, always below 1.
 
-    observed                                  limit
-    1 / smallest TTC, bumper to bumper        1 / 1.5 s     Gettman & Head 2003
-    largest DRAC                              3.35 m/s2     Archer 2005
-    strongest braking imposed on the          2 m/s2        highway-env's MOBIL
-        follower by a lane change
-    lane changes given up                     1
+    measure                                           limit
+    1 / smallest TTC, bumper to bumper                1 / 1.5 s     Gettman & Head 2003
+    largest DRAC                                      3.35 m/s2     Archer 2005
+    strongest braking that a lane change of the ego   2 m/s2        highway-env's MOBIL
+        imposes on the follower
+    number of abandoned lane changes                  1
 
-Criticality is the sum of the four, and 4 more where the ego collided or left the road: the order
-is collisions first, and of two of a kind, the one in which more went wrong.
+Criticality is the sum of the four scaled measures, plus 4 if the ego collided or left the road.
+Every collision therefore ranks above every episode without one.
 """
 
 from typing import Literal
@@ -27,7 +27,7 @@ from charms_bench.world.scene import SceneSettings
 Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
 KINDS: tuple[Kind, ...] = ("collision", "near-miss", "hard-braking", "abandoned-lane-change")
 COLLISION = 4.0
-"""What a collision adds: as much as the four measures can reach together."""
+"""Added for a collision: the upper bound of the four scaled measures together."""
 
 _TTC = pl.col("ttc_min_s")
 _DRAC = pl.col("drac_max_mps2")
@@ -47,23 +47,22 @@ IS_OF_KIND: dict[Kind, pl.Expr] = {
     "hard-braking": _BRAKING > SAFE_BRAKING_MPS2,
     "abandoned-lane-change": _ABANDONED > 0,
 }
-"""Whether a row of `criticality` is an episode of that kind; it may be of several."""
+"""Selects the rows of `criticality` that are of a kind; an episode may be of several kinds."""
 
 
 def criticality(
     episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings
 ) -> pl.DataFrame:
-    """A row an episode, by episode.
+    """Returns one row per episode, sorted by episode.
 
     episode, ending: As recorded.
-    ttc_min_s: Null where the ego never closed in on a leader.
-    drac_max_mps2: Null where it had none.
-    imposed_braking_mps2: Null without a lane change in front of a follower.
-    abandoned_changes: Lane changes given up; see below.
+    ttc_min_s: Null if the ego never closed in on a leader.
+    drac_max_mps2: Null if the ego never had a leader.
+    imposed_braking_mps2: Null if the ego never changed lanes in front of a follower.
+    abandoned_changes: Number of lane changes whose target lane was replaced by another one before
+        it was the ego's nearest lane.
     criticality: 0 to 8; see the module.
-    kind: Which of `KINDS` adds most to it.
-
-    A lane change is given up when the target lane becomes another before it is the nearest one.
+    kind: The one of `KINDS` that contributes most to the criticality.
     """
     before = {name: pl.col(name).shift().over("episode") for name in ("lane", "target_lane")}
     abandoned = (

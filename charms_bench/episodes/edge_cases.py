@@ -1,4 +1,4 @@
-"""The most critical episodes of a run, in order, and what happened in each."""
+"""Ranks the episodes of a run by criticality and says what happened in the most critical ones."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -13,47 +13,47 @@ from charms_bench.episodes.what_happened import gave_way, what_happened
 from charms_bench.runs.finished import FinishedRun
 
 AT_ONCE = 20
-"""Episodes that are simulated again together: few enough for the memory of large scenes."""
+"""Episodes simulated together; limits the memory that large scenes need."""
 
 
 @dataclass(frozen=True)
 class EdgeCase:
-    """An episode among the most critical."""
+    """One of the most critical episodes of a run; the measures are those of `criticality`."""
 
     rank: int
-    """From 1."""
+    """Counted from 1."""
     ego: str
     """Title of the ego."""
     traffic: str
+    """Title of the traffic."""
     episode: int
-    """Its seed."""
+    """Seed of the episode."""
     criticality: float
-    """See `charms_bench.episodes.criticality`, as for the measures."""
     ending: str
     ttc_min_s: float | None
     drac_max_mps2: float | None
     imposed_braking_mps2: float | None
     abandoned_changes: int
     what: str
-    """What happened, in a line."""
+    """One sentence about what happened."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Its fields, ready for JSON."""
+        """Returns the fields, ready for JSON."""
         return asdict(self)
 
 
 def edge_cases(
     run: FinishedRun, top: int, kind: Kind | None, cells: Sequence[int], folder: Path
 ) -> list[EdgeCase]:
-    """The most critical episodes, ranked; of equally critical ones the first cell's and seed's.
+    """Returns the most critical episodes, ranked; ties go by cell, then by seed.
 
     Args:
         run: A finished run.
-        top: How many at most.
-        kind: Only episodes of that kind, described as such. An abandoned lane change counts
-            where another vehicle took the gap, which the episode is simulated again for.
-        cells: Which cells of the suite.
-        folder: Where paths of networks in the suite start.
+        top: The largest number of episodes to return.
+        kind: Only episodes of this kind, and `what` describes that event. An abandoned lane change
+            counts if another vehicle took the gap, which takes a new simulation to find out.
+        cells: Indices of the cells to search.
+        folder: The folder that relative paths of networks in the suite start from.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
@@ -65,14 +65,15 @@ def edge_cases(
     for row, replayed in _replays(run, measured, folder):
         if kind == "abandoned-lane-change" and not gave_way(replayed):
             continue
-        cell = run.suite.cells[row["cell"]]
+        row.pop("kind")
+        cell = run.suite.cells[row.pop("cell")]
         found.append(
             EdgeCase(
                 rank=len(found) + 1,
                 ego=cell.ego.title,
                 traffic=cell.traffic.title,
                 what=what_happened(replayed, kind),
-                **{name: row[name] for name in _MEASURED},
+                **row,
             )
         )
         if len(found) == top:
@@ -80,14 +81,11 @@ def edge_cases(
     return found
 
 
-_MEASURED = (
-    "episode", "criticality", "ending", "ttc_min_s", "drac_max_mps2", "imposed_braking_mps2",
-    "abandoned_changes",
-)  # fmt: skip
-
-
 def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
-    """Every episode of these cells, the most critical first: `criticality`, and its `cell`."""
+    """Returns the rows of `criticality` of all episodes of these cells, most critical first.
+
+    The column `cell` is the index of the episode's cell.
+    """
     rows = run.cells()
     frames = [
         criticality(rows[cell].episodes, rows[cell].steps, run.suite.scene).with_columns(
@@ -102,7 +100,7 @@ def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
 def _replays(
     run: FinishedRun, measured: pl.DataFrame, folder: Path
 ) -> Iterator[tuple[dict[str, Any], Replay]]:
-    """The rows in their order, each with its replay; simulated as far as is asked for."""
+    """Yields each row with its replay, in order; simulates only as many as are consumed."""
     for part in measured.iter_slices(AT_ONCE):
         replays = {
             (cell, replayed.episode): replayed

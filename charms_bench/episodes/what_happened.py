@@ -1,6 +1,6 @@
-"""What happened in a replayed episode, in a line of words.
+"""Says in one sentence what happened in a replayed episode.
 
-Vehicles are named by their place in the order of spawning, as in animations and trajectories.
+Vehicles are named by their index in the order of spawning, as in animations and trajectories.
 """
 
 from dataclasses import dataclass
@@ -9,31 +9,33 @@ import numpy as np
 
 from charms_bench.engine.simulation import vehicle_hit
 from charms_bench.episodes.criticality import Kind, criticality
+from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import IMPOSED_BRAKING_WINDOW_S, LOGGED_RANGE_M, join_rows
-from charms_bench.world.lanes import is_on_lane
 
 GAP_RANGE_M = LOGGED_RANGE_M
-"""Whoever enters the wanted lane further away than this, centre to centre, takes no gap."""
+"""A vehicle that enters the wanted lane further away than this, centre to centre, takes no gap."""
 
 DRIFT_MPS = 0.1
-"""A vehicle that moves to its side no faster than this does not steer there."""
+"""A vehicle whose lateral speed is no larger than this does not steer to that side."""
 
 
 @dataclass(frozen=True)
 class AbandonedChange:
-    """A lane change that the ego began and gave up; frames are simulation steps."""
+    """A lane change that the ego began and abandoned; frames are simulation steps."""
 
     lane: int
-    """The lane it left for."""
+    """The lane that the ego wanted to reach."""
     began: int
+    """Frame."""
     ended: int
+    """Frame."""
     taker: int | None
     """The vehicle that took the gap; see `abandoned_changes`."""
 
 
 def what_happened(replay: Replay, kind: Kind | None = None) -> str:
-    """The gravest that happened in an episode, or the gravest of a kind."""
+    """Returns one sentence about the most critical event of an episode, or of one kind."""
     if kind is None:
         measured = criticality(replay.episodes, replay.steps, replay.settings)
         kind = measured["kind"].item()
@@ -46,10 +48,11 @@ def what_happened(replay: Replay, kind: Kind | None = None) -> str:
 
 
 def gave_way(replay: Replay) -> bool:
-    """Whether the ego abandoned a lane change because another vehicle took the gap.
+    """Returns whether the ego abandoned a lane change because another vehicle took the gap.
 
-    The change must have been under way for a decision interval: a driver model that decides at
-    every simulation step may take one back at once. The paper's Fig. 4 is such a case.
+    The lane change must have lasted for at least one decision interval, because a driver model
+    that decides at every simulation step may take one back at once. Fig. 4 of the paper shows
+    such a case.
     """
     interval = replay.frame_of(1)
     return any(
@@ -59,11 +62,11 @@ def gave_way(replay: Replay) -> bool:
 
 
 def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
-    """The lane changes that the ego gave up while the new lane was not its nearest yet.
+    """Returns the lane changes that the ego abandoned before the new lane was its nearest lane.
 
-    Another vehicle took the gap if it was on another lane when the ego began, has that lane as
-    its target when the ego gives up, and is then the next vehicle ahead or behind among those on
-    the lane or bound for it, at most 50 m away.
+    A vehicle took the gap if it was on another lane when the ego began, has the ego's wanted lane
+    as its target lane when the ego abandons the change, and is then the next vehicle ahead or
+    behind among those on that lane or heading for it, at most 50 m away.
     """
     lane, target = replay.lane[:, replay.ego], replay.target_lane[:, replay.ego]
     given_up = (target[:-1] != lane[:-1]) & (target[1:] != target[:-1])
@@ -92,17 +95,17 @@ def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
 
 def _abandoned_change(replay: Replay) -> str:
     changes = abandoned_changes(replay)
-    if not changes:  # the rows show decisions only; between two of them the lane was reached
+    if not changes:  # rows exist at decisions only; the lane was reached between two of them
         return _near_miss(replay)
     taken = [change for change in changes if change.taker is not None]
     change = max(taken or changes, key=lambda change: change.ended - change.began)
     lasted = replay.t_s[change.ended] - replay.t_s[change.began]
     side = _side(change.lane - int(replay.lane[change.began, replay.ego]))
-    words = f"began a change to the {side}, gave it up after {lasted:.1f} s"
+    words = f"began a lane change to the {side}, abandoned it after {lasted:.1f} s"
     if change.taker is not None:
         ahead = replay.x[change.ended, change.taker] - replay.x[change.ended, replay.ego]
         where = "ahead" if ahead >= 0 else "behind"
-        words += f" as vehicle {change.taker} took the gap, {abs(ahead):.0f} m {where}"
+        words += f" when vehicle {change.taker} took the gap, {abs(ahead):.0f} m {where}"
     return f"{words}, {_at(replay, change.ended)}"
 
 
@@ -140,9 +143,8 @@ def _near_miss(replay: Replay) -> str:
         return "never closed in on a vehicle"
     row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
     frame = replay.frame_of(row["step"])
-    leader = _nearest(replay, frame, row["leader_distance"])
     return (
-        f"TTC {row['ttc_s']:.1f} s behind vehicle {leader}, "
+        f"TTC {row['ttc_s']:.1f} s behind vehicle {ego_view(replay).leader[frame]}, "
         f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:.1f} m away "
         f"(DRAC {row['drac_mps2']:.1f} m/s²), {_at(replay, frame)}"
     )
@@ -151,25 +153,16 @@ def _near_miss(replay: Replay) -> str:
 def _hard_braking(replay: Replay) -> str:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     changed = int(rows["imposed_braking_mps2"].arg_max() or 0)
-    seconds = IMPOSED_BRAKING_WINDOW_S
-    window = rows.slice(changed, round(seconds * replay.settings.decision_hz)).filter("driving")
-    braking = window.row(int(window["follower_acceleration"].arg_min() or 0), named=True)
-    follower = _nearest(replay, replay.frame_of(braking["step"]), -braking["follower_distance"])
+    window = round(IMPOSED_BRAKING_WINDOW_S * replay.settings.decision_hz)
+    braking = rows.slice(changed, window).filter("driving")
+    strongest = braking.row(int(braking["follower_acceleration"].arg_min() or 0), named=True)
+    follower = ego_view(replay).follower[replay.frame_of(strongest["step"])]
     row, before = rows.row(changed, named=True), rows.row(changed - 1, named=True)
     return (
-        f"changed to the {_side(row['lane'] - before['lane'])}, where vehicle {follower} behind "
-        f"braked with {row['imposed_braking_mps2']:.1f} m/s², "
+        f"changed to the {_side(row['lane'] - before['lane'])} lane, where the follower, vehicle "
+        f"{follower}, braked at {row['imposed_braking_mps2']:.1f} m/s², "
         f"{_at(replay, replay.frame_of(row['step']))}"
     )
-
-
-def _nearest(replay: Replay, frame: int, ahead_m: float) -> int:
-    """The vehicle on the ego's lane that is this far ahead of it."""
-    x, y, ego = replay.x[frame], replay.y[frame], replay.ego
-    off = np.abs(x - x[ego] - ahead_m)
-    off[~is_on_lane(x, y, replay.lane[frame, ego], replay.settings.constants)] = np.inf
-    off[ego] = np.inf
-    return int(off.argmin())
 
 
 def _side(to_the_right: float) -> str:
@@ -181,4 +174,4 @@ def _faster(by: float) -> str:
 
 
 def _at(replay: Replay, frame: int) -> str:
-    return f"{replay.t_s[frame]:.1f} s in"
+    return f"at t = {replay.t_s[frame]:.1f} s"

@@ -27,31 +27,31 @@ def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
             "rear_end",
             {"speed": 30.0},
             {"x": 4.9, "speed": 22.0},
-            "hit vehicle 1 from behind at 30.0 m/s, 8.0 m/s faster than it, 0.2 s in",
+            "hit vehicle 1 from behind at 30.0 m/s, 8.0 m/s faster than it, at t = 0.2 s",
         ),
         (
             "rear_end",
             {"speed": 22.0},
             {"x": -4.9, "speed": 30.0},
-            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster than the ego, 0.2 s in",
+            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster than the ego, at t = 0.2 s",
         ),
         (
             "side",
             {"speed": 30.0, "heading": 0.05},
             {"x": 1.0, "y": 1.9, "speed": 30.0},
-            "steered to the right into vehicle 1 at 30.0 m/s, 0.2 s in",
+            "steered to the right into vehicle 1 at 30.0 m/s, at t = 0.2 s",
         ),
         (
             "side",
             {"speed": 30.0},
             {"x": 1.0, "y": -1.9, "speed": 24.0, "heading": 0.05},
-            "vehicle 1 steered into the ego from the left at 24.0 m/s, 0.2 s in",
+            "vehicle 1 steered into the ego from the left at 24.0 m/s, at t = 0.2 s",
         ),
         (
             "side",
             {"speed": 30.0, "heading": 0.05},
             {"x": 4.0, "y": -1.9, "speed": 24.0},
-            "clipped vehicle 1 on the left, 6.0 m/s faster than it, 0.2 s in",
+            "clipped vehicle 1 on the left, 6.0 m/s faster than it, at t = 0.2 s",
         ),
     ],
 )
@@ -63,7 +63,7 @@ def test_a_collision_says_who_hit_whom(
 
 def test_who_leaves_the_road_has_hit_nobody() -> None:
     replay = replay_of("off_road", x=np.zeros((6, 2)), speed=31.0)
-    assert what_happened(replay) == "left the road at 31.0 m/s, 0.3 s in"
+    assert what_happened(replay) == "left the road at 31.0 m/s, at t = 0.3 s"
 
 
 def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
@@ -73,7 +73,7 @@ def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
     replay = replay_of("time", [{}, near], x=x, y=lane * 4.0)
     assert what_happened(replay) == (
         "TTC 1.0 s behind vehicle 2, 10.0 m/s faster than it and 10.0 m away "
-        "(DRAC 5.0 m/s²), 0.7 s in"
+        "(DRAC 5.0 m/s²), at t = 0.7 s"
     )
 
 
@@ -82,7 +82,7 @@ def test_hard_braking_names_the_follower_and_the_side() -> None:
     y = np.tile([8.0, 8.0, 4.0], (11, 1))
     changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
     words = what_happened(replay_of("time", [{}, changed], x=x, y=y))
-    assert words == "changed to the right, where vehicle 1 behind braked with 4.5 m/s², 0.7 s in"
+    assert words == "changed to the right lane, where the follower, vehicle 1, braked at 4.5 m/s², at t = 0.7 s"
 
 
 def test_a_quiet_episode_says_so() -> None:
@@ -124,11 +124,11 @@ def test_the_gap_is_taken_by_who_comes_into_it(
 def test_an_abandoned_lane_change_is_told() -> None:
     replay = given_up(18.0, 0, 5)
     assert what_happened(replay) == (
-        "began a change to the left, gave it up after 0.4 s as vehicle 1 took the gap, "
-        "18 m ahead, 0.5 s in"
+        "began a lane change to the left, abandoned it after 0.4 s when vehicle 1 took the gap, "
+        "18 m ahead, at t = 0.5 s"
     )
     alone = given_up(51.0, 0, 5)
-    assert what_happened(alone) == "began a change to the left, gave it up after 0.4 s, 0.5 s in"
+    assert what_happened(alone) == "began a lane change to the left, abandoned it after 0.4 s, at t = 0.5 s"
 
 
 def test_the_nearest_of_two_decides_whether_the_gap_was_taken() -> None:
