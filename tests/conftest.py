@@ -1,20 +1,54 @@
-"""What tests share: small networks as ONNX files."""
+"""What tests share: one thread per library, workers without processes, small networks."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
+
+if TYPE_CHECKING:
+    import numpy as np
+
+# NumPy, numba and Polars read these once, when they are imported.
+for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_worker_is_this_process() -> Iterator[None]:
+    """Runs with `workers=1` simulate in the test process, which saves the start of a worker.
+
+    The reference engine still gets a worker of its own, because NumPy has to start with other
+    settings for it. Tests of the workers themselves start theirs.
+    """
+    from charms_bench.runs import runner
+
+    in_processes = runner.in_processes
+
+    def here(work: partial, tasks: list[Any], count: int, *others: Any) -> Iterator[Any]:
+        if count != 1 or "highway-env" in work.args:
+            yield from in_processes(work, tasks, count, *others)
+            return
+        for task in tasks:
+            yield task, work(task)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "in_processes", here)
+        yield
 
 
 @pytest.fixture
 def network_file(tmp_path: Path) -> Callable[..., Path]:
     """Writes an ONNX file of one linear layer; its weights (35, 5) may be given."""
+    import numpy as np
+
     onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
     helper, numpy_helper = onnx.helper, onnx.numpy_helper
 
     def write(
-        weights: np.ndarray | None = None,
+        weights: "np.ndarray | None" = None,
         *,
         name: str = "policy.onnx",
         batch: str | int = "batch",

@@ -3,15 +3,11 @@
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from charms_bench.cli.terminal import Json, app, out, plain
-from charms_bench.errors import InputError
-
-if TYPE_CHECKING:
-    from charms_bench.runs.finished import FinishedRun
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a finished run.")]
 EgoTitle = Annotated[str | None, typer.Option("--agent", help="The ego, as tables call it.")]
@@ -87,23 +83,23 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Simulate an episode of a run again: an animation, and the trajectories of all vehicles."""
-    from charms_bench.episodes.animation import animate, check_animation
+    from charms_bench.episodes.animation import check_animation
+    from charms_bench.episodes.replay import find_cell
     from charms_bench.episodes.replay import replay as simulate_again
-    from charms_bench.episodes.what_happened import what_happened
     from charms_bench.runs.finished import open_finished
     from charms_bench.world.files import write_atomically
 
     opened = open_finished(run)
-    cell = _one_cell(opened, agent, traffic)
+    cell = find_cell(opened, agent, traffic, "--agent and --traffic")
     chosen = opened.suite.cells[cell]
     name = f"{_slug(chosen.ego.title)}-in-{_slug(chosen.traffic.title)}-{episode}"
     animation = output or run / "replays" / f"{name}.gif"
     check_animation(animation)
     (replayed,) = simulate_again(opened, cell, [episode], suite_folder)
-    what = what_happened(replayed)
+    what = replayed.what_happened()
     trajectories = animation.with_suffix(".parquet")
     write_atomically(trajectories, replayed.trajectories().write_parquet)
-    animate(replayed, animation, what)
+    replayed.animate(animation, what)
     if as_json:
         made = {
             "ego": chosen.ego.title,
@@ -121,25 +117,6 @@ def replay(
     out.print(plain(f"{who}: {what}"), highlight=False, soft_wrap=True)
     out.print(f"Animation: {plain(str(animation))}", highlight=False, soft_wrap=True)
     out.print(f"Trajectories: {plain(str(trajectories))}", highlight=False, soft_wrap=True)
-
-
-def _one_cell(run: "FinishedRun", agent: str | None, traffic: str | None) -> int:
-    """The cell that the titles choose.
-
-    Raises:
-        InputError: They leave several.
-    """
-    from charms_bench.episodes.replay import find_cells
-
-    cells = find_cells(run, agent, traffic)
-    if len(cells) > 1:
-        chosen = [run.suite.cells[cell] for cell in cells]
-        there = "; ".join(f"{cell.ego.title} in {cell.traffic.title}" for cell in chosen)
-        raise InputError(
-            f"{run.folder.path}: has this episode {len(cells)} times, choose one with --agent "
-            f"and --traffic: {there}"
-        )
-    return cells[0]
 
 
 def _slug(title: str) -> str:

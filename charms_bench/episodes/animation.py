@@ -1,4 +1,4 @@
-"""A replayed episode as an animated GIF: the road around the ego, and what the ego does."""
+"""Draws a replayed episode as an animated GIF: the road around the ego, and the ego's state."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -7,27 +7,30 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import write_atomically
-from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Floats
 
 WIDTH = 800
 BEHIND_M = 38.0
 AHEAD_M = 62.0
 SCALE = WIDTH / (BEHIND_M + AHEAD_M)
-"""Pixels a metre, along and across the road."""
+"""Pixels per metre, along and across the road."""
 HEADER, SHOULDER_M, MARKS, STATUS = 38, 1.0, 20, 46
 LINE, MARGIN, LEGEND_COLUMNS = 22, 16, 3
 FINE = 2
-"""Drawn this much larger and then reduced, so that edges are smooth."""
+"""Pictures are drawn this many times larger and then reduced, so that edges are smooth."""
 HOLD_S = 2.0
-"""How long the last picture stays."""
+"""How long the last picture is shown."""
 BRAKE_LIGHT_MPS2 = 0.5
+"""Deceleration above which the brake lights are on."""
+TTC_SHOWN_S = 100.0
+"""A time to collision from here on is not shown."""
 COLOURS = 96
-"""Of the GIF: few enough to stay small."""
+"""Size of the GIF's palette, which limits the size of the file."""
 
 INK, PALE, PAPER = "#20242a", "#737b86", "#ffffff"
 ASPHALT, PAINT = "#d3d7dc", "#ffffff"
@@ -35,11 +38,11 @@ EGO, WRECK, BRAKE, INDICATOR = "#e8590c", "#c2122d", "#e01b24", "#ffb000"
 AGENTS = (
     "#4477aa", "#228833", "#aa3377", "#66bbdd", "#8a8a2c", "#7b5aa6", "#4d4d4d", "#bb8866"
 )  # fmt: skip
-"""Of the agents of a traffic, in the order in which they are met."""
+"""Colours of the agents in the traffic, in alphabetical order of the agents."""
 
 
 def check_animation(path: Path) -> None:
-    """Refuses a file that could not be written.
+    """Refuses a file name that is not a GIF's.
 
     Raises:
         InputError: The name does not end in `.gif`.
@@ -49,28 +52,30 @@ def check_animation(path: Path) -> None:
 
 
 def animate(replay: Replay, path: Path, caption: str = "") -> None:
-    """Writes an episode as a GIF at the speed at which it happened, a picture a simulation step.
+    """Writes an episode as a GIF that plays in real time, one picture per simulation step.
 
-    Vehicles have their agents' colours, the ego one of its own, and carry their place in the order
-    of spawning. Red lights brake, amber ones change lanes, a cross is a wreck.
+    A vehicle's colour is that of its agent; the ego has its own colour. The number on a vehicle is
+    its index in the order of spawning. Red lights mean braking, amber lights a lane change, and a
+    cross a vehicle that has crashed.
 
     Args:
         replay: The episode.
         path: The file.
-        caption: What happened, in a line.
+        caption: One line of text below the road.
 
     Raises:
-        InputError: The file's name has another ending, or it cannot be written.
+        InputError: The file's name does not end in `.gif`, or the file cannot be written.
     """
     check_animation(path)
     frames = range(len(replay.t_s))
+    view = ego_view(replay)
     sample = [*frames[:: max(1, len(frames) // 7)], frames[-1]]
-    palette = _palette([picture(replay, frame, caption) for frame in sample])
+    palette = _palette([picture(replay, view, frame, caption) for frame in sample])
     pictures = (
-        picture(replay, frame, caption).quantize(palette=palette, dither=Image.Dither.NONE)
+        picture(replay, view, frame, caption).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in frames
     )
-    # GIFs count hundredths of a second; rounding the moments, not the steps, keeps to real time.
+    # A GIF counts in hundredths of a second; rounding times instead of steps adds up no error.
     moments = np.round(replay.t_s * 100).astype(int) * 10
     durations = [*np.diff(moments).tolist(), round(HOLD_S * 1000)]
     first = next(pictures)
@@ -88,7 +93,7 @@ def animate(replay: Replay, path: Path, caption: str = "") -> None:
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """A picture with the colours that some pictures share, and those of rare small things."""
+    """Returns an image whose palette suits all pictures and holds the colours of rare marks."""
     width, height = pictures[0].size
     sheet = Image.new("RGB", (width, height * len(pictures) + height))
     for k, each in enumerate(pictures):
@@ -99,8 +104,8 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
     return sheet.quantize(COLOURS)
 
 
-def picture(replay: Replay, frame: int, caption: str = "") -> Image.Image:
-    """The picture of one simulation step; 0 is the start."""
+def picture(replay: Replay, view: EgoView, frame: int, caption: str = "") -> Image.Image:
+    """Returns the picture of one simulation step; step 0 is the start of the episode."""
     settings, colours = replay.settings, _colours(replay)
     road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * SCALE)
     status = HEADER + road + MARKS
@@ -112,21 +117,20 @@ def picture(replay: Replay, frame: int, caption: str = "") -> Image.Image:
         colour = EGO if vehicle == replay.ego else colours[agent]
         _draw_vehicle(canvas, replay, frame, vehicle, colour)
     _draw_header(canvas, replay, frame)
-    _draw_status(canvas, replay, frame, status)
+    _draw_status(canvas, _status(replay, view, frame), status)
     canvas.text(MARGIN, caption_at + 11, caption[:1].upper() + caption[1:], 13, bold=True)
     _draw_legend(canvas, replay, colours, legend + 11)
     return canvas.image.reduce(FINE)
 
 
 def _colours(replay: Replay) -> dict[str, str]:
-    """The colour of each agent of the traffic."""
-    traffic = [name for k, name in enumerate(replay.agents) if k != replay.ego]
-    met = sorted(dict.fromkeys(traffic))
-    return {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(met)}
+    """Returns the colour of each agent in the traffic."""
+    names = sorted({name for k, name in enumerate(replay.agents) if k != replay.ego})
+    return {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(names)}
 
 
 class _Canvas:
-    """A picture drawn in its final pixels, on a finer grid."""
+    """A picture with coordinates in final pixels, drawn on a finer grid."""
 
     def __init__(self, height: int) -> None:
         self.image = Image.new("RGB", (WIDTH * FINE, height * FINE), PAPER)
@@ -156,7 +160,7 @@ class _Canvas:
         bold: bool = False,
         anchor: str = "lm",
     ) -> float:
-        """Writes text, by default from its left and middle, and returns where it ends."""
+        """Writes text, anchored at its left and middle by default; returns the x of its end."""
         font = _font(bold, size)
         self._draw.text((x * FINE, y * FINE), text, fill=colour, font=font, anchor=anchor)
         return x + font.getlength(text) / FINE
@@ -170,7 +174,7 @@ def _font(bold: bool, size: float) -> ImageFont.FreeTypeFont:
 
 
 def _place(replay: Replay, frame: int, x: Floats, y: Floats) -> Floats:
-    """Where points of the road (K,) are in the picture (K, 2)."""
+    """Returns where points of the road (K,) are in the picture (K, 2)."""
     start = replay.x[frame, replay.ego] - BEHIND_M
     edge = -replay.settings.profile.lane_width_m / 2 - SHOULDER_M
     return np.stack([(x - start) * SCALE, HEADER + (y - edge) * SCALE], axis=-1)
@@ -186,7 +190,7 @@ def _draw_road(canvas: _Canvas, replay: Replay, frame: int) -> None:
     canvas.box(left, top, right, bottom, ASPHALT)
     for border in borders:
         solid = border in (borders[0], borders[-1])
-        # Dashes of 6 m and gaps of 12 m: a motorway's.
+        # Dashes of 6 m and gaps of 12 m, as on a motorway.
         dashes = np.array([start]) if solid else np.arange(np.floor(start / 18) * 18, end, 18)
         for dash in dashes:
             length = end - start if solid else 6.0
@@ -208,7 +212,7 @@ def _draw_vehicle(canvas: _Canvas, replay: Replay, frame: int, vehicle: int, col
     half_length, half_width = profile.vehicle_length_m / 2, profile.vehicle_width_m / 2
 
     def shape(corners: list[tuple[float, float]]) -> Floats:
-        """Corners given in halves of its length and width."""
+        """Returns a shape whose corners are given in halves of the vehicle's length and width."""
         along, across = (np.array(corners) * (half_length, half_width)).T[..., None]
         away = along * ahead + across * aside
         return _place(replay, frame, x + away[:, 0], y + away[:, 1])
@@ -242,43 +246,31 @@ def _draw_header(canvas: _Canvas, replay: Replay, frame: int) -> None:
     canvas.text(WIDTH - MARGIN, HEADER / 2, time, 17, bold=True, anchor="rm")
 
 
-def _draw_status(canvas: _Canvas, replay: Replay, frame: int, top: int) -> None:
-    for k, (what, value) in enumerate(_status(replay, frame).items()):
-        x = MARGIN + k * (WIDTH - 2 * MARGIN) / 5
+def _draw_status(canvas: _Canvas, status: dict[str, str], top: int) -> None:
+    for k, (what, value) in enumerate(status.items()):
+        x = MARGIN + k * (WIDTH - 2 * MARGIN) / len(status)
         canvas.text(x, top + 10, what, 11, PALE)
         canvas.text(x, top + 29, value, 16)
 
 
-def _status(replay: Replay, frame: int) -> dict[str, str]:
-    """What the ego does and how near its leader is, in words."""
-    ego, profile = replay.ego, replay.settings.profile
-    lane, target = replay.lane[frame, ego], replay.target_lane[frame, ego]
-    action = int(replay.action[frame, ego])
-    wrecked = bool(replay.crashed[frame, ego])
-    if wrecked:
+def _status(replay: Replay, view: EgoView, frame: int) -> dict[str, str]:
+    """Returns the ego's state, each quantity with its unit."""
+    ego = replay.ego
+    aside = int(replay.target_lane[frame, ego] - replay.lane[frame, ego])
+    if replay.crashed[frame, ego]:
         doing = "crashed"
-    elif action >= 0:
+    elif (action := int(replay.action[frame, ego])) >= 0:
         doing = ACTIONS[action].replace("_", " ").lower()
-    else:  # before the first decision, and under a driver model, which takes none
-        doing = "keeps its lane" if lane == target else f"to the {_side(target - lane)}"
-    x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
-    on_lane = is_on_lane(x, y, lane, replay.settings.constants)
-    ahead = np.where(on_lane & (np.arange(x.size) != ego), x - x[ego], np.inf)
-    ahead[ahead < 0] = np.inf
-    leader = int(ahead.argmin())
-    gap, closing = ahead[leader] - profile.vehicle_length_m, speed[ego] - speed[leader]
-    near = not wrecked and 0 < gap < 100 and closing > 0.1
+    else:  # before the first decision, and under a driver model, which takes no meta-actions
+        doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
+    gap, ttc = view.gap_ahead[frame], view.ttc[frame]
     return {
-        "ego's speed": f"{speed[ego]:.1f} m/s",
+        "ego's speed": f"{replay.speed[frame, ego]:.1f} m/s",
         "acceleration": f"{replay.acceleration[frame, ego]:+.1f} m/s²",
         "action": doing,
-        "gap ahead": f"{max(gap, 0.0):.1f} m" if np.isfinite(gap) else "free",
-        "TTC": f"{gap / closing:.1f} s" if near else "–",
+        "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
+        "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",
     }
-
-
-def _side(to_the_right: int) -> str:
-    return "right" if to_the_right > 0 else "left"
 
 
 def _draw_legend(canvas: _Canvas, replay: Replay, colours: dict[str, str], middle: float) -> None:

@@ -30,8 +30,7 @@ class EgoView:
 
 def ego_view(replay: Replay) -> EgoView:
     """Returns what surrounds the ego; leader and follower follow the rule of `Scene.leader`."""
-    profile, ego = replay.settings.profile, replay.ego
-    constants = replay.settings.constants
+    constants, ego = replay.settings.constants, replay.ego
     on_lane = is_on_lane(replay.x, replay.y, replay.lane[:, [ego]], constants)
     on_lane[:, ego] = False
     ahead = replay.x - replay.x[:, [ego]]
@@ -39,8 +38,8 @@ def ego_view(replay: Replay) -> EgoView:
     follower, to_follower = _nearest(-ahead, on_lane & (ahead < 0))
 
     def gap(distance: Floats) -> Floats:
-        apart = ~replay.crashed[:, ego] & (distance > profile.vehicle_length_m)
-        return np.where(apart, distance - profile.vehicle_length_m, np.nan)
+        apart = ~replay.crashed[:, ego] & (distance > constants.length)
+        return np.where(apart, distance - constants.length, np.nan)
 
     gap_ahead = gap(to_leader)
     closing = replay.speed[:, ego] - replay.speed[np.arange(len(leader)), leader]

@@ -1,7 +1,7 @@
-"""Episodes of a run, simulated again from their seeds, with what every vehicle did.
+"""Simulates episodes of a run again and returns the trajectories of all vehicles.
 
-A run keeps rows of its egos alone. An episode follows from its seed and its agents, so whatever
-else is to be known of it is simulated again and held against those rows.
+A run folder holds rows of the ego only. The seed and the agents determine an episode completely, so
+a new simulation gives the trajectories of all vehicles. Its rows must equal those of the run.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ import polars as pl
 
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import RunFolderError, suggestion
+from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.specs import AgentSpec
@@ -25,18 +25,18 @@ from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
 TRAJECTORY_SCHEMA = pl.Schema(
     {
-        "t_s": pl.Float64(),  # since the start of the episode
-        "vehicle": pl.Int32(),  # its place in the order of spawning
-        "agent": pl.String(),
+        "t_s": pl.Float64(),  # time since the start of the episode
+        "vehicle": pl.Int32(),  # index in the order of spawning
+        "agent": pl.String(),  # name of the agent that drives the vehicle
         "ego": pl.Boolean(),
         "x": pl.Float64(),  # m, centre along the road
         "y": pl.Float64(),  # m, centre to the right of the leftmost lane's centre
         "heading": pl.Float64(),  # rad, positive to the right
         "speed": pl.Float64(),  # m/s
         "acceleration": pl.Float64(),  # m/s2, as commanded
-        "lane": pl.Int8(),  # the nearest, 0 is the leftmost
+        "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost
         "target_lane": pl.Int8(),
-        "action": pl.Int8(),  # index into agent.ACTIONS; null under a driver model
+        "action": pl.Int8(),  # index into ACTIONS; null before the first and under a driver model
         "crashed": pl.Boolean(),
     }
 )
@@ -44,20 +44,20 @@ TRAJECTORY_SCHEMA = pl.Schema(
 
 @dataclass(frozen=True)
 class Replay:
-    """An episode: T simulation steps and the start before them, N vehicles."""
+    """An episode with N vehicles: its start, frame 0, and T simulation steps after it."""
 
     cell: Cell
     settings: SceneSettings
     episode: int
-    """Its seed."""
+    """Seed of the episode."""
     ego: int
-    """The ego's place."""
+    """Index of the ego in the order of spawning."""
     agents: tuple[str, ...]
-    """N names."""
+    """N names of agents."""
     t_s: Floats
-    """[T + 1] since the start."""
+    """[T + 1] time since the start."""
     x: Floats
-    """[T + 1, N], as all that follow; see `scene.Scene`."""
+    """[T + 1, N], as all arrays below; units as in `scene.Scene`."""
     y: Floats
     heading: Floats
     speed: Floats
@@ -66,11 +66,11 @@ class Replay:
     target_lane: Ints
     crashed: Bools
     action: Ints
-    """The last meta-action, -1 before the first and under a driver model."""
+    """The last meta-action; -1 before the first and under a driver model."""
     episodes: pl.DataFrame
-    """Its episode row (`recording.EPISODE_SCHEMA`)."""
+    """The episode row (`recording.EPISODE_SCHEMA`)."""
     steps: pl.DataFrame
-    """Its step rows (`recording.STEP_SCHEMA`)."""
+    """The step rows (`recording.STEP_SCHEMA`)."""
 
     @property
     def ending(self) -> str:
@@ -78,11 +78,31 @@ class Replay:
         return str(self.episodes["ending"].item())
 
     def frame_of(self, step: int) -> int:
-        """The simulation step in which a decision interval, counted from 1, ends."""
+        """Returns the frame at the end of a decision interval; intervals are counted from 1."""
         return step * self.settings.simulation_hz // self.settings.decision_hz
 
+    def animate(self, path: Path, caption: str | None = None) -> None:
+        """Writes the episode as an animated GIF that plays in real time.
+
+        Args:
+            path: The file; its name ends in `.gif`.
+            caption: One line of text below the road, by default what happened.
+
+        Raises:
+            InputError: The file's name does not end in `.gif`, or the file cannot be written.
+        """
+        from charms_bench.episodes.animation import animate
+
+        animate(self, path, self.what_happened() if caption is None else caption)
+
+    def what_happened(self) -> str:
+        """Returns one sentence about the most critical event of the episode."""
+        from charms_bench.episodes.what_happened import what_happened
+
+        return what_happened(self)
+
     def trajectories(self) -> pl.DataFrame:
-        """A row a vehicle and simulation step, by time and vehicle (`TRAJECTORY_SCHEMA`)."""
+        """Returns one row per frame and vehicle, sorted by both (`TRAJECTORY_SCHEMA`)."""
         frames, vehicles = self.x.shape
         place = np.tile(np.arange(vehicles), frames)
         action = pl.Series(self.action.ravel())
@@ -102,38 +122,63 @@ _OF_SCENE = (
 )  # fmt: skip
 
 
-def find_cells(run: FinishedRun, agent: str | None, traffic: str | None) -> list[int]:
-    """The cells of a run whose ego and traffic have these titles; None is any.
+def find_cells(run: FinishedRun, ego: str | None, traffic: str | None) -> list[int]:
+    """Returns the indices of the cells whose ego and traffic have these titles; None is any.
 
     Raises:
-        RunFolderError: It has none of that title.
+        RunFolderError: The run has no ego or no traffic with that title.
     """
-    asked = {
-        "ego": (agent, [entry.title for entry in run.suite.egos]),
+    wanted = {
+        "ego": (ego, [entry.title for entry in run.suite.egos]),
         "traffic": (traffic, [entry.title for entry in run.suite.traffics]),
     }
-    for what, (title, titles) in asked.items():
+    for what, (title, titles) in wanted.items():
         if title is not None and title not in titles:
             known = suggestion(title, dict.fromkeys(titles))
             raise RunFolderError(f"{run.folder.path}: no {what} called '{title}'. {known}")
     return [
         index
         for index, cell in enumerate(run.suite.cells)
-        if agent in (None, cell.ego.title) and traffic in (None, cell.traffic.title)
+        if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title)
     ]
 
 
-def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
-    """Episodes of a cell, in the order asked for.
+def find_cell(
+    run: FinishedRun, ego: str | None, traffic: str | None, how: str = "agent= and traffic="
+) -> int:
+    """Returns the index of the only cell whose ego and traffic have these titles; None is any.
 
     Args:
         run: A finished run.
-        cell: Index into its suite's `cells`.
-        episodes: Their seeds; all are kept in memory.
-        folder: Where paths of networks in the suite start.
+        ego: Title of the ego.
+        traffic: Title of the traffic.
+        how: How a message tells the reader to name the ego and the traffic.
 
     Raises:
-        RunFolderError: The run has no such episode, or it goes another way now.
+        InputError: No cell or several cells have these titles.
+    """
+    cells = find_cells(run, ego, traffic)
+    if len(cells) > 1:
+        found = (run.suite.cells[cell] for cell in cells)
+        titles = "; ".join(f"{cell.ego.title} in {cell.traffic.title}" for cell in found)
+        raise InputError(
+            f"{run.folder.path}: {len(cells)} cells have this episode; choose one with {how}. "
+            f"Cells: {titles}"
+        )
+    return cells[0]
+
+
+def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
+    """Simulates episodes of a cell again and returns them in the order asked for.
+
+    Args:
+        run: A finished run.
+        cell: Index into `cells` of its suite.
+        episodes: Seeds of the episodes; all episodes are kept in memory.
+        folder: The folder that relative paths of networks in the suite start from.
+
+    Raises:
+        RunFolderError: The run has no such episode, or the new rows differ from those of the run.
         CharmsBenchError: An agent cannot be made.
     """
     stored = _stored(run, cell, episodes)
@@ -176,7 +221,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
 
 
 def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFrame:
-    """The run's step rows of these episodes."""
+    """Returns the step rows of these episodes from the run folder."""
     first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
     for episode in episodes:
         if not first <= episode <= last:
@@ -201,7 +246,7 @@ def _simulation(run: FinishedRun, cell: int, scenes: int, folder: Path) -> Simul
 
 
 def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
-    """The ego's agent; a network given by path is the one that the run folder holds."""
+    """Returns the agent of the ego; a network given by path comes from the run folder."""
     kept = None if ego.onnx is None else run.folder.network(ego.key)
     if kept is None:
         return ego.make(folder)
@@ -212,7 +257,7 @@ def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
 
 
 def _frame(simulation: Simulation) -> dict[str, Any]:
-    """Copies `[B, N]` of what a replay keeps of a moment."""
+    """Returns copies of the arrays `[B, N]` that a replay keeps."""
     scene = {name: getattr(simulation.scene, name).copy() for name in _OF_SCENE}
     return scene | {"action": simulation.action.copy()}
 
@@ -220,7 +265,7 @@ def _frame(simulation: Simulation) -> dict[str, Any]:
 def _check(
     run: FinishedRun, cell: int, folder: Path, stored: pl.DataFrame, again: pl.DataFrame
 ) -> None:
-    """Refuses a replay whose ego's rows are not the run's."""
+    """Raises an error if the rows of a replay differ from those of the run."""
     if again.equals(stored):
         return
     both = stored.join(again, on=["episode", "step"], how="full", suffix="_now")
@@ -233,24 +278,24 @@ def _check(
     step, name, then, now = min(differing, key=lambda difference: difference[0])
     raise RunFolderError(
         f"{run.folder.path}: episode {stored['episode'][0]} of {run.suite.cells[cell].ego.title} "
-        f"goes another way now: step {step}, {name} was {then}, now {now}. "
+        f"no longer follows the recorded trajectory: step {step}, {name} was {then}, now {now}. "
         f"{_reason(run, cell, folder)}"
     )
 
 
 def _reason(run: FinishedRun, cell: int, folder: Path) -> str:
-    """Why an episode may go another way than when the run was made."""
+    """Says which versions the run was made with, agents first."""
     manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
     ego = chosen.ego
-    if ego.agent.onnx is not None:  # known by its hash; the traffic's agents are left to compare
+    if ego.agent.onnx is not None:  # its hash was checked; only the traffic's agents can differ
         ego = EgoEntry(agent=AgentSpec(name=chosen.traffic.traffic.make().agents[0]))
     alone = {"egos": (ego,), "traffics": (chosen.traffic,), "folder": folder}
     _, agents = plan(run.suite.model_copy(update=alone), "batched")
-    theirs = manifest.get("agents", {})
-    changed = [name for name, identity in agents.items() if theirs.get(name) != identity]
+    recorded = manifest.get("agents", {})
+    changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
     if changed:
-        return f"The run had other versions of: {', '.join(changed)}; install those to replay it"
+        return f"The run used other versions of {', '.join(changed)}; install those to replay it"
     return (
-        f"The run is of charms-bench {manifest.get('charms_bench')} with "
+        f"The run was made with charms-bench {manifest.get('charms_bench')} and "
         f"{manifest.get('versions')}; install those to replay it"
     )

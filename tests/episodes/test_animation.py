@@ -8,6 +8,8 @@ from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
 from charms_bench.episodes.animation import AGENTS, EGO, WRECK, animate, picture
+from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 
 RED, ASPHALT = ImageColor.getrgb(WRECK), (211, 215, 220)
@@ -26,13 +28,17 @@ def test_it_lasts_as_long_as_the_episode_and_holds_the_end(tmp_path: Path) -> No
     assert sum(durations) == 2000 + 2000  # 30 steps at 15 Hz, and 2 s at the end
 
 
+def drawn(replay: Replay) -> Image.Image:
+    return picture(replay, ego_view(replay), 0)
+
+
 def pixel(image: Image.Image, ahead_m: float, lane: int) -> tuple[int, int, int]:
     """The colour at a distance ahead of the ego: 8 px/m, 38 m behind it, 38 px above the road."""
     return image.getpixel((round((38.0 + ahead_m) * 8), 38 + round((4.0 * lane + 3.0) * 8)))
 
 
 def test_vehicles_are_drawn_to_scale_around_the_ego() -> None:
-    image = picture(replay_of(x=[[100.0, 120.0, 90.0]], y=[[4.0, 0.0, 8.0]]), 0)
+    image = drawn(replay_of(x=[[100.0, 120.0, 90.0]], y=[[4.0, 0.0, 8.0]]))
     ego, other = ImageColor.getrgb(EGO), ImageColor.getrgb(AGENTS[0])
     assert pixel(image, -2.3, 1) == pixel(image, 2.3, 1) == ego
     assert pixel(image, -2.7, 1) == pixel(image, 2.7, 1) == ASPHALT
@@ -41,16 +47,16 @@ def test_vehicles_are_drawn_to_scale_around_the_ego() -> None:
 
 def test_a_wreck_is_crossed_out() -> None:
     still = {"x": [[0.0, 20.0]], "y": [[4.0, 4.0]]}
-    whole = picture(replay_of(**still), 0)
-    wrecked = picture(replay_of(**still, crashed=[[False, True]]), 0)
+    whole = drawn(replay_of(**still))
+    wrecked = drawn(replay_of(**still, crashed=[[False, True]]))
     assert RED not in {colour for _, colour in whole.getcolors(100_000)}
     assert RED in {colour for _, colour in wrecked.getcolors(100_000)}
 
 
 def test_who_changes_lanes_and_who_brakes_has_lights() -> None:
-    quiet = picture(replay_of(x=[[0.0]], y=[[4.0]]), 0)
-    changing = picture(replay_of(x=[[0.0]], y=[[4.0]], target_lane=[[0]]), 0)
-    braking = picture(replay_of(x=[[0.0]], y=[[4.0]], acceleration=[[-3.0]]), 0)
+    quiet = drawn(replay_of(x=[[0.0]], y=[[4.0]]))
+    changing = drawn(replay_of(x=[[0.0]], y=[[4.0]], target_lane=[[0]]))
+    braking = drawn(replay_of(x=[[0.0]], y=[[4.0]], acceleration=[[-3.0]]))
     for image, light in ((changing, (255, 176, 0)), (braking, (224, 27, 36))):
         assert light in {colour for _, colour in image.getcolors(100_000)}
         assert light not in {colour for _, colour in quiet.getcolors(100_000)}

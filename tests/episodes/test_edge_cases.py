@@ -1,13 +1,11 @@
 """The ranking of a run's episodes, and the commands that show it."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import polars as pl
 import pytest
+from command_line import charms_bench
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.runs.finished import FinishedRun
@@ -26,16 +24,6 @@ SUITE = {
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     return run(Suite.model_validate(SUITE), tmp_path_factory.mktemp("run") / "small", workers=1)
-
-
-def charms_bench(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "charms_bench", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "COLUMNS": "160", "NO_COLOR": "1"},
-    )
 
 
 def test_collisions_come_first_and_then_the_most_critical(finished: FinishedRun) -> None:
@@ -80,7 +68,7 @@ def test_top_and_cells_limit_the_list(finished: FinishedRun) -> None:
 
 
 def test_the_command_prints_a_line_an_episode_or_json(finished: FinishedRun) -> None:
-    shown = charms_bench("edge-cases", finished.folder.path, "--top", 3)
+    shown = charms_bench("edge-cases", finished.folder.path, "--top", 3, columns=160)
     assert shown.returncode == 0, shown.stderr
     cases = json.loads(
         charms_bench("edge-cases", finished.folder.path, "--top", 3, "--json").stdout
@@ -112,7 +100,10 @@ def test_replay_writes_an_animation_and_trajectories(finished: FinishedRun) -> N
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ([], "has this episode 2 times, choose one with --agent and --traffic: idm_mobil in idm_"),
+        (
+            [],
+            "2 cells have this episode; choose one with --agent and --traffic. Cells: idm_mobil in",
+        ),
         (["--agent", "idm"], "no ego called 'idm'. Known: idm_mobil, [b]Level-k[/b]."),
         (["--agent", "idm_mobil", "--output", "a.mp4"], "a.mp4: expected a name that ends in .gif"),
     ],

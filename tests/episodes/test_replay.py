@@ -84,7 +84,7 @@ def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> Non
     files = {kind: in_parquet(folder.read(kind, [shard])) for kind in KINDS}
     folder.write(shard, files | {"steps": in_parquet(rows.with_columns(faster))})
     with pytest.raises(
-        RunFolderError, match="episode 12 of idm_mobil goes another way now: step 4, speed was"
+        RunFolderError, match="no longer follows the recorded trajectory: step 4, speed was"
     ):
         replay(copied, 0, [12], Path())
     assert replay(copied, 0, [13], Path())
@@ -92,7 +92,7 @@ def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> Non
     manifest = copied.folder.manifest()
     manifest["agents"]["idm_mobil"]["version"] = "0.0.1"
     (copied.folder.path / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(RunFolderError, match="had other versions of: idm_mobil; install those"):
+    with pytest.raises(RunFolderError, match="used other versions of idm_mobil; install those"):
         replay(copied, 0, [12], Path())
 
 

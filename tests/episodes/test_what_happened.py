@@ -31,9 +31,9 @@ def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
         ),
         (
             "rear_end",
-            {"speed": 22.0},
-            {"x": -4.9, "speed": 30.0},
-            "was hit from behind by vehicle 1 at 30.0 m/s, 8.0 m/s faster than the ego, at t = 0.2 s",
+            {"speed": 1.0},
+            {"x": -4.9, "speed": 9.0},
+            "was hit from behind by vehicle 1 at 9.0 m/s, 8.0 m/s faster than the ego, at t = 0.2 s",
         ),
         (
             "side",
@@ -82,7 +82,9 @@ def test_hard_braking_names_the_follower_and_the_side() -> None:
     y = np.tile([8.0, 8.0, 4.0], (11, 1))
     changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
     words = what_happened(replay_of("time", [{}, changed], x=x, y=y))
-    assert words == "changed to the right lane, where the follower, vehicle 1, braked at 4.5 m/s², at t = 0.7 s"
+    assert words == (
+        "changed to the right lane, where the follower, vehicle 1, braked at 4.5 m/s², at t = 0.7 s"
+    )
 
 
 def test_a_quiet_episode_says_so() -> None:
@@ -128,7 +130,10 @@ def test_an_abandoned_lane_change_is_told() -> None:
         "18 m ahead, at t = 0.5 s"
     )
     alone = given_up(51.0, 0, 5)
-    assert what_happened(alone) == "began a lane change to the left, abandoned it after 0.4 s, at t = 0.5 s"
+    assert (
+        what_happened(alone)
+        == "began a lane change to the left, abandoned it after 0.4 s, at t = 0.5 s"
+    )
 
 
 def test_the_nearest_of_two_decides_whether_the_gap_was_taken() -> None:

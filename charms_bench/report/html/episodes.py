@@ -9,7 +9,7 @@ import polars as pl
 
 from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.edge_cases import ranked
-from charms_bench.episodes.replay import Replay, find_cells, replay
+from charms_bench.episodes.replay import Replay, find_cell, replay
 from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.report.html.sources import Evaluation
@@ -62,15 +62,8 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Asked:
             f"found '{seed}'"
         ) from error
     ego, traffic = [*titles, None, None][:2]
-    cells = find_cells(run.run, ego, traffic)
-    if len(cells) > 1:
-        chosen = [run.run.suite.cells[cell] for cell in cells]
-        there = "; ".join(f"{cell.ego.title} in {cell.traffic.title}" for cell in chosen)
-        raise InputError(
-            f"--episode {text}: {run.path} has it {len(cells)} times, say which as "
-            f"{run.key}:{seed}:EGO:TRAFFIC; there are {there}"
-        )
-    return Asked(run, cells[0], episode)
+    how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
+    return Asked(run, find_cell(run.run, ego, traffic, how), episode)
 
 
 def choose(

@@ -100,7 +100,10 @@ def test_it_says_what_is_in_it(folder: Path) -> None:
     ("options", "problem"),
     [
         ({"episodes": ["egos:nine"]}, "EPISODE a number; found 'nine'"),
-        ({"episodes": ["3"]}, "has it 2 times, say which as egos:3:EGO:TRAFFIC"),
+        (
+            {"episodes": ["3"]},
+            "2 cells have this episode; choose one with --episode egos:3:EGO:TRAFFIC",
+        ),
         ({"episodes": ["3:nobody"]}, "no ego called 'nobody'"),
         ({"episodes": [f"99:{DOLLARS}"]}, "holds the episodes 0 to 5, not 99"),
         ({"output": Path("report.pdf")}, "expected a name that ends in .html"),
