@@ -40,7 +40,7 @@ class Column:
 
 CRASHED = Column("episodes crashed", "crashed_episodes", ".1%", "standard-", interval=True)
 TRAFFIC_CRASHED = Column(
-    "its vehicles crashed in 20 s", "traffic_crashed", ".1%", "standard-", interval=True
+    "vehicles crashed in 20 s", "traffic_crashed", ".1%", "standard-", interval=True
 )
 PER_1000KM = Column("per 1,000 km", "traffic_crashes_per_1000km", ",.0f", "standard-")
 DENSITY = Column("interaction density", "interaction_density", ".2f")
@@ -165,7 +165,8 @@ def edges(runs: Path) -> str:
     ]
     listed = "\n".join(lines)
     first = f'charms-bench replay runs/ego {found[0].episode} --agent "{found[0].ego}"'
-    return f"```text\n{listed}\n```\n\nand\n\n```sh\n{first}\n```\n"
+    replayed = f"This command replays the first of these episodes:\n\n```sh\n{first}\n```\n"
+    return f"```text\n{listed}\n```\n\n{replayed}"
 
 
 def fine_tuning(runs: Path) -> str:
