@@ -48,7 +48,8 @@ def replay_of(
         lane=lane,
         target_lane=np.broadcast_to(fields.get("target_lane", lane), shape).astype(int),
         crashed=np.broadcast_to(fields.get("crashed", False), shape).astype(bool),
-        action=np.full(shape, -1),
+        action=np.zeros(shape, dtype=int),
+        has_action=np.zeros(shape, dtype=bool),
         episodes=pl.DataFrame([head], schema=EPISODE_SCHEMA),
         steps=pl.DataFrame(rows, schema=STEP_SCHEMA),
     )

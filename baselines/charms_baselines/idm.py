@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import clip, compiled, not_zero
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Scene
 
@@ -30,7 +30,7 @@ def motion(b: int, i: int, scene: Scene) -> Motion:
         scene.speed[b, i],
         scene.direction_x[b, i],
         scene.direction_y[b, i],
-        min(max(scene.target_speed[b, i], 0.0), scene.constants.speed_limit),
+        clip(scene.target_speed[b, i], 0.0, scene.constants.speed_limit),
     )
 
 
@@ -48,14 +48,6 @@ def motion_behind(b: int, i: int, scene: Scene) -> Motion:
     if i < 0:
         return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0)
     return motion(b, i, scene)
-
-
-@compiled
-def not_zero(value: float) -> float:
-    """Keeps a divisor away from zero [`utils.not_zero`]."""
-    if abs(value) > 1e-2:
-        return value
-    return 1e-2 if value >= 0 else -1e-2
 
 
 @compiled

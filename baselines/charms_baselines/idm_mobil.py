@@ -16,7 +16,7 @@ from charms_baselines.idm import (
     motion_behind,
 )
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -78,7 +78,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, free - interaction(own, leader, p))
-        acceleration[m] = min(max(wanted, -p.acceleration_limit_mps2), p.acceleration_limit_mps2)
+        acceleration[m] = clip(wanted, -p.acceleration_limit_mps2, p.acceleration_limit_mps2)
 
 
 @compiled

@@ -12,7 +12,7 @@ import numpy as np
 from charms_baselines.idm import Motion, following, motion, motion_ahead, motion_behind
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
@@ -119,7 +119,7 @@ def _drive(
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, following(own, leader, exponent, p))
-        acceleration[m] = min(max(wanted, -braking), p.acceleration_mps2)
+        acceleration[m] = clip(wanted, -braking, p.acceleration_mps2)
         target_lane[m] = target
 
 

@@ -1,12 +1,12 @@
-"""Two engines, one behaviour: what both of them do.
+"""The two engines, `batched` and `highway-env`, and what both do.
 
-In one simulation step every driver model acts, one model after another in the order in which they
-were given to `reset`; within a model, vehicles act in the order of spawning, each seeing the
-target lanes of those before it. Then all vehicles move, and then collisions are found. Meta-actions
-given by `command` take effect before the step that follows.
+In one simulation step every driver model acts, in the order of the engine's `models`. The vehicles
+of one model act in the order of spawning, and each sees the target lanes of those before it. Then
+all vehicles move, and then collisions are found. Meta-actions given by `command` take effect before
+the step that follows.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Literal, Protocol
 
 import numpy as np
@@ -24,39 +24,41 @@ class Engine(Protocol):
     """B scenes of N vehicles that advance together."""
 
     scene: Scene
+    drivers: Ints
+    """[B, N] the index of each vehicle's agent. Agent 0 drives the ego."""
 
-    def reset(
-        self,
-        rows: Ints,
-        seeds: NDArray[np.uint64],
-        models: Sequence[DriverModel],
-        ego_model: int,
-        traffic_models: Ints,
-    ) -> None:
+    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         """Spawns new scenes.
 
         Args:
             rows: (R,) the scenes to spawn.
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
-            models: The driver models of the engine, in the order in which they act; the same at
-                every call.
-            ego_model: Index in `models` of the ego's, -1 where `command` drives the ego.
-            traffic_models: (R, N - 1) those of the other vehicles, likewise.
+            traffic: (R, N - 1) the agents of the other vehicles, in the order of spawning.
         """
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
-        """Gives M vehicles a meta-action each, (M,)."""
+        """Gives each of M vehicles a meta-action, (M,)."""
 
     def advance(self) -> None:
         """Advances every active scene by one simulation step."""
 
 
-def make_engine(name: EngineName, settings: SceneSettings, scenes: int) -> Engine:
-    """An engine by name, for `scenes` scenes; nothing is spawned yet."""
+def make_engine(
+    name: EngineName, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
+) -> Engine:
+    """An engine by name; nothing is spawned yet.
+
+    Args:
+        name: One of `ENGINES`.
+        settings: What the scenes have in common.
+        scenes: B.
+        models: The driver models by the index of their agent, in the order in which they act.
+            `command` drives the vehicles of all other agents.
+    """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes)
+        return BatchedEngine(settings, scenes, models)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes)
+    return HighwayEnvEngine(settings, scenes, models)

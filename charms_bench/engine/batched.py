@@ -1,6 +1,6 @@
 """The default engine: thousands of scenes at once, compiled."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,35 +15,30 @@ from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicle
 class BatchedEngine:
     """highway-env's behaviour over arrays `[B, N]`; see `charms_bench.engine`."""
 
-    def __init__(self, settings: SceneSettings, scenes: int) -> None:
+    def __init__(
+        self, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
+    ) -> None:
         self.scene = Scene.empty(settings, scenes)
+        self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self._settings = settings
         self._spawn_rule = _spawn_rule(settings)
-        self._models: tuple[DriverModel, ...] = ()
-        self._model_of = np.full(self.scene.x.shape, -1)
-        self._modelled = np.zeros(self.scene.x.shape, dtype=np.bool_)
-        self._groups: list[tuple[DriverModel, Vehicles]] = []
-        self._grouped = np.zeros(scenes, dtype=np.bool_)
+        self._models = models
 
-    def reset(
-        self,
-        rows: Ints,
-        seeds: NDArray[np.uint64],
-        models: Sequence[DriverModel],
-        ego_model: int,
-        traffic_models: Ints,
-    ) -> None:
-        scene, settings, profile = self.scene, self._settings, self._settings.profile
+    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+        scene, profile = self.scene, self._settings.profile
         for row, seed in zip(rows, seeds, strict=True):
-            rng = np.random.default_rng(int(seed))
             scene.ego[row] = kernels.draw_scene(
-                rng,
+                np.random.default_rng(int(seed)),
                 self._spawn_rule,
                 scene.x[row],
                 scene.lane[row],
                 scene.speed[row],
                 scene.temperament[row],
             )
+        is_ego = np.arange(self._settings.vehicles) == scene.ego[rows, None]
+        drivers = np.zeros(is_ego.shape, dtype=np.int64)
+        drivers[~is_ego] = traffic.ravel()
+        self.drivers[rows] = drivers
         scene.y[rows] = scene.lane[rows] * profile.lane_width_m
         scene.target_speed[rows] = scene.speed[rows]
         scene.target_lane[rows] = scene.lane[rows]
@@ -53,18 +48,11 @@ class BatchedEngine:
         scene.crashed[rows] = scene.impact[rows] = False
         scene.active[rows] = True
         kernels.locate(scene, rows)
-        self._models = tuple(models)
-        is_ego = np.arange(settings.vehicles) == scene.ego[rows, None]
-        model_of = np.empty(is_ego.shape, dtype=np.int64)
-        model_of[is_ego] = ego_model
-        model_of[~is_ego] = traffic_models.ravel()
-        self._model_of[rows] = model_of
-        self._modelled[rows] = model_of >= 0
         if profile.target_speeds_mps:
-            commanded = (rows[np.nonzero(model_of < 0)[0]], np.nonzero(model_of < 0)[1])
+            which, places = np.nonzero(~np.isin(drivers, list(self._models)))
+            commanded = rows[which], places
             speeds = scene.target_speed[commanded]
             scene.target_speed[commanded] = self._nearest_target_speed(speeds, 0)
-        self._grouped[:] = False
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         scene, profile = self.scene, self._settings.profile
@@ -86,31 +74,16 @@ class BatchedEngine:
         )
 
     def advance(self) -> None:
-        if not np.array_equal(self._grouped, self.scene.active):
-            self._regroup()
-        for model, vehicles in self._groups:
-            acceleration, target_lane = model.drive(self.scene, vehicles)
-            kernels.obey(
-                vehicles[0],
-                vehicles[1],
-                acceleration,
-                target_lane,
-                self.scene.crashed,
-                self.scene.acceleration,
-                self.scene.target_lane,
-            )
-        kernels.advance(self.scene, self._modelled)
+        scene = self.scene
+        modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
+        for agent, model in self._models.items():
+            vehicles = kernels.vehicles_of(agent, self.drivers, scene.active)
+            if vehicles[0].size:
+                acceleration, target_lane = model.drive(scene, vehicles)
+                kernels.obey(scene, *vehicles, acceleration, target_lane, modelled)
+        kernels.advance(scene, modelled)
 
-    def _regroup(self) -> None:
-        """Lists the vehicles of each driver model; those of ended scenes drop out."""
-        self._grouped[:] = self.scene.active
-        model_of = np.where(self.scene.active[:, None], self._model_of, -1)
-        groups = ((model, np.nonzero(model_of == k)) for k, model in enumerate(self._models))
-        self._groups = [(model, vehicles) for model, vehicles in groups if vehicles[0].size]
-
-    def _nearest_target_speed(
-        self, speed: NDArray[np.float64], change: NDArray[np.int64] | int
-    ) -> NDArray[np.float64]:
+    def _nearest_target_speed(self, speed: Floats, change: Ints | int) -> Floats:
         """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
         speeds = np.array(self._settings.profile.target_speeds_mps, dtype=np.float64)
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
@@ -120,7 +93,7 @@ class BatchedEngine:
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
-    """[`HighwayEnv._create_vehicles` and `Vehicle.create_random`]."""
+    """[`HighwayEnv._create_vehicles` and `Vehicle.create_random`]"""
     profile, spacing = settings.profile, 1 / settings.density
     return kernels.SpawnRule(
         lanes=settings.lanes,

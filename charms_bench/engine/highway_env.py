@@ -1,10 +1,10 @@
 """The reference engine: highway-env's own road and vehicles, one scene after another.
 
-The profile's constants are set on subclasses of highway-env's classes; a driver model that names
-its highway-env class is that class here, and any other is shown each scene as arrays.
+The profile's constants are set on subclasses of highway-env's classes. Where a driver model names
+its highway-env class, this engine uses that class; any other model gets each scene as arrays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
@@ -26,33 +26,29 @@ from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 class HighwayEnvEngine:
     """highway-env itself behind the interface of `charms_bench.engine`."""
 
-    def __init__(self, settings: SceneSettings, scenes: int) -> None:
-        self.scene = Scene.empty(settings, scenes)
-        self.roads: list[Road] = [None] * scenes
-        """highway-env's roads, for whoever wants to look at them or draw them."""
-        self._settings = settings
-        self._models: tuple[DriverModel, ...] = ()
-        self._model_of = np.full(self.scene.x.shape, -1)
-        self._commanded = _commanded_class(settings.profile)
-        self._mover = _with_constants(_ModelledVehicle, settings.profile)
-
-    def reset(
-        self,
-        rows: Ints,
-        seeds: NDArray[np.uint64],
-        models: Sequence[DriverModel],
-        ego_model: int,
-        traffic_models: Ints,
+    def __init__(
+        self, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
     ) -> None:
-        self._models = tuple(models)
-        classes = [self._vehicle_class(model) for model in self._models]
-        for row, seed, traffic in zip(rows, seeds, traffic_models, strict=True):
+        self.scene = Scene.empty(settings, scenes)
+        self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.roads: list[Road] = [None] * scenes
+        """highway-env's roads, to be looked at or drawn."""
+        self._settings = settings
+        self._models = models
+        self._classes = {
+            agent: _reference_class(model, settings.profile) for agent, model in models.items()
+        }
+        self._commanded = _commanded_class(settings.profile)
+        self._spawner = _with_constants(_SpawningVehicle, settings.profile)
+
+    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+        for row, seed, others in zip(rows, seeds, traffic, strict=True):
             rng = np.random.default_rng(int(seed))
             ego = int(rng.integers(0, self._settings.ego_slots))
             self.scene.ego[row] = ego
             self.scene.active[row] = True
-            self._model_of[row] = np.insert(traffic, ego, ego_model)
-            self.roads[row] = self._spawn(row, ego, rng, classes)
+            self.drivers[row] = np.insert(others, ego, 0)
+            self.roads[row] = self._spawn(row, ego, rng)
             self._copy_state(int(row))
         kernels.locate(self.scene, rows)
 
@@ -67,35 +63,33 @@ class HighwayEnvEngine:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
-            road = self.roads[row]
-            for index in range(-1, len(self._models)):
-                self._act(row, road, index)
-            road.step(dt)
+            drivers = self.drivers[row]
+            self._act(row, np.nonzero(~np.isin(drivers, list(self._models)))[0])
+            for agent, model in self._models.items():
+                places = np.nonzero(drivers == agent)[0]
+                if places.size and not model.highway_env_class:
+                    self._ask(model, row, places)
+                self._act(row, places)
+            self.roads[row].step(dt)
             self.scene.timer_s[row] += dt  # where a vehicle keeps no timer of its own
             self._copy_state(row)
         kernels.locate(self.scene, active)
 
-    def _act(self, row: int, road: Road, index: int) -> None:
-        """Lets the vehicles of one driver model act; -1 are those that `command` drives."""
-        places = np.nonzero(self._model_of[row] == index)[0]
-        if index >= 0 and places.size and not self._models[index].highway_env_class:
-            vehicles = (np.full(places.size, row), places)
-            acceleration, target_lane = self._models[index].drive(self.scene, vehicles)
-            for place, *answer in zip(places, acceleration, target_lane, strict=True):
-                road.vehicles[place].obey(*answer)
-                road.vehicles[place].timer = float(self.scene.timer_s[row, place])
+    def _ask(self, model: DriverModel, row: int, places: Ints) -> None:
+        """Tells the vehicles of a driver model what it returns for them."""
+        answers = model.drive(self.scene, (np.full(places.size, row), places))
+        for place, *answer in zip(places, *answers, strict=True):
+            vehicle = self.roads[row].vehicles[place]
+            vehicle.obey(*answer)
+            vehicle.timer = float(self.scene.timer_s[row, place])
+
+    def _act(self, row: int, places: Ints) -> None:
         for place in places:
-            vehicle = road.vehicles[place]
+            vehicle = self.roads[row].vehicles[place]
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
-    def _vehicle_class(self, model: DriverModel) -> Any:
-        if not model.highway_env_class:
-            return self._mover
-        module, name = model.highway_env_class.split(":")
-        return _with_constants(getattr(import_module(module), name), self._settings.profile)
-
-    def _spawn(self, row: int, ego: int, rng: np.random.Generator, classes: list[Any]) -> Road:
+    def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
         """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]."""
         settings, profile = self._settings, self._settings.profile
         network = RoadNetwork()
@@ -112,17 +106,15 @@ class HighwayEnvEngine:
                 ),
             )
         road = Road(network=network, np_random=rng)
-        spawner = _with_constants(_SpawningVehicle, profile)
         spacing = 1 / settings.density
         for place in range(settings.vehicles):
             is_ego = place == ego
-            spawned = spawner.create_random(
+            spawned = self._spawner.create_random(
                 road,
                 speed=profile.ego_speed_mps if is_ego else None,
                 spacing=(profile.ego_spacing or spacing) if is_ego else spacing,
             )
-            model = self._model_of[row, place]
-            vehicle_class = classes[model] if model >= 0 else self._commanded
+            vehicle_class = self._classes.get(int(self.drivers[row, place]), self._commanded)
             vehicle = vehicle_class(road, spawned.position, spawned.heading, spawned.speed)
             road.vehicles.append(vehicle)
             if not is_ego:
@@ -196,7 +188,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped 
 
 
 class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
-    """Carries out what a driver model answered."""
+    """Carries out what a driver model returned."""
 
     target_lane_index: tuple[str, str, int]
 
@@ -218,6 +210,14 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     def step(self, dt: float) -> None:
         self.timer += dt
         super().step(dt)
+
+
+def _reference_class(model: DriverModel, profile: Profile) -> Any:
+    """The class that a driver model names as its reference, or the one that asks the model."""
+    if not model.highway_env_class:
+        return _with_constants(_ModelledVehicle, profile)
+    module, name = model.highway_env_class.split(":")
+    return _with_constants(getattr(import_module(module), name), profile)
 
 
 def _commanded_class(profile: Profile) -> Any:

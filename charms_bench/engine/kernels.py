@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled
-from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.compiled import clip, compiled, not_zero
+from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
@@ -29,19 +29,6 @@ class SpawnRule(NamedTuple):
     """highway-env's factor of all distances, smaller on a road of more lanes."""
     speed_low: float
     speed_high: float
-
-
-@compiled
-def clip(value: float, low: float, high: float) -> float:
-    return min(max(value, low), high)
-
-
-@compiled
-def not_zero(value: float) -> float:
-    """`utils.not_zero`: keeps a divisor away from zero."""
-    if abs(value) > 1e-2:
-        return value
-    return 1e-2 if value >= 0 else -1e-2
 
 
 @compiled
@@ -171,15 +158,19 @@ def find_neighbours(scene: Scene, rows: Ints) -> None:
         nearest[:] = -1
         for k in range(vehicles - 1, -1, -1):
             i = order[b, k]
+            on_length = is_on_length(x[b, i], c)
             for on in range(c.lanes):
                 leaders[b, i, on] = nearest[on]
-                nearest[on] = i if is_on_lane(x[b, i], y[b, i], on, c) else nearest[on]
+                is_on = on_length & is_near_lane(y[b, i], on, c)
+                nearest[on] = i if is_on else nearest[on]
         nearest[:] = -1
         for k in range(vehicles):
             i = order[b, k]
+            on_length = is_on_length(x[b, i], c)
             for on in range(c.lanes):
                 followers[b, i, on] = nearest[on]
-                nearest[on] = i if is_on_lane(x[b, i], y[b, i], on, c) else nearest[on]
+                is_on = on_length & is_near_lane(y[b, i], on, c)
+                nearest[on] = i if is_on else nearest[on]
             if k > 0 and x[b, order[b, k - 1]] == x[b, i]:
                 find_level_neighbours(b, k, scene)
 
@@ -355,18 +346,37 @@ def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
 
 
 @compiled
+def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
+    """The vehicles (M,), by scene and place, that an agent drives in the scenes [B] marked."""
+    rows = np.empty(drivers.size, dtype=np.int64)
+    places = np.empty(drivers.size, dtype=np.int64)
+    found = 0
+    for b in range(drivers.shape[0]):
+        if scenes[b]:
+            for i in range(drivers.shape[1]):
+                if drivers[b, i] == agent:
+                    rows[found], places[found] = b, i
+                    found += 1
+    return rows[:found].copy(), places[:found].copy()
+
+
+@compiled
 def obey(
+    scene: Scene,
     rows: Ints,
     places: Ints,
     acceleration: Floats,
     target_lane: Ints,
-    crashed: Bools,
-    accelerations: Floats,
-    target_lanes: Ints,
+    modelled: Bools,
 ) -> None:
-    """Sets what a driver model answered; crashed vehicles no longer obey [`IDMVehicle.act`]."""
+    """Sets what a driver model returned and marks its vehicles in `modelled` [B, N].
+
+    Crashed vehicles no longer obey [`IDMVehicle.act`].
+    """
+    crashed, accelerations, target_lanes = scene.crashed, scene.acceleration, scene.target_lane
     for m in range(rows.size):
         b, i = rows[m], places[m]
+        modelled[b, i] = True
         if not crashed[b, i]:
             accelerations[b, i] = acceleration[m]
             target_lanes[b, i] = target_lane[m]

@@ -74,7 +74,6 @@ class Recording:
         lane = scene.lane[egos]
         leader, has_leader = scene.leader(egos, lane)
         follower, has_follower = scene.follower(egos, lane)
-        action = simulation.action[egos]
         near = (np.abs(scene.x[rows] - scene.x[egos][:, None]) <= INTERACTION_RANGE_M) & (
             np.abs(scene.lane[rows] - lane[:, None]) <= 1
         )
@@ -89,7 +88,7 @@ class Recording:
             "steering": scene.steering[egos],
             "lane": lane,
             "target_lane": scene.target_lane[egos],
-            "action": _where(action >= 0, action),
+            "action": _where(simulation.has_action[egos], simulation.action[egos]),
             "leader_distance": _where(has_leader, scene.x[rows, leader] - scene.x[egos]),
             "leader_speed": _where(has_leader, scene.speed[rows, leader]),
             "follower_distance": _where(has_follower, scene.x[egos] - scene.x[rows, follower]),

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
+from charms_bench.engine.kernels import vehicles_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
@@ -51,42 +52,38 @@ class Simulation:
         self.steps = np.zeros(scenes, dtype=np.int64)
         """[B] decisions made."""
         self.ending = np.zeros(scenes, dtype=np.int64)
-        """[B] index into `ENDINGS`; past `RUNNING`, the scene stays as it was."""
-        self.action = np.full((scenes, settings.vehicles), -1, dtype=np.int64)
-        """[B, N] the last meta-action, -1 before the first and under a driver model."""
-        self._crash = np.zeros(scenes, dtype=np.int64)
+        """[B] index into `ENDINGS`; a collision is noted in the simulation step in which it
+        happens, everything else at the end of a decision interval."""
+        self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
+        """[B, N] the last meta-action, only meaningful where `has_action` is true."""
+        self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
+        """[B, N] whether there is one: not before the first, and never under a driver model."""
         self._frames = np.zeros(scenes, dtype=np.int64)
         self._traffic = traffic
-        names = ([] if ego is None else [ego]) + [name for name in traffic.agents if name != ego]
-        self._names = tuple(names)
-        self._agent_of = np.full((scenes, settings.vehicles), -1)
-        self._ego = names.index(ego) if ego is not None else -1
+        # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
+        self._names = (ego or "", *(name for name in traffic.agents if name != ego))
+        made = {k: agents[name] for k, name in enumerate(self._names) if name}
         self._policies = {
-            k: _checked_policy(name, agent, settings)
-            for k, name in enumerate(names)
-            if isinstance(agent := agents[name], Policy)
+            k: _checked_policy(self._names[k], agent, settings)
+            for k, agent in made.items()
+            if isinstance(agent, Policy)
         }
-        self._models = {
-            k: _CheckedModel(name, agent, self)
-            for k, name in enumerate(names)
-            if isinstance(agent := agents[name], DriverModel)
+        models = {
+            k: _CheckedModel(self._names[k], agent, self)
+            for k, agent in made.items()
+            if isinstance(agent, DriverModel)
         }
-        self._engine = make_engine(engine, settings, scenes)
+        self.engine = make_engine(engine, settings, scenes, models)
 
     @property
     def scene(self) -> Scene:
         """The state of all scenes."""
-        return self._engine.scene
-
-    @property
-    def engine(self) -> Any:
-        """The engine underneath."""
-        return self._engine
+        return self.engine.scene
 
     @property
     def drivers(self) -> NDArray[np.str_]:
         """[B, N] the name of each vehicle's agent, empty for an ego driven from outside."""
-        drivers: NDArray[np.str_] = np.array([*self._names, ""])[self._agent_of]
+        drivers: NDArray[np.str_] = np.array(self._names)[self.engine.drivers]
         return drivers
 
     @property
@@ -106,20 +103,10 @@ class Simulation:
             rng = np.random.default_rng([int(seed), 1])
             assigned = self._traffic.assign(rng, 1, others)[0]
             traffic[r] = [index[str(name)] for name in assigned]
-        model_index = np.full(len(self._names) + 1, -1)  # the last: -1, an ego driven from outside
-        for k, agent in enumerate(self._models):
-            model_index[agent] = k
-        models = tuple(self._models.values())
-        ego_model = int(model_index[self._ego])
-        self._engine.reset(rows, seeds, models, ego_model, model_index[traffic])
-        is_ego = np.arange(self.settings.vehicles) == self.scene.ego[rows, None]
-        agent_of = np.empty(is_ego.shape, dtype=np.int64)
-        agent_of[is_ego] = self._ego
-        agent_of[~is_ego] = traffic.ravel()
-        self._agent_of[rows] = agent_of
-        self.steps[rows] = self._frames[rows] = self._crash[rows] = 0
+        self.engine.reset(rows, seeds, traffic)
+        self.steps[rows] = self._frames[rows] = 0
         self.ending[rows] = RUNNING
-        self.action[rows] = -1
+        self.has_action[rows] = False
 
     def step(self, ego_actions: Actions | None = None) -> None:
         """Advances every running episode by one decision interval.
@@ -137,39 +124,34 @@ class Simulation:
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
             self._command((rows, self.scene.ego[rows]), ego_actions[rows])
-        due = [
-            (self._names[k], policy, np.nonzero((self._agent_of == k) & now[:, None]))
-            for k, policy in self._policies.items()
-            if (now := active & (self._frames % _period(policy, self.settings) == 0)).any()
-        ]
-        decisions = [  # all before any is carried out: they see the same scene
-            (vehicles, self._decide(name, policy, vehicles)) for name, policy, vehicles in due
-        ]
+        decisions = []  # all before any is carried out: they see the same scene
+        for agent, policy in self._policies.items():
+            now = active & (self._frames % _period(policy, self.settings) == 0)
+            vehicles = vehicles_of(agent, self.engine.drivers, now)
+            if vehicles[0].size:
+                decisions.append((vehicles, self._decide(self._names[agent], policy, vehicles)))
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
-        self._engine.advance()
+        self.engine.advance()
         self._frames[active] += 1
-        self._note_crashes()
+        self._note_collisions()
 
     def finish_step(self) -> None:
         """Ends the decision interval: counts it and ends the episodes that are over."""
-        running = self.scene.active
-        self.steps[running] += 1
+        scene = self.scene
+        self.steps[scene.active] += 1
+        running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME
         if self.settings.profile.offroad_terminal:
-            off_road = self.scene.off_road[self.ego_vehicles]
-            self.ending[running & off_road] = OFF_ROAD
-        crashed = running & (self._crash > 0)
-        self.ending[crashed] = self._crash[crashed]
-        running &= self.ending == RUNNING
+            self.ending[running & scene.off_road[self.ego_vehicles]] = OFF_ROAD
+        scene.active[self.ending != RUNNING] = False
 
     def _command(self, vehicles: Vehicles, actions: Actions) -> None:
-        self._engine.command(vehicles, actions)
+        self.engine.command(vehicles, actions)
         self.action[vehicles] = actions
+        self.has_action[vehicles] = True
 
     def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
-        if not vehicles[0].size:
-            return np.empty(0, dtype=np.int64)
         try:
             observations = observation_of(policy.observation)(self.scene, vehicles)
             actions = np.asarray(policy.decide(observations))
@@ -198,13 +180,13 @@ class Simulation:
             f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
         )
 
-    def _note_crashes(self) -> None:
-        """Notes how the egos that have just crashed did so, before the wreck moves on."""
+    def _note_collisions(self) -> None:
+        """Notes how the egos that have just collided did so, before the wreck moves on."""
         scene = self.scene
-        new = np.nonzero(scene.active & (self._crash == 0) & scene.crashed[self.ego_vehicles])[0]
-        for b in new:
+        running = scene.active & (self.ending == RUNNING)
+        for b in np.nonzero(running & scene.crashed[self.ego_vehicles])[0]:
             _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
-            self._crash[b] = REAR_END if rear_end else SIDE
+            self.ending[b] = REAR_END if rear_end else SIDE
 
 
 def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:

@@ -259,8 +259,8 @@ def _status(replay: Replay, view: EgoView, frame: int) -> dict[str, str]:
     aside = int(replay.target_lane[frame, ego] - replay.lane[frame, ego])
     if replay.crashed[frame, ego]:
         doing = "crashed"
-    elif (action := int(replay.action[frame, ego])) >= 0:
-        doing = ACTIONS[action].replace("_", " ").lower()
+    elif replay.has_action[frame, ego]:
+        doing = ACTIONS[replay.action[frame, ego]].replace("_", " ").lower()
     else:  # before the first decision, and under a driver model, which takes no meta-actions
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = view.gap_ahead[frame], view.ttc[frame]

@@ -66,7 +66,9 @@ class Replay:
     target_lane: Ints
     crashed: Bools
     action: Ints
-    """The last meta-action; -1 before the first and under a driver model."""
+    """The last meta-action, only meaningful where `has_action` is true."""
+    has_action: Bools
+    """Whether there is one: not before the first, and never under a driver model."""
     episodes: pl.DataFrame
     """The episode row (`recording.EPISODE_SCHEMA`)."""
     steps: pl.DataFrame
@@ -112,7 +114,7 @@ class Replay:
             "agent": list(self.agents) * frames,
             "ego": place == self.ego,
             **{name: getattr(self, name).ravel() for name in _OF_SCENE},
-            "action": action.set(action < 0, None),
+            "action": action.set(pl.Series(~self.has_action.ravel()), None),
         }
         return pl.DataFrame(columns).select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
 
@@ -259,7 +261,8 @@ def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
 def _frame(simulation: Simulation) -> dict[str, Any]:
     """Returns copies of the arrays `[B, N]` that a replay keeps."""
     scene = {name: getattr(simulation.scene, name).copy() for name in _OF_SCENE}
-    return scene | {"action": simulation.action.copy()}
+    taken = {"action": simulation.action.copy(), "has_action": simulation.has_action.copy()}
+    return scene | taken
 
 
 def _check(

@@ -38,10 +38,10 @@ SLOW_MS = 3.0
 def example_scene(seed: int = 0) -> Scene:
     """16 scenes of 21 vehicles in motion, some of them changing lanes and a few crashed."""
     settings = SceneSettings(density=2.0)
-    engine = BatchedEngine(settings, _SCENES)
+    engine = BatchedEngine(settings, _SCENES, {})
     rows = np.arange(_SCENES)
-    others = np.full((_SCENES, settings.traffic_vehicles), -1)
-    engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), (), -1, others)
+    others = np.ones((_SCENES, settings.traffic_vehicles), dtype=np.int64)
+    engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), others)
     rng = np.random.default_rng(seed)
     everyone = np.nonzero(engine.scene.x)
     for _ in range(4):

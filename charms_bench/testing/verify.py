@@ -180,9 +180,10 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
             found, size = _differences(ours, theirs, frame)
             differences += found
             largest = max(largest, size)
+        running = ours.scene.active.copy()
         ours.finish_step()
         theirs.finish_step()
-        for row in np.nonzero(ours.ending != theirs.ending)[0]:
+        for row in np.nonzero(running & (ours.ending != theirs.ending))[0]:
             pair = (float(ours.ending[row]), float(theirs.ending[row]))
             differences.append(
                 Difference(int(ours.seeds[row]), frame, int(ours.scene.ego[row]), "ending", *pair)

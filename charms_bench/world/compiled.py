@@ -1,4 +1,4 @@
-"""How the project compiles: one decorator, so that every kernel follows the same rules."""
+"""How the project compiles, and the arithmetic that compiled code shares."""
 
 from typing import TypeVar, cast
 
@@ -8,5 +8,19 @@ F = TypeVar("F")
 
 
 def compiled(function: F) -> F:
-    """Compiles at the first call, caches on disk, releases the GIL; never fastmath."""
+    """Compiles at the first call, caches on disk, releases the GIL; never uses fastmath."""
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+@compiled
+def clip(value: float, low: float, high: float) -> float:
+    """The value, or the bound that it exceeds."""
+    return min(max(value, low), high)
+
+
+@compiled
+def not_zero(value: float) -> float:
+    """A divisor at least 0.01 away from zero [`utils.not_zero`]."""
+    if abs(value) > 1e-2:
+        return value
+    return 1e-2 if value >= 0 else -1e-2

@@ -15,13 +15,24 @@ NEIGHBOUR_MARGIN_M = 1.0
 
 @register_jitable
 def is_on_lane(x: Any, y: Any, lane: Any, c: Constants, margin: float = NEIGHBOUR_MARGIN_M) -> Any:
-    """Whether a vehicle's centre is within half a lane and a margin of a lane's centre.
+    """Whether a vehicle is on a lane [`AbstractLane.on_lane`].
 
-    It must also be on the road's length. With the default margin, a vehicle can be on two lanes
-    [`AbstractLane.on_lane`].
+    Its centre must be on the road's length, and within half a lane and a margin of the lane's
+    centre. With the default margin, a vehicle can be on two lanes.
     """
-    on_length = (-c.length <= x) & (x < c.road_length + c.length)
-    return on_length & (abs(y - lane * c.lane_width) <= c.lane_width / 2 + margin)
+    return is_on_length(x, c) & is_near_lane(y, lane, c, margin)
+
+
+@register_jitable
+def is_on_length(x: Any, c: Constants) -> Any:
+    """The part of `is_on_lane` that is the same for every lane."""
+    return (-c.length <= x) & (x < c.road_length + c.length)
+
+
+@register_jitable
+def is_near_lane(y: Any, lane: Any, c: Constants, margin: float = NEIGHBOUR_MARGIN_M) -> Any:
+    """The part of `is_on_lane` that depends on the lane."""
+    return abs(y - lane * c.lane_width) <= c.lane_width / 2 + margin
 
 
 @register_jitable

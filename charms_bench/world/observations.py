@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.errors import InputError, first_problem, suggestion
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.kinematics import Kinematics
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
@@ -138,12 +138,7 @@ def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) ->
                 other_vx = speed[b, j] * direction_x[b, j]
                 other_vy = speed[b, j] * direction_y[b, j]
                 observations[m, row, 0] = 1.0
-                observations[m, row, 1] = _clipped((x[b, j] - x[b, i]) / X_SCALE_M)
-                observations[m, row, 2] = _clipped((y[b, j] - y[b, i]) / Y_SCALE_M)
-                observations[m, row, 3] = _clipped((other_vx - vx) / SPEED_SCALE_MPS)
-                observations[m, row, 4] = _clipped((other_vy - vy) / SPEED_SCALE_MPS)
-
-
-@compiled
-def _clipped(value: float) -> float:
-    return min(max(value, -1.0), 1.0)
+                observations[m, row, 1] = clip((x[b, j] - x[b, i]) / X_SCALE_M, -1.0, 1.0)
+                observations[m, row, 2] = clip((y[b, j] - y[b, i]) / Y_SCALE_M, -1.0, 1.0)
+                observations[m, row, 3] = clip((other_vx - vx) / SPEED_SCALE_MPS, -1.0, 1.0)
+                observations[m, row, 4] = clip((other_vy - vy) / SPEED_SCALE_MPS, -1.0, 1.0)

@@ -108,7 +108,7 @@ def reward_of(simulation: Simulation, svo: Svo, weights: Weights = SAFE) -> floa
 
 def test_an_egoist_weighs_safety_efficiency_and_comfort() -> None:
     simulation = simulation_of((500.0, 1, 28.0), (509.0, 1, 22.0))  # 1.5 s; half the speed range
-    simulation.action[0, 0] = IDLE
+    simulation.action[0, 0], simulation.has_action[0, 0] = IDLE, True
     assert reward_of(simulation, "egoistic") == pytest.approx((0.5 + 0.8 * 0.5 + 0.2) / 2)
     simulation.action[0, 0] = FASTER
     assert reward_of(simulation, "egoistic") == pytest.approx((0.5 + 0.8 * 0.5) / 2)
@@ -212,7 +212,7 @@ def test_the_orientation_weighs_own_reward_against_that_of_others(
     svo: Svo, own: float, for_others: float
 ) -> None:
     simulation = simulation_of((586.0, 1, 33.0), (500.0, 1, 33.0))
-    simulation.action[0, 0] = IDLE
+    simulation.action[0, 0], simulation.has_action[0, 0] = IDLE, True
     reward = StyleReward(SAFE, SVO_ANGLES_RAD[svo])
     prepared = reward.prepare(simulation, IDLING)
     simulation.scene.target_lane[0, 0] = 0  # frees the one behind: 0.75

@@ -13,18 +13,16 @@ from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
 
 MODELS = {
-    "idm_mobil": ([IdmMobil()], 0),
-    "stackelberg": ([Stackelberg(), IdmMobil()], 0),
-    "commands": ([IdmMobil()], -1),
+    "idm_mobil": {0: IdmMobil()},
+    "stackelberg": {0: Stackelberg(), 1: IdmMobil()},
+    "commands": {1: IdmMobil()},
 }
-"""The driver models of a scene whose traffic is the last, and the ego's."""
+"""The driver models by agent; agent 0 drives the ego and the last one the traffic."""
 
 
 def reset(engine: Engine, settings: SceneSettings, ego: str, seeds: list[int]) -> None:
-    models, ego_model = MODELS[ego]
-    traffic = np.full((len(seeds), settings.traffic_vehicles), len(models) - 1)
-    rows = np.arange(len(seeds))
-    engine.reset(rows, np.array(seeds, dtype=np.uint64), models, ego_model, traffic)
+    traffic = np.full((len(seeds), settings.traffic_vehicles), max(MODELS[ego]))
+    engine.reset(np.arange(len(seeds)), np.array(seeds, dtype=np.uint64), traffic)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +43,7 @@ def test_both_engines_move_alike(
     settings = SceneSettings(
         profile=PROFILES[profile], lanes=lanes, traffic_vehicles=traffic, density=density
     )
-    engines = [make_engine(name, settings, 2) for name in ENGINES]
+    engines = [make_engine(name, settings, 2, MODELS[ego]) for name in ENGINES]
     for engine in engines:
         reset(engine, settings, ego, seeds=[0, 1])
     ours, theirs = (engine.scene for engine in engines)
@@ -82,7 +80,7 @@ def test_a_scene_is_that_of_stock_highway_v0(
         density=density,
         ego_slots=1,
     )
-    engine = make_engine("batched", settings, 1)
+    engine = make_engine("batched", settings, 1, MODELS["commands"])
     reset(engine, settings, "commands", [seed])
     rng = np.random.default_rng(seed)
     for decision in range(11):

@@ -24,9 +24,9 @@ from charms_bench.world.scene import SceneSettings
 def engine_after(seconds: int, seed: int, profile: str, **settings: Any) -> HighwayEnvEngine:
     """highway-env's road after an ego has driven as it liked."""
     given = SceneSettings(profile=PROFILES[profile], **settings)
-    engine = HighwayEnvEngine(given, 1)
-    traffic = np.zeros((1, given.traffic_vehicles), dtype=np.int64)
-    engine.reset(np.array([0]), np.array([seed], dtype=np.uint64), [IdmMobil()], -1, traffic)
+    engine = HighwayEnvEngine(given, 1, {1: IdmMobil()})
+    traffic = np.ones((1, given.traffic_vehicles), dtype=np.int64)
+    engine.reset(np.array([0]), np.array([seed], dtype=np.uint64), traffic)
     rng = np.random.default_rng(seed)
     for _ in range(seconds):
         engine.command((np.array([0]), engine.scene.ego), rng.integers(len(ACTIONS), size=1))

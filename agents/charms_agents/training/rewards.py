@@ -104,7 +104,8 @@ class StyleReward:
         expected = np.zeros(followers.shape)
         if self._others:
             expect(scene, followers, expected)
-        consistent = simulation.action[rows, ego] == actions
+        egos = simulation.ego_vehicles
+        consistent = simulation.has_action[egos] & (simulation.action[egos] == actions)
         lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
         return Prepared(consistent, lane, target_lane, followers, expected)
 

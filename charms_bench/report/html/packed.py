@@ -45,7 +45,7 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
         "flags": (1, _flags(replay)),
         "speed": (0.01, replay.speed[:, ego]),
         "acceleration": (0.01, replay.acceleration[:, ego]),
-        "action": (1, replay.action[:, ego]),
+        "action": (1, np.where(replay.has_action[:, ego], replay.action[:, ego], -1)),
         "lane": (1, replay.lane[:, ego]),
         "target": (1, replay.target_lane[:, ego]),
         "ahead": (0.01, view.gap_ahead),
