@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import charms_bench
 
 from charms_bench.cli.terminal import progress
 
@@ -28,8 +30,8 @@ traffics:
 """
 
 
-def charms_bench(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """What became of a command whose output goes into a file, as in CI."""
+def in_a_process(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Calls the command line as CI does: output goes into a file, workers are processes."""
     environment = {key: value for key, value in os.environ.items() if key not in FOR_TERMINALS}
     finished = subprocess.run(
         [sys.executable, "-m", "charms_bench", *map(str, arguments)],
@@ -55,8 +57,22 @@ def write(folder: Path, ego: str) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    suite = write(folder, "stackelberg")
+    result = charms_bench("run", suite, "--workers", 1, "--output", folder / "run")
+    assert result.returncode == 0, result.stderr
+    return folder / "run"
+
+
+@pytest.fixture
+def copied_run(finished_run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished_run, tmp_path / "run"))
+
+
 def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> None:
-    result = charms_bench("run", suite_file, cwd=suite_file.parent)
+    result = in_a_process("run", suite_file, cwd=suite_file.parent)
     assert result.returncode == 0, result.stderr
     assert "A [bold]small[/] suite" in result.stdout
     assert re.search(r"IDM\s+\d+\.\d+", result.stdout)
@@ -67,11 +83,12 @@ def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> 
 def test_a_suite_with_references_says_where_its_realism_is(suite_file: Path) -> None:
     text = suite_file.read_text().replace("  - {agent: stackelberg}\n", "")
     suite_file.write_text(text + "references: [i24, us101]\n")
-    result = charms_bench("run", suite_file, "--output", suite_file.parent / "run")
+    output = suite_file.parent / "run"
+    result = charms_bench("run", suite_file, "--workers", 1, "--output", output)
     assert result.returncode == 0, result.stderr
     for name in ("tables/small-realism.md", "figures/small-speed.png", "figures/small-dhw.png"):
         assert name in result.stdout
-        assert (suite_file.parent / "run" / name).exists()
+        assert (output / name).exists()
 
 
 def test_a_reference_that_is_not_shipped_is_named_with_its_line(suite_file: Path) -> None:
@@ -81,8 +98,8 @@ def test_a_reference_that_is_not_shipped_is_named_with_its_line(suite_file: Path
     assert "suite.yaml:11: references[0]: no reference named 'highd'; a folder" in result.stderr
 
 
-def test_json_is_all_there_is_on_standard_output(suite_file: Path) -> None:
-    result = charms_bench("run", suite_file, "--json", "--output", suite_file.parent / "run")
+def test_json_is_all_there_is_on_standard_output(suite_file: Path, copied_run: Path) -> None:
+    result = charms_bench("run", suite_file, "--json", "--output", copied_run)
     rows = json.loads(result.stdout)
     assert list(rows[0]) == [
         "agent", "traffic", "metric_set", "metric", "value", "low", "high", "n", "paper"
@@ -93,12 +110,12 @@ def test_json_is_all_there_is_on_standard_output(suite_file: Path) -> None:
 
 def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -> None:
     output = suite_file.parent / "run"
-    options = ["--engine", "highway-env", "--episodes", 2, "--seed", 5, "--output", output]
-    result = charms_bench("run", suite_file, *options)
+    options = ["--engine", "highway-env", "--episodes", 1, "--seed", 5, "--workers", 1]
+    result = charms_bench("run", suite_file, *options, "--output", output)
     assert result.returncode == 0, result.stderr
     manifest = json.loads((output / "manifest.json").read_text())
     assert manifest["engine"] == "highway-env"
-    assert (manifest["episodes"], manifest["suite"]["seed"]) == (2, 5)
+    assert (manifest["episodes"], manifest["suite"]["seed"]) == (1, 5)
 
 
 @pytest.mark.parametrize(
@@ -107,7 +124,6 @@ def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -
         ("idm_mobl", "suite.yaml:7: egos[1]: no agent named 'idm_mobl'"),
         ("{onnx: none.onnx}", "none.onnx: cannot be read: No such file or directory"),
         ("outside_broken", "agent 'outside_broken' of outside-plugin 1.2.3 cannot be imported"),
-        ("outside_raising", "agent 'outside_raising', episode 0, step 0: raised ValueError"),
         ("outside_misshapen", "decide returned int64 of shape (6, 2)"),
         ("outside_not_finite", "drive returned nan; expected a finite acceleration"),
         ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
@@ -116,17 +132,24 @@ def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(tmp_path: Path, ego: str, message: str) -> None:
-    result = charms_bench("run", write(tmp_path, ego), "--output", tmp_path / "run")
+    suite = write(tmp_path, ego)
+    result = charms_bench("run", suite, "--workers", 1, "--output", tmp_path / "run")
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
     assert message in result.stderr
     assert result.stdout == ""
 
 
-def test_a_run_folder_of_another_suite_is_refused(suite_file: Path) -> None:
-    output = suite_file.parent / "run"
-    assert charms_bench("run", suite_file, "--output", output).returncode == 0
-    result = charms_bench("run", suite_file, "--seed", 9, "--output", output)
+def test_what_fails_in_a_worker_is_one_message_and_exit_code_2(tmp_path: Path) -> None:
+    suite = write(tmp_path, "outside_raising")
+    result = in_a_process("run", suite, "--workers", 1, cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert "agent 'outside_raising', episode 0, step 0: raised ValueError" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_run_folder_of_another_suite_is_refused(suite_file: Path, copied_run: Path) -> None:
+    result = charms_bench("run", suite_file, "--seed", 9, "--output", copied_run)
     assert result.returncode == 2
     assert "holds another run: seed was 0, now 9" in result.stderr
 
@@ -220,14 +243,6 @@ def test_what_a_traffic_cannot_be_asked_is_one_message(arguments: list[str], mes
     assert "Traceback" not in result.stderr
 
 
-@pytest.fixture(scope="module")
-def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("finished")
-    result = charms_bench("run", write(folder, "stackelberg"), "--output", folder / "run")
-    assert result.returncode == 0, result.stderr
-    return folder / "run"
-
-
 @pytest.mark.parametrize(
     ("command", "says"),
     [
@@ -270,9 +285,11 @@ def test_what_cannot_be_shown_is_one_message(
     assert message in result.stderr
 
 
-def test_colours_asked_for_in_a_file_bring_no_bar_that_moves(suite_file: Path) -> None:
+def test_colours_asked_for_in_a_file_bring_no_bar_that_moves(
+    suite_file: Path, copied_run: Path
+) -> None:
     result = subprocess.run(
-        [sys.executable, "-m", "charms_bench", "run", "suite.yaml"],
+        [sys.executable, "-m", "charms_bench", "run", "suite.yaml", "--output", str(copied_run)],
         capture_output=True,
         text=True,
         check=True,
@@ -337,11 +354,11 @@ def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:
     assert "Traceback" not in said
 
 
-def test_a_terminal_gets_a_progress_bar(suite_file: Path) -> None:
+def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> None:
     primary, secondary = pty.openpty()
     command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]
     running = subprocess.Popen(
-        [*command, "--output", str(suite_file.parent / "run")],
+        [*command, "--output", str(copied_run)],
         stdout=subprocess.DEVNULL,
         stderr=secondary,
         env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "120"},
