@@ -1,4 +1,4 @@
-"""Every command of every page does what it is for, in a copy of the project and made short."""
+"""Every command of every page runs, shortened, in a copy of the project."""
 
 import os
 import re
@@ -14,40 +14,40 @@ from written import PAGES, ROOT, blocks, commands
 pytestmark = pytest.mark.slow
 
 CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
-"""Nothing goes into a file but text."""
+"""Output to a file must not contain these."""
 ELSEWHERE = {
     "plugins.md": "tests/docs/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
     "cluster.md": "tests/runs/test_cluster.py",
 }
-"""Pages whose examples need one another, and the test that runs them all."""
+"""Pages whose examples depend on one another, and the test that runs all of them."""
 NOT_RUN = {
-    "pip install .": "what runs this test is an installed wheel",
-    "pip install '.[train]'": "so does the test's environment have the extra",
+    "pip install .": "the package is installed in the environment of this test",
+    "pip install '.[train]'": "the extra is installed in the environment of this test",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
     "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_train_your_own.py trains it",
 }
-"""Commands that are not run here, and why."""
+"""Commands that are not run here, with the reason."""
 SHORTENED = [
     # 1,800 episodes take minutes.
     (r"charms-bench run suites/(?!train)\S+( --rows \S+)?", r"\g<0> --episodes 2"),
-    # An hour, and recordings that nobody may pass on: see `short_training` and `recordings`.
+    # An hour, and recordings that are not public: see `short_training` and `recordings`.
     (
         r"(charms-bench run suites/train.yaml) --recordings FOLDER",
         r"\1 --recordings recordings --only charms_efficient_egoistic",
     ),
-    # 1,026 episodes of highway-env.
+    # The built-in cases are 1,026 episodes of highway-env.
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
-    # The run above has two episodes.
+    # The shortened run has only two episodes.
     (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
 ]
-"""What is run instead: the pattern of a whole command, and what takes its place."""
+"""The pattern of a whole command, and the command to run instead."""
 
 
 def short_training(suites: Path) -> None:
-    """Trainings of a few hundred decisions, and of an epoch."""
+    """Shortens the trainings to a few hundred decisions and one epoch."""
     for path in suites.glob("train*.yaml"):
         text = path.read_text(encoding="utf-8")
         for key, value in {"steps": 400, "learning_starts": 200, "curve_steps": 100, "epochs": 1,
@@ -58,7 +58,7 @@ def short_training(suites: Path) -> None:
 
 
 def recordings(folder: Path) -> None:
-    """Human driving that nobody drove."""
+    """Writes invented recordings of human driving."""
     folder.mkdir()
     for number in range(1, 5):
         write_trio(folder, busy_road(), number)
@@ -66,7 +66,7 @@ def recordings(folder: Path) -> None:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """What a newcomer has: the files that commands name."""
+    """A folder with the files that the commands name."""
     for name in ("suites", "tools", "docs"):
         shutil.copytree(ROOT / name, tmp_path / name)
     shutil.copy(ROOT / "README.md", tmp_path)
@@ -82,7 +82,7 @@ def shortened(command: str) -> str:
     return command
 
 
-def test_every_command_of_every_page_does_what_it_is_for(project: Path) -> None:
+def test_every_command_of_every_page_succeeds(project: Path) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = {**os.environ, "PATH": path, "COLUMNS": "100"}
     done: set[str] = set(NOT_RUN)
@@ -106,7 +106,7 @@ def test_every_command_of_every_page_does_what_it_is_for(project: Path) -> None:
     assert not failed, "\n".join(failed)
 
 
-def test_what_is_not_run_here_is_on_a_page_or_run_by_the_test_that_is_named() -> None:
+def test_commands_that_are_not_run_here_are_on_a_page_or_run_by_the_named_test() -> None:
     written = {command for page in PAGES for block in blocks(page) for command in commands(block)}
     assert set(NOT_RUN) <= written
     for page, test in ELSEWHERE.items():

@@ -1,13 +1,16 @@
-"""The pages say what there is."""
+"""The pages describe what exists."""
 
 import re
 import shlex
+from collections import Counter
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
 from written import PAGES, ROOT, blocks, spans
 
+from charms_bench import __version__
 from charms_bench.cli import app
 from charms_bench.metrics import METRIC_SETS
 
@@ -46,3 +49,14 @@ def test_every_suite_is_described() -> None:
     headings = " ".join(re.findall("^## (.*)$", text, re.MULTILINE))
     for suite in (ROOT / "suites").glob("*.yaml"):
         assert re.search(rf"\b{suite.stem}\b", headings), suite.name
+
+
+def test_no_table_of_results_stands_in_more_than_two_places() -> None:
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    places = Counter(re.findall("<!-- results: (.*?) -->", text))
+    assert max(places.values()) <= 2, places
+
+
+def test_the_citation_names_the_version_of_the_package() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == __version__

@@ -1,4 +1,4 @@
-"""Every example of `docs/plugins.md` runs, in the order in which it stands there."""
+"""Every example of `docs/plugins.md` runs, in the order of the page."""
 
 import re
 import shlex
@@ -23,7 +23,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_every_command_of_the_guide_does_what_it_is_for(folder: Path) -> None:
+def test_every_command_of_the_guide_succeeds(folder: Path) -> None:
     environment = installed(folder)
     for line in examples("sh").splitlines():
         command, *arguments = shlex.split(line)

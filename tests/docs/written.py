@@ -1,4 +1,4 @@
-"""What the pages of the project say: fenced blocks, commands, code in lines."""
+"""The contents of the project's pages: fenced blocks, commands, code spans."""
 
 import re
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ PAGES = [
     ROOT / name for name in ("README.md", "docs/index.md", "docs/suites.md", "docs/training.md")
 ]
 PAGES += sorted({ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")} - set(PAGES))
-"""In the order in which commands are run: what a later page needs, an earlier one has made."""
+"""The order in which commands run: later pages use the output of earlier ones."""
 FENCE = re.compile(r"^( *)```([^\n`]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 OF_A_SHELL = {"sh", "bash", "console", "shell"}
 
@@ -22,7 +22,7 @@ class Block:
     page: Path
     line: int
     language: str
-    """Empty where the page names none."""
+    """Empty if the block names no language."""
     text: str
 
 
@@ -35,7 +35,7 @@ def blocks(page: Path) -> Iterator[Block]:
 
 
 def commands(block: Block) -> list[str]:
-    """The commands of a block for a shell, in order; in `console` those behind a prompt."""
+    """The commands of a shell block, in order; in a `console` block, those after a prompt."""
     if block.language not in OF_A_SHELL:
         return []
     lines = block.text.replace("\\\n", " ").splitlines()
@@ -46,7 +46,7 @@ def commands(block: Block) -> list[str]:
 
 
 def spans(page: Path) -> Iterator[str]:
-    """The code in the lines of a page."""
+    """The code spans of a page."""
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     for found in re.findall(r"`([^`]+)`", text):
         yield " ".join(found.split())
