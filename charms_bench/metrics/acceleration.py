@@ -2,19 +2,11 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import (
-    Metric,
-    moments,
-    ratio,
-    root_mean_square,
-    standard_deviation,
-    total,
-)
+from charms_bench.metrics.metric import Metric, moments, root_mean_square, standard_deviation, total
+from charms_bench.metrics.rows import DRIVING, LOGGED
 
 HARSH_MPS2 = 2.5
 
-LOGGED = pl.col("logged")
-DRIVING = pl.col("driving")
 ACCELERATION = pl.col("acceleration")
 ACCELERATING = LOGGED & (ACCELERATION > 0)
 JERK = pl.col("jerk_mps3")
@@ -25,7 +17,6 @@ PAPER_ACC_MEAN = Metric(
     description="acceleration in the logged steps in which it is positive",
     rests_on="accelerating steps",
     sums=(ACCELERATING.sum(), total(ACCELERATION, ACCELERATING)),
-    value=ratio,
 )
 PAPER_ACC_STD = Metric(
     name="acc_std",
@@ -41,7 +32,6 @@ PAPER_HARSH_ACC_RATE = Metric(
     description="share of logged steps with more than 2.5 m/s², accelerating or braking",
     rests_on="logged steps",
     sums=(LOGGED.sum(), (LOGGED & (ACCELERATION.abs() > HARSH_MPS2)).sum()),
-    value=ratio,
     interval="share",
 )
 ACC_STD = Metric(

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, ratio
+from charms_bench.metrics.metric import Metric
 
 ENDED_BADLY = pl.first("ending").is_in(["rear_end", "side", "off_road"])
 EPISODES = pl.lit(1)
@@ -15,7 +15,6 @@ COLLISION_RATE = Metric(
     description="episodes that a collision or leaving the road ended, per decision step",
     rests_on="steps",
     sums=(pl.first("steps"), pl.first("steps"), ENDED_BADLY),
-    value=ratio,
     interval="garwood",
 )
 CRASHED_EPISODES = Metric(
@@ -24,7 +23,6 @@ CRASHED_EPISODES = Metric(
     description="share of episodes in which the ego collides or leaves the road",
     rests_on="episodes",
     sums=(EPISODES, ENDED_BADLY),
-    value=ratio,
     interval="wilson",
 )
 TRAFFIC_CRASHED = Metric(
@@ -33,7 +31,6 @@ TRAFFIC_CRASHED = Metric(
     description="share of the other vehicles that collide or leave the road within an episode",
     rests_on="vehicles",
     sums=(pl.first("traffic_vehicles"), pl.first("traffic_crashed")),
-    value=ratio,
     interval="share",
 )
 TRAFFIC_CRASHES_PER_1000KM = Metric(
@@ -42,7 +39,6 @@ TRAFFIC_CRASHES_PER_1000KM = Metric(
     description="other vehicles that collide or leave the road, per 1,000 km driven by them",
     rests_on="episodes",
     sums=(EPISODES, TRAFFIC_MEGAMETRES, pl.first("traffic_crashed")),
-    value=ratio,
     interval="rate",
 )
 
@@ -54,7 +50,6 @@ def _per_1000km(name: str, what: str, happened: pl.Expr) -> Metric:
         description=f"{what}, per 1,000 km driven by the ego",
         rests_on="episodes",
         sums=(EPISODES, MEGAMETRES, happened),
-        value=ratio,
         interval="garwood",
     )
 

@@ -1,13 +1,13 @@
 """How often the ego changes lanes, and what that costs the follower on the new lane.
 
 A lane change lies between two steps with different nearest lanes. MOBIL (Kesting et al. 2007,
-eq. 2) calls one safe that makes the new follower brake by no more than a limit; highway-env's
-is 2 m/s2.
+eq. 2) calls a lane change safe if the new follower has to brake by at most a limit, which is
+2 m/s2 in highway-env.
 """
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name, ratio
+from charms_bench.metrics.metric import Metric, in_name
 
 SAFE_BRAKING_MPS2 = 2.0
 
@@ -19,7 +19,6 @@ LANE_CHANGES_PER_KM = Metric(
     description="lane changes, per km driven",
     rests_on="episodes",
     sums=(pl.lit(1), pl.first("distance_m") / 1e3, pl.col("lane_changed").sum()),
-    value=ratio,
     interval="rate",
 )
 IMPOSED_BRAKING_MEAN = Metric(
@@ -28,7 +27,6 @@ IMPOSED_BRAKING_MEAN = Metric(
     description="strongest braking of the new follower within 2 s of a lane change, mean",
     rests_on="lane changes with a follower",
     sums=(IMPOSED.count(), IMPOSED.sum()),
-    value=ratio,
 )
 
 
@@ -41,9 +39,5 @@ def imposed_braking_above(limit_mps2: float) -> Metric:
         f"than {limit_mps2:g} m/s²",
         rests_on="lane changes with a follower",
         sums=(IMPOSED.count(), IMPOSED.gt(limit_mps2).sum()),
-        value=ratio,
         interval="share",
     )
-
-
-IMPOSED_BRAKING_ABOVE_2 = imposed_braking_above(SAFE_BRAKING_MPS2)

@@ -1,7 +1,7 @@
-"""What a metric is: sums of each episode's rows, and the number that their totals make.
+"""What a metric is: sums of each episode's rows, and the value that follows from their totals.
 
-Because a metric sees only totals over episodes, the totals of resampled episodes give its
-interval, and those of a run's shards add up to those of the run.
+A metric sees only totals over episodes. So the totals of resampled episodes give its interval, and
+the totals of a run's shards add up to the totals of the run.
 """
 
 from collections.abc import Callable
@@ -14,19 +14,28 @@ import polars as pl
 from charms_bench.world.scene import Floats
 
 Interval = Literal["bootstrap", "share", "rate", "wilson", "garwood"]
-"""Where a metric's 95 % interval comes from.
+"""How a metric's 95 % interval is computed.
 
-bootstrap: Resampled episodes; none where the resamples do not vary.
-share: The same; where all or nothing was counted, Wilson's over the episodes it was counted in.
-rate: The same; where nothing was counted, Garwood's.
-wilson: A share of episodes, each a trial of its own.
-garwood: A rate of what happens at most once an episode and ends it.
+bootstrap: From resampled episodes; there is no interval if the resamples do not vary.
+share: The same, except that Wilson's interval over the episodes that count is used if the value is
+    0 or 1.
+rate: The same, except that Garwood's interval is used if nothing was counted.
+wilson: For a share of episodes, each of which is one trial.
+garwood: For the rate of an event that happens at most once per episode and ends it.
 """
+
+
+def ratio(totals: Floats) -> Floats:
+    """The last sum over the one before it."""
+    below = totals[..., -2]
+    result = np.full(below.shape, np.nan)
+    np.divide(totals[..., -1], below, out=result, where=below > 0)
+    return result
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A number that describes how an agent drives, or what it is driven among."""
+    """A number that describes how an agent drives, or the traffic around it."""
 
     name: str
     unit: str
@@ -36,20 +45,20 @@ class Metric:
     """What `n` counts: steps, episodes, lane changes, ..."""
     sums: tuple[pl.Expr, ...]
     """k aggregations of an episode's rows (`rows.join_rows`); the first counts n."""
-    value: Callable[[Floats], Floats]
+    value: Callable[[Floats], Floats] = ratio
     """[..., k] totals -> [...]; NaN where it is not defined."""
     interval: Interval = "bootstrap"
 
 
 @dataclass(frozen=True)
 class MetricSet:
-    """Metrics that are reported together; the version rises when a definition changes."""
+    """Metrics that are reported together; a changed definition gets a new version."""
 
     name: str
     version: int
     metrics: tuple[Metric, ...]
     options: str = ""
-    """With what it was made, if not as its author meant it, such as `ttc_s=2`."""
+    """The options that differ from the defaults, such as `ttc_s=2`."""
 
     @property
     def label(self) -> str:
@@ -72,25 +81,17 @@ def moments(expression: pl.Expr, where: pl.Expr) -> tuple[pl.Expr, pl.Expr, pl.E
     return where.sum(), total(expression, where), total(expression.pow(2), where)
 
 
-def ratio(totals: Floats) -> Floats:
-    """The last sum over the one before it."""
-    below = totals[..., -2]
-    result = np.full(below.shape, np.nan)
-    np.divide(totals[..., -1], below, out=result, where=below > 0)
-    return result
-
-
 def root_mean_square(totals: Floats) -> Floats:
-    """Of (count, sum of squares)."""
+    """The root mean square, from (count, sum of squares)."""
     result: Floats = np.sqrt(ratio(totals))
     return result
 
 
 def standard_deviation(totals: Floats) -> Floats:
-    """Of the population with (count, sum, sum of squares)."""
+    """The population's standard deviation, from (count, sum, sum of squares)."""
     mean_square = ratio(totals[..., [0, 2]])
     variance = mean_square - ratio(totals[..., [0, 1]]) ** 2
-    # Less than this is what rounding leaves of a constant.
+    # Of a constant, rounding leaves less than this.
     variance = np.where(variance < 1e-12 * mean_square, 0.0, variance)
     result: Floats = np.sqrt(variance)
     return result

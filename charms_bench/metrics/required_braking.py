@@ -1,16 +1,17 @@
 """How hard the ego would have to brake: the deceleration rate to avoid a crash (DRAC).
 
 DRAC is the closing speed squared over twice the bumper gap (Cooper & Ferguson 1976); above
-3.35 m/s2 a driver cannot be counted on to brake hard enough (Archer 2005).
+3.35 m/s2, a driver cannot be relied on to brake hard enough (Archer 2005).
 """
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name, ratio
+from charms_bench.metrics.metric import Metric, in_name
+from charms_bench.metrics.rows import DRIVING
 
 DRAC_LIMIT_MPS2 = 3.35
 DRAC_CAP_MPS2 = 9.81
-"""What tyres allow; in the instant before a collision DRAC grows without bounds."""
+"""Tyres allow no more; DRAC grows without bounds just before a collision."""
 
 DRAC = pl.col("drac_mps2")
 
@@ -21,7 +22,6 @@ DRAC_MAX = Metric(
     "leader",
     rests_on="episodes with a leader",
     sums=(DRAC.is_not_null().any(), DRAC.max().clip(upper_bound=DRAC_CAP_MPS2)),
-    value=ratio,
 )
 
 
@@ -32,10 +32,6 @@ def drac_above(limit_mps2: float) -> Metric:
         unit="",
         description=f"share of time with a DRAC above {limit_mps2:g} m/s²",
         rests_on="steps",
-        sums=(pl.col("driving").sum(), DRAC.gt(limit_mps2).sum()),
-        value=ratio,
+        sums=(DRIVING.sum(), DRAC.gt(limit_mps2).sum()),
         interval="share",
     )
-
-
-DRAC_ABOVE_3_35 = drac_above(DRAC_LIMIT_MPS2)

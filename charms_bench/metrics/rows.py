@@ -1,33 +1,39 @@
-"""The rows that metrics aggregate: a run's steps with their episodes, and what follows from both.
+"""The rows that metrics aggregate: a run's step rows, joined with their episodes' rows.
 
 Surrogate measures of safety describe how a vehicle follows its leader. They need a gap between
-two vehicles, so they are null without a leader, beside one that is changing lanes, and in the
-step in which the ego collides: from there on highway-env moves a wreck.
+two vehicles. So they are null without a leader, next to a leader that is changing lanes, and in the
+step in which the ego collides, because highway-env moves a wreck from then on.
 """
 
+from collections.abc import Sequence
+
+import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.world.scene import SceneSettings
+from charms_bench.metrics.metric import Metric
+from charms_bench.world.scene import Floats, SceneSettings
 
+LOGGED, DRIVING = pl.col("logged"), pl.col("driving")
+"""Columns of `join_rows` that select the steps that a metric counts."""
 LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""
 IMPOSED_BRAKING_WINDOW_S = 2.0
-"""How long after a lane change the follower's braking is put down to it."""
+"""For this long after a lane change, the follower's braking is attributed to it."""
 
 
 def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings) -> pl.DataFrame:
-    """The step rows, by episode and step, each with its episode's columns and these.
+    """The step rows, sorted by episode and step, with their episode's columns and these.
 
     logged: Whether a leader is within 50 m, centre to centre.
     driving: Whether the ego has not collided by the end of the step.
     interval_s: Time between two decisions.
-    lane_changed: Whether the lane is another than in the step before.
-    gap_m: From the ego's front to the leader's rear; both are `vehicle_length_m` long.
-    time_headway_s: From the leader's front to the ego's at the ego's speed.
+    lane_changed: Whether the lane differs from that of the previous step.
+    gap_m: Distance from the ego's front to the leader's rear; both are `vehicle_length_m` long.
+    time_headway_s: Time from the leader's front to the ego's front at the ego's speed.
     ttc_s: Time to collision at constant speeds; null unless the ego closes in.
-    drac_mps2: Deceleration that would just avoid the collision; 0 unless the ego closes in.
-    jerk_mps3: Change of the commanded acceleration since the decision before.
+    drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.
+    jerk_mps3: Change of the commanded acceleration since the previous decision.
     imposed_braking_mps2: In the step of a lane change, the strongest braking of the follower on
         the new lane within 2 s; 0 if it does not brake, null without a follower.
     """
@@ -67,3 +73,28 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
             ),
         )
     )
+
+
+def sums_by_episode(
+    metrics: Sequence[Metric],
+    episodes: pl.DataFrame,
+    steps: pl.DataFrame,
+    settings: SceneSettings,
+) -> list[Floats]:
+    """The sums [E, k] of each metric: one row per episode, sorted by episode.
+
+    Args:
+        metrics: The metrics.
+        episodes: E episode rows (`recording.EPISODE_SCHEMA`).
+        steps: Their step rows (`recording.STEP_SCHEMA`).
+        settings: What the scenes had in common.
+    """
+    rows = join_rows(episodes, steps, settings)
+    aggregations = [
+        expression.cast(pl.Float64).fill_null(0.0).alias(f"{i}.{j}")
+        for i, metric in enumerate(metrics)
+        for j, expression in enumerate(metric.sums)
+    ]
+    table = rows.group_by("episode", maintain_order=True).agg(aggregations).drop("episode")
+    columns = np.cumsum([len(metric.sums) for metric in metrics])[:-1]
+    return np.split(table.to_numpy(), columns, axis=1)

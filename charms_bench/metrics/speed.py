@@ -2,10 +2,9 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, moments, ratio, standard_deviation, total
+from charms_bench.metrics.metric import Metric, moments, standard_deviation, total
+from charms_bench.metrics.rows import DRIVING, LOGGED
 
-LOGGED = pl.col("logged")
-DRIVING = pl.col("driving")
 SPEED = pl.col("speed")
 
 PAPER_SPEED_MEAN = Metric(
@@ -14,7 +13,6 @@ PAPER_SPEED_MEAN = Metric(
     description="speed in logged steps",
     rests_on="logged steps",
     sums=(LOGGED.sum(), total(SPEED, LOGGED)),
-    value=ratio,
 )
 PAPER_SPEED_STD = Metric(
     name="speed_std",
@@ -30,7 +28,6 @@ SPEED_MEAN = Metric(
     description="speed of the ego, up to a collision",
     rests_on="steps",
     sums=(DRIVING.sum(), total(SPEED, DRIVING)),
-    value=ratio,
 )
 TRAFFIC_SPEED_MEAN = Metric(
     name="traffic_speed_mean",
@@ -42,5 +39,4 @@ TRAFFIC_SPEED_MEAN = Metric(
         pl.first("traffic_vehicles") * pl.first("duration_s"),
         pl.first("traffic_distance_m"),
     ),
-    value=ratio,
 )

@@ -1,4 +1,4 @@
-"""How near in time the ego comes to hitting its leader.
+"""How close in time the ego comes to hitting its leader.
 
 Sources: Hayward 1972 for time to collision (TTC); Minderhoud & Bovy 2001 (Accident Analysis and
 Prevention 33) for time exposed (TET) and time integrated (TIT) TTC; Gettman & Head 2003 (FHWA's
@@ -7,15 +7,15 @@ Surrogate Safety Assessment Model) for the 1.5 s below which a TTC is a conflict
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name, ratio, total
+from charms_bench.metrics.metric import Metric, in_name, total
+from charms_bench.metrics.rows import DRIVING, LOGGED
 
 TTC_THRESHOLD_S = 3.0
 """Also the horizon of the paper's safety reward."""
 CONFLICT_TTC_S = 1.5
 TTC_CAP_S = 100.0
-"""In the paper's logs; a longer one says nothing of danger and would rule any mean."""
+"""The paper's logs have this cap; a longer TTC is harmless, but would dominate any mean."""
 
-LOGGED = pl.col("logged")
 CLOSING = LOGGED & (pl.col("speed") > pl.col("leader_speed"))
 PAPER_TTC = (
     pl.when(CLOSING)
@@ -23,7 +23,6 @@ PAPER_TTC = (
     .otherwise(TTC_CAP_S)
     .clip(upper_bound=TTC_CAP_S)
 )
-DRIVING = pl.col("driving")
 TTC = pl.col("ttc_s")
 HAS_TTC = TTC.is_not_null().any()
 
@@ -33,7 +32,6 @@ PAPER_TTC_BELOW_3S = Metric(
     description="share of logged steps with a centre-to-centre TTC below 3 s",
     rests_on="logged steps",
     sums=(LOGGED.sum(), (LOGGED & (PAPER_TTC < TTC_THRESHOLD_S)).sum()),
-    value=ratio,
     interval="share",
 )
 PAPER_TTC_BELOW_3S_CLOSING = Metric(
@@ -43,7 +41,6 @@ PAPER_TTC_BELOW_3S_CLOSING = Metric(
     "ego is faster than its leader",
     rests_on="closing steps",
     sums=(CLOSING.sum(), (CLOSING & (PAPER_TTC < TTC_THRESHOLD_S)).sum()),
-    value=ratio,
     interval="share",
 )
 TTC_MIN = Metric(
@@ -53,19 +50,17 @@ TTC_MIN = Metric(
     "episodes in which the ego closes in on a leader",
     rests_on="episodes with a closing leader",
     sums=(HAS_TTC, TTC.min().clip(upper_bound=TTC_CAP_S)),
-    value=ratio,
 )
 
 
 def ttc_below(threshold_s: float) -> Metric:
-    """The share of time in which the ego is nearer to its leader than a TTC."""
+    """The share of time in which the TTC is below a threshold."""
     return Metric(
         name=f"ttc_below_{in_name(threshold_s)}s",
         unit="",
         description=f"share of time with a bumper-to-bumper TTC below {threshold_s:g} s",
         rests_on="steps",
         sums=(DRIVING.sum(), TTC.lt(threshold_s).sum()),
-        value=ratio,
         interval="share",
     )
 
@@ -79,13 +74,12 @@ def conflict_episodes(threshold_s: float) -> Metric:
         f"{threshold_s:g} s",
         rests_on="episodes",
         sums=(pl.lit(1), TTC.lt(threshold_s).any()),
-        value=ratio,
         interval="wilson",
     )
 
 
 def time_exposed(threshold_s: float) -> Metric:
-    """TET, Minderhoud & Bovy 2001."""
+    """TET, the time per episode with a TTC below a threshold (Minderhoud & Bovy 2001)."""
     return Metric(
         name="tet",
         unit="s",
@@ -93,12 +87,11 @@ def time_exposed(threshold_s: float) -> Metric:
         "mean",
         rests_on="episodes",
         sums=(pl.lit(1), total(pl.col("interval_s"), TTC.lt(threshold_s))),
-        value=ratio,
     )
 
 
 def time_integrated(threshold_s: float) -> Metric:
-    """TIT, Minderhoud & Bovy 2001."""
+    """TIT, the shortfall of the TTC below a threshold over time (Minderhoud & Bovy 2001)."""
     return Metric(
         name="tit",
         unit="s²",
@@ -109,11 +102,4 @@ def time_integrated(threshold_s: float) -> Metric:
             pl.lit(1),
             total((threshold_s - TTC) * pl.col("interval_s"), TTC.lt(threshold_s)),
         ),
-        value=ratio,
     )
-
-
-TTC_BELOW_3S = ttc_below(TTC_THRESHOLD_S)
-CONFLICT_EPISODES = conflict_episodes(CONFLICT_TTC_S)
-TET = time_exposed(TTC_THRESHOLD_S)
-TIT = time_integrated(TTC_THRESHOLD_S)

@@ -6,8 +6,8 @@ from handmade_rows import measure
 from charms_bench.metrics.headway import (
     DHW_MEAN,
     DHW_STD,
-    TIME_HEADWAY_BELOW_1S,
     TIME_HEADWAY_MEAN,
+    time_headway_below,
 )
 
 
@@ -25,7 +25,7 @@ def test_time_headway_is_that_of_followers() -> None:
     # 0.8 s, 2 s, and with 8 s a free driver.
     steps = [behind(20.0), behind(40.0, speed=20.0), behind(200.0), {}]
     assert measure(TIME_HEADWAY_MEAN, ({}, steps)) == pytest.approx(1.4)
-    assert measure(TIME_HEADWAY_BELOW_1S, ({}, steps)) == pytest.approx(1 / 4)
+    assert measure(time_headway_below(1.0), ({}, steps)) == pytest.approx(1 / 4)
 
 
 def test_a_standing_vehicle_has_no_time_headway() -> None:

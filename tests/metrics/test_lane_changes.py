@@ -4,9 +4,9 @@ import pytest
 from handmade_rows import measure
 
 from charms_bench.metrics.lane_changes import (
-    IMPOSED_BRAKING_ABOVE_2,
     IMPOSED_BRAKING_MEAN,
     LANE_CHANGES_PER_KM,
+    imposed_braking_above,
 )
 from charms_bench.world.scene import SceneSettings
 
@@ -26,7 +26,7 @@ def test_imposed_braking_is_the_new_followers_strongest_within_2_s() -> None:
     steps = [step(0, -5.0), *(step(1, a) for a in braking), step(1, -6.0)]
     harmless = ({}, [step(0), step(1, 1.0), step(1, 0.5)])
     assert measure(IMPOSED_BRAKING_MEAN, ({}, steps), harmless) == pytest.approx(3.0 / 2)
-    assert measure(IMPOSED_BRAKING_ABOVE_2, ({}, steps), harmless) == pytest.approx(1 / 2)
+    assert measure(imposed_braking_above(2.0), ({}, steps), harmless) == pytest.approx(1 / 2)
 
 
 def test_the_window_is_as_long_at_another_decision_rate() -> None:

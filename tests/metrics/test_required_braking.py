@@ -3,7 +3,7 @@ import math
 import pytest
 from handmade_rows import measure
 
-from charms_bench.metrics.required_braking import DRAC_ABOVE_3_35, DRAC_MAX
+from charms_bench.metrics.required_braking import DRAC_MAX, drac_above
 
 
 def behind(distance: float, closing: float) -> dict[str, float]:
@@ -14,7 +14,7 @@ def test_drac_is_the_closing_speed_squared_over_twice_the_gap() -> None:
     hard = ({}, [behind(15.0, 10.0), behind(25.0, 10.0)])  # 100 / 20, 100 / 40
     soft = ({}, [behind(55.0, 10.0), behind(55.0, -10.0)])  # 100 / 100, none
     assert measure(DRAC_MAX, hard, soft, ({}, [{}])) == pytest.approx((5.0 + 1.0) / 2)
-    assert measure(DRAC_ABOVE_3_35, hard, soft) == pytest.approx(1 / 4)
+    assert measure(drac_above(3.35), hard, soft) == pytest.approx(1 / 4)
 
 
 def test_a_leader_that_gets_away_requires_no_braking() -> None:

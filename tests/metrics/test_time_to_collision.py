@@ -5,13 +5,13 @@ from handmade_rows import measure
 
 from charms_bench.metrics.metric import Metric
 from charms_bench.metrics.time_to_collision import (
-    CONFLICT_EPISODES,
     PAPER_TTC_BELOW_3S,
     PAPER_TTC_BELOW_3S_CLOSING,
-    TET,
-    TIT,
-    TTC_BELOW_3S,
     TTC_MIN,
+    conflict_episodes,
+    time_exposed,
+    time_integrated,
+    ttc_below,
 )
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import SceneSettings
@@ -48,16 +48,16 @@ def test_exposed_and_integrated_ttc_follow_minderhoud_and_bovy() -> None:
     # Gaps of 25, 10 and 30 m closing at 10 m/s: 2.5, 1 and 3 s, a third of a second each.
     episode = ({}, [behind(30.0, 10.0), behind(15.0, 10.0), behind(35.0, 10.0), {}])
     quiet = ({}, [{}] * 4)
-    assert measure(TTC_BELOW_3S, episode, quiet) == pytest.approx(2 / 8)
-    assert measure(TET, episode, quiet) == pytest.approx((2 / 3) / 2)
-    assert measure(TIT, episode, quiet) == pytest.approx((0.5 + 2.0) / 3 / 2)
+    assert measure(ttc_below(3.0), episode, quiet) == pytest.approx(2 / 8)
+    assert measure(time_exposed(3.0), episode, quiet) == pytest.approx((2 / 3) / 2)
+    assert measure(time_integrated(3.0), episode, quiet) == pytest.approx((0.5 + 2.0) / 3 / 2)
 
 
 def test_the_smallest_ttc_is_averaged_over_episodes_that_have_one() -> None:
     near = ({}, [behind(25.0, 10.0), behind(17.0, 10.0)])  # 2 s, 1.2 s
     far = ({}, [behind(33.0, 10.0), {}])  # 2.8 s
     assert measure(TTC_MIN, near, far, ({}, [{}])) == pytest.approx((1.2 + 2.8) / 2)
-    assert measure(CONFLICT_EPISODES, near, far, ({}, [{}])) == pytest.approx(1 / 3)
+    assert measure(conflict_episodes(1.5), near, far, ({}, [{}])) == pytest.approx(1 / 3)
 
 
 def test_a_creeping_approach_counts_as_100_s() -> None:
@@ -75,4 +75,4 @@ def test_a_wreck_and_a_vehicle_alongside_have_no_ttc() -> None:
     alongside = behind(4.0, 10.0)
     crashed = ({"ending": "rear_end"}, [behind(25.0, 10.0), alongside, behind(6.0, 10.0)])
     assert measure(TTC_MIN, crashed) == pytest.approx(2.0)
-    assert measure(TTC_BELOW_3S, crashed) == pytest.approx(1 / 2)
+    assert measure(ttc_below(3.0), crashed) == pytest.approx(1 / 2)
