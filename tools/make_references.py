@@ -1,6 +1,7 @@
-"""Makes the histograms of human driving that are shipped: `python tools/make_references.py DATA`.
+"""Makes the references of human driving in the package: `python tools/make_references.py DATA`.
 
-DATA holds `us101_highd_format/`, `i24_car_following.parquet` and `i75_lane_trajectories.parquet`.
+DATA is a folder that holds `us101_highd_format/`, `i24_car_following.parquet` and
+`i75_lane_trajectories.parquet`.
 """
 
 import sys
@@ -23,28 +24,29 @@ from charms_bench.people.reference import (
 from charms_bench.people.situations import nearest_to_decisions
 
 RATE_HZ = 10
-"""Of the recordings on I-24 and I-75."""
+"""Frames per second of the recordings on I-24 and I-75."""
 CAR_LENGTH_M = 5.0
 I75_LANES = (1, 2)
 I75_FRAMES_A_ROW = 3
 I75_START_S = 2.0
+"""Time from the start of a lane change until the vehicle is in the new lane."""
 
 
 def us101(data: Path) -> Reference:
-    """Congested: US-101."""
+    """US-101: congested."""
     return from_recordings(
         data / "us101_highd_format",
         name="us101",
         origin="NGSIM US-101, Los Angeles, 15 June 2005, 07:50: congested, five lanes and an "
-        "auxiliary one; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: a "
-        "fifth of the rows, and some of the lane changes, are in more than one.",
+        "auxiliary lane; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: a "
+        "fifth of the rows, and some of the lane changes, are in more than one scene.",
         terms="U.S. Department of Transportation, Federal Highway Administration (FHWA): Next "
         "Generation Simulation (NGSIM), US-101; CC BY-SA",
     )
 
 
 def i24(data: Path) -> Reference:
-    """Mostly free flow: I-24."""
+    """I-24: mostly free flow."""
     rows = pl.read_parquet(data / "i24_car_following.parquet")
     frame = (pl.col("t_s") * RATE_HZ).round().cast(pl.Int64)
     decided = nearest_to_decisions(rows.select(frame)["t_s"].to_numpy(), RATE_HZ / DECISION_HZ)
@@ -53,9 +55,9 @@ def i24(data: Path) -> Reference:
     return Reference(
         name="i24",
         origin="CIRCLES, I-24, Nashville: one instrumented car in 60 runs, mostly in free flow "
-        f"({(speed < 15).mean():.0%} of the speeds are below 15 m/s). Its lanes are not known.",
+        f"({(speed < 15).mean():.0%} of the speeds are below 15 m/s). Its lanes are unknown.",
         terms="CIRCLES consortium, DOI 10.5281/zenodo.6366761",
-        speed_is=f"{SPEED}; centres are taken to be {CAR_LENGTH_M:g} m further apart than bumpers",
+        speed_is=f"{SPEED}; centres are assumed {CAR_LENGTH_M:g} m further apart than bumpers",
         dhw_is="not recorded",
         vehicles=1,
         lane_changes=None,
@@ -65,7 +67,7 @@ def i24(data: Path) -> Reference:
 
 
 def i75(data: Path) -> Reference:
-    """Free flow: the fast lanes of I-75."""
+    """The fast lanes of I-75: free flow."""
     rows = pl.read_parquet(data / "i75_lane_trajectories.parquet").sort("vehicle", "frame")
     frame = (rows["frame"] - rows["frame"].min()) // I75_FRAMES_A_ROW
     decided = nearest_to_decisions(frame.to_numpy(), RATE_HZ / DECISION_HZ)
@@ -74,13 +76,13 @@ def i75(data: Path) -> Reference:
     dhw = pl.Series([h for h in headways if h is not None and h <= FOLLOWING_RANGE_M])
     return Reference(
         name="i75",
-        origin="HIGH-SIM, I-75, Florida: 88 vehicles over 1 to 2 km. Only the lanes 1 and 2, which "
-        "are in free flow. Not every vehicle was tracked, so a leader may have been nearer. "
-        f"{dhw.len()} lane changes with a leader are a hint and no distribution.",
-        terms="FHWA: HIGH-SIM; CC BY-SA 4.0 by its README, which links to CC BY-NC 4.0",
-        speed_is=f"{SPEED}; in the lanes 1 and 2",
-        dhw_is=f"{DHW} from or to the lanes 1 and 2; for want of a lateral position that is taken "
-        f"to be {I75_START_S:g} s before the vehicle's lane changes",
+        origin="HIGH-SIM, I-75, Florida: 88 vehicles over 1 to 2 km. Only lanes 1 and 2 are used, "
+        "which are in free flow. Not every vehicle was tracked, so a leader may have been nearer. "
+        f"{dhw.len()} lane changes with a leader are too few for a distribution.",
+        terms="FHWA: HIGH-SIM; CC BY-SA 4.0 according to its README, which links to CC BY-NC 4.0",
+        speed_is=f"{SPEED}; in lanes 1 and 2",
+        dhw_is=f"{DHW} from or to lanes 1 and 2; the recording has no lateral position, so the "
+        f"start is taken as {I75_START_S:g} s before the vehicle is in the new lane",
         vehicles=rows.filter(fast)["vehicle"].n_unique(),
         lane_changes=len(headways),
         speed=histogram(rows.filter(decided).filter(fast, follows)["v"].to_numpy()),
@@ -89,9 +91,9 @@ def i75(data: Path) -> Reference:
 
 
 def _i75_lane_changes(rows: pl.DataFrame) -> Iterator[float | None]:
-    """The headway at the start of each lane change from or to the fast lanes; None for no leader.
+    """The headway at the start of each lane change from or to a fast lane; None without a leader.
 
-    As in `Recording.lane_changes`, a vehicle stays in both lanes for `STAY_S`.
+    As in `Recording.lane_changes`, the vehicle stays in both lanes for `STAY_S`.
     """
     for (_,), track in rows.group_by("vehicle", maintain_order=True):
         lane, dhw = track["lane"].to_list(), track["dhw"].to_list()
@@ -108,7 +110,7 @@ def _i75_lane_changes(rows: pl.DataFrame) -> Iterator[float | None]:
 
 
 def main(data: Path, output: Path) -> None:
-    """Writes all of them into a folder."""
+    """Writes all references into a folder."""
     output.mkdir(parents=True, exist_ok=True)
     for reference in (us101(data), i24(data), i75(data)):
         path = output / f"{reference.name}.json"

@@ -1,1 +1,1 @@
-"""Human driving: recordings in highD's format, and what a policy can learn from them."""
+"""Human driving: recordings in highD's format, and what they hold."""

@@ -1,4 +1,4 @@
-"""A CSV file of numbers -> a checked frame, with errors that name file, line and column."""
+"""Reads CSV files of numbers; errors name the file, the line and the column."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -12,12 +12,12 @@ from charms_bench.world.files import size_of
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000
-"""More than twice a long recording of highD; what bounds the memory of a table."""
+"""Twice the rows of a long recording of highD; this bounds the memory of a table."""
 _LINE_LIMIT_BYTES = 2**16
 
 
 class Numbers(NamedTuple):
-    """What the cells of a column may be: wide ranges, which catch other units and formats."""
+    """Allowed numbers of a column; the ranges are wide and only catch wrong units and formats."""
 
     low: float
     high: float
@@ -30,20 +30,25 @@ class Numbers(NamedTuple):
 
 
 class Text(NamedTuple):
-    """A column whose cells are taken as they are."""
+    """A column of text, which is not checked."""
 
 
 Columns = Mapping[str, Numbers | Text]
 
 
 def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> pl.DataFrame:
-    """The named columns of a CSV file, in the order of the file; others are ignored.
+    """The named columns of a CSV file; other columns are ignored.
 
-    Line `i + 2` of the file is row `i`. Every number is finite and within its range. A file of
-    more than `limit` bytes is refused.
+    Line `i + 2` of the file becomes row `i`. Every number is finite and within its range.
+
+    Args:
+        path: The file.
+        columns: Names and allowed values.
+        limit: Largest size of the file in bytes.
 
     Raises:
-        DataError: The file cannot be read, lacks a column, or has a cell that may not be.
+        DataError: The file cannot be read or is too large, a column is missing, or a value is
+            not allowed.
     """
     header = _header(path, limit)
     for name in columns:
@@ -52,7 +57,7 @@ def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> p
             known = suggestion(name, dict.fromkeys(readable))
             raise DataError(f"{path}: line 1: no column '{name}'. {known}")
         if header.count(name) > 1:
-            raise DataError(f"{path}: line 1: the column '{name}' stands here twice")
+            raise DataError(f"{path}: line 1: the column '{name}' appears twice")
     try:
         table = (
             pl.scan_csv(
@@ -71,12 +76,12 @@ def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> p
         usable = all(_usable(table[name], cells) for name, cells in columns.items())
     except pl.exceptions.PolarsError as error:
         reason = str(error).partition("\n")[0]
-        raise _first_mistake(path, header, columns, f"is no CSV table: {reason}") from error
+        raise _first_mistake(path, header, columns, f"not a CSV table: {reason}") from error
     if table.height > ROW_LIMIT:
         raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
-    # A field too many would shift the rest of its line, and polars may not say so.
+    # An extra field shifts the rest of its line, and polars may not report that.
     if not usable or _commas(path) != (len(header) - 1) * (table.height + 1):
-        raise _first_mistake(path, header, columns, "is no CSV table of numbers")
+        raise _first_mistake(path, header, columns, "not a CSV table of numbers")
     whole = [name for name, cells in columns.items() if isinstance(cells, Numbers) and cells.whole]
     return table.with_columns(pl.col(whole).cast(pl.Int64))
 
@@ -106,13 +111,13 @@ def _usable(values: pl.Series, cells: Numbers | Text) -> bool:
         return isinstance(cells, Text)
     if isinstance(cells, Text) or values.is_empty():
         return True
-    # NaN is neither; infinities are beyond any range.
+    # NaN and infinities are in no range.
     within = bool(values.is_between(cells.low, cells.high).all())
     return within and not (cells.whole and bool((values != values.floor()).any()))
 
 
 def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: str) -> DataError:
-    """The error of the first line that is wrong, found by reading line by line."""
+    """The error in the first wrong line, found by reading line by line."""
     with path.open("rb") as file:
         lines = iter(lambda: file.readline(_LINE_LIMIT_BYTES), b"")
         next(lines)

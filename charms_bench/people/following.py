@@ -1,8 +1,7 @@
 """What recorded drivers do while they follow: the quantities that `engine.following` counts.
 
-A recording says where vehicles were, not when a driver decided: a lane change starts at the last
-moment before the vehicle leaves its lane's stay at which it was not yet moving sideways towards
-the new lane.
+A recording does not tell when a driver decided to change lanes. Here a lane change starts at the
+last moment before the vehicle leaves its lane at which it does not yet move towards the new lane.
 """
 
 from collections.abc import Iterable
@@ -13,36 +12,37 @@ import polars as pl
 
 from charms_bench.engine.following import FOLLOWING_RANGE_M
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
-from charms_bench.people.labels import LATERAL_SPEED_MPS
 from charms_bench.people.situations import at_decisions
 from charms_bench.world.lanes import NEIGHBOUR_MARGIN_M
 from charms_bench.world.scene import Floats
 
 DECISION_HZ = 3
 """The rate at which the simulation counts."""
+LANE_CHANGE_SPEED_MPS = 0.07
+"""A vehicle that moves sideways faster than this moves towards another lane."""
 _ON_LANE_M = LANE_WIDTH_M / 2 + NEIGHBOUR_MARGIN_M
-"""A vehicle is on a lane while its centre is this near to the lane's; see `Scene.leader`."""
+"""A vehicle is on a lane while its centre is this close to the lane's; see `Scene.leader`."""
 
 
 @dataclass(frozen=True)
 class Followers:
-    """Drivers with a leader within 50 m in their lane, centre to centre."""
+    """What drivers do who have a leader within 50 m in their lane, centre to centre."""
 
     speed: Floats
-    """Along the road, of each driver at each decision, m/s."""
+    """Speed along the road of each driver at each decision, m/s."""
     dhw: Floats
-    """To the leader, at each start of a lane change, m."""
+    """Distance headway to the leader at each start of a lane change, m."""
     vehicles: int
-    """All that were recorded."""
+    """Number of recorded vehicles, with or without a leader."""
     lane_changes: int
-    """All that were recorded, with a leader or without."""
+    """Number of recorded lane changes, with or without a leader."""
 
 
 def followers(recordings: Iterable[Recording]) -> Followers:
-    """Those of some recordings, trucks and both carriageways included.
+    """The followers in recordings, trucks and both carriageways included.
 
     Raises:
-        DataError: There are fewer frames than decisions.
+        DataError: The frame rate is below the decision rate.
     """
     speeds, headways, vehicles, lane_changes = [], [], 0, 0
     for recording in recordings:
@@ -58,16 +58,16 @@ def followers(recordings: Iterable[Recording]) -> Followers:
 
 
 def lane_change_starts(recording: Recording) -> pl.DataFrame:
-    """The vehicle and the frame in which each of its lane changes starts.
+    """The vehicle and the first frame of each lane change; columns vehicle and frame.
 
-    A vehicle that moves sideways all through its stay, since it was first seen or since its last
-    lane change, starts none there.
+    A lane change has no known start if the vehicle already moves towards the new lane when it is
+    first seen, or when it enters the lane that it leaves. Such a lane change is left out.
     """
     changes = recording.lane_changes.rename({"lane": "left", "frame": "first"})
     towards = (pl.col("next_lane") - pl.col("left")).sign() * pl.col("lateral_speed")
     return (
         recording.tracks.join(changes, on="vehicle")
-        .filter(pl.col("frame").is_between("first", "last"), towards <= LATERAL_SPEED_MPS)
+        .filter(pl.col("frame").is_between("first", "last"), towards <= LANE_CHANGE_SPEED_MPS)
         .group_by("vehicle", "last")
         .agg(pl.col("frame").max())
         .select("vehicle", "frame")
@@ -76,7 +76,7 @@ def lane_change_starts(recording: Recording) -> pl.DataFrame:
 
 
 def _following(tracks: pl.DataFrame) -> pl.DataFrame:
-    """The rows on the road with a leader within 50 m, and the `leader_distance` to it."""
+    """The rows on the road with a leader within 50 m, with the column `leader_distance`."""
     place = pl.col("y") / LANE_WIDTH_M
     where = ("direction", "frame", "place")
     return (

@@ -1,9 +1,9 @@
-"""highD's published format -> recordings in the simulation's frame.
+"""Reads recordings in highD's published format into the simulation's frame of reference.
 
-A recording is three files, `NN_tracks.csv`, `NN_tracksMeta.csv` and `NN_recordingMeta.csv`
-[Krajewski et al. 2018]. Theirs is an image: y grows downwards, positions are a box's upper left
-corner, a vehicle's length is its `width`, and direction 1 drives towards smaller x. Ours is the
-driver's: see `TRACKS`.
+A recording consists of three files, `NN_tracks.csv`, `NN_tracksMeta.csv` and `NN_recordingMeta.csv`
+[Krajewski et al. 2018]. The files use image coordinates: y grows downwards, a position is the upper
+left corner of a box, a vehicle's length is called `width`, and direction 1 drives towards smaller
+x. A `Recording` uses the drivers' frame of reference; see `TRACKS`.
 """
 
 import re
@@ -20,10 +20,10 @@ from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints
 
 UPPER, LOWER = 1, 2
-"""Driving directions: the carriageway at smaller image y drives towards smaller x."""
+"""Driving directions; the upper carriageway of the image drives towards smaller x."""
 LANE_WIDTH_M = CHARMS.lane_width_m
 STAY_S = 0.75
-"""A shorter visit to a lane is a brush with its marking, not a lane change."""
+"""A shorter stay in a lane does not count as a lane change."""
 
 TRACKS = {
     "vehicle": pl.Int64,
@@ -42,11 +42,13 @@ TRACKS = {
 }
 """The columns of `Recording.tracks`.
 
-x, y: The vehicle's centre, m: along its driving direction from any origin, and to its right. y is
-    stretched within each lane so that the centre of lane i, counted from the left, lies at 4 i.
-lane: The lane between whose markings the centre lies, or the nearest.
+x, y: Position of the vehicle's centre, m. x grows along the driving direction, from an arbitrary
+    origin; y grows to the right. Within each lane y is stretched so that the centre of lane i,
+    counted from the left, lies at 4 i.
+lane: The lane whose markings enclose the centre, or else the nearest lane.
 on_road: Whether the centre lies between the outer markings.
-speed, lateral_speed, acceleration: Along x, to the right and along x; as measured, m/s and m/s2.
+speed, lateral_speed, acceleration: Along x (m/s), to the right (m/s) and along x (m/s2), as
+    measured.
 length, width: m.
 """
 
@@ -71,7 +73,7 @@ _TRACKS_META: Columns = {
     "drivingDirection": Numbers(UPPER, LOWER, whole=True),
 }
 _META_LIMIT_BYTES = 2**24
-"""A hundred times what the vehicles of a long recording need."""
+"""A hundred times the size of the file of a long recording."""
 _RECORDING_META: Columns = {
     "frameRate": Numbers(-1e9, 1e9, "Hz"),
     "numVehicles": Numbers(0, 1e12, whole=True),
@@ -99,23 +101,23 @@ class Trio:
 
 @dataclass(frozen=True)
 class Recording:
-    """What was filmed at one place at one time."""
+    """The traffic that was filmed at one place at one time."""
 
     trio: Trio
     frame_rate_hz: float
     lanes: dict[int, int]
-    """The number of lanes of each direction in which somebody drives."""
+    """Number of lanes by direction; directions without vehicles are left out."""
     tracks: pl.DataFrame
-    """A row a vehicle and frame, by vehicle and frame; columns `TRACKS`."""
+    """One row per vehicle and frame, sorted by vehicle and frame; columns `TRACKS`."""
     lane_id_disagreements: int
-    """Rows between the outer markings whose `laneId` is not the lane that y says."""
+    """Number of rows between the outer markings whose `laneId` contradicts y."""
 
     @property
     def lane_changes(self) -> pl.DataFrame:
-        """A row a vehicle that left a lane for another, having stayed in both for `STAY_S`.
+        """One row per lane change between two lanes in each of which the vehicle stays `STAY_S`.
 
-        Columns vehicle, lane, next_lane, and the frames `frame` and `last` between which it
-        stayed in `lane`.
+        Columns vehicle, lane, next_lane, and the first and last frame of the stay in `lane`,
+        called frame and last.
         """
         return (
             self.tracks.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
@@ -134,10 +136,10 @@ class Recording:
 
 
 def find_trios(folder: Path) -> list[Trio]:
-    """The recordings of a folder, by number.
+    """The recordings of a folder, sorted by number.
 
     Raises:
-        DataError: There is none, or one lacks a file.
+        DataError: The folder has no recordings, or a recording lacks a file.
     """
     found: dict[str, dict[str, Path]] = {}
     try:
@@ -155,17 +157,17 @@ def find_trios(folder: Path) -> list[Trio]:
             if kind not in files:
                 raise DataError(
                     f"{folder}: recording {prefix} has no {prefix}_{kind}.csv; "
-                    "add it, or take the recording's other files away"
+                    "add it, or remove the recording's other files"
                 )
         number = int(prefix)
         if number in trios:
-            raise DataError(f"{folder}: recording {number} is here twice; rename one of them")
+            raise DataError(f"{folder}: recording {number} appears twice; rename one of them")
         trios[number] = Trio(number, *(files[kind] for kind in _KINDS))
     return [trios[number] for number in sorted(trios)]
 
 
 def read_folder(folder: Path) -> Iterator[Recording]:
-    """The recordings of a folder, one after another, so that one is in memory at a time.
+    """The recordings of a folder, one at a time.
 
     Raises:
         DataError: As for `find_trios` and `read_recording`.
@@ -174,10 +176,10 @@ def read_folder(folder: Path) -> Iterator[Recording]:
 
 
 def read_recording(trio: Trio) -> Recording:
-    """A recording in the simulation's frame.
+    """A recording in the simulation's frame of reference.
 
     Raises:
-        DataError: A file cannot be read, or they do not fit together.
+        DataError: A file cannot be read, or the three files contradict each other.
     """
     frame_rate, vehicles, markings = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
@@ -206,7 +208,7 @@ def read_recording(trio: Trio) -> Recording:
 
 
 def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
-    """Frame rate, number of vehicles, and each direction's markings by image y."""
+    """Frame rate, number of vehicles, and the markings of each direction by image y."""
     table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES)
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
@@ -216,7 +218,7 @@ def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
             f"{path}: line 2: column 'frameRate': {row['frameRate']:g} Hz; expected more than 0"
         )
     if row["numVehicles"] == 0:
-        raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; drop this recording")
+        raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
     markings = {
         UPPER: _markings(path, "upperLaneMarkings", row["upperLaneMarkings"]),
         LOWER: _markings(path, "lowerLaneMarkings", row["lowerLaneMarkings"]),
@@ -235,7 +237,7 @@ def _markings(path: Path, column: str, text: str | None) -> Floats:
     if not (np.isfinite(values).all() and ((widths >= low) & (widths <= high)).all()):
         raise DataError(
             f"{where}: '{(text or '')[:80]}'; expected growing numbers, "
-            f"{low:g} to {high:g} m from one marking to the next"
+            f"with {low:g} to {high:g} m between markings"
         )
     return values
 
@@ -249,7 +251,7 @@ def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
             f"{vehicles:,}; is the file cut short?"
         )
     for line, vehicle in _first(meta, pl.col("id").is_first_distinct().not_(), "id"):
-        raise DataError(f"{path}: line {line}: vehicle {vehicle} is here twice")
+        raise DataError(f"{path}: line {line}: vehicle {vehicle} appears twice")
     known = pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
     for line, found in _first(meta, ~known, "class"):
         raise DataError(
@@ -259,7 +261,7 @@ def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
 
 
 def _check_lane_ids(trio: Trio, tracks: pl.DataFrame, markings: dict[int, Floats]) -> None:
-    # 1 lies above the first marking; each marking, of either direction, begins another.
+    # laneId 1 lies above the first marking; each marking of either direction begins another lane.
     last = markings[UPPER].size + markings[LOWER].size + 1
     outside = ~pl.col("laneId").is_between(1, last)
     for line, found in _first(tracks, outside, "laneId"):
@@ -270,7 +272,7 @@ def _check_lane_ids(trio: Trio, tracks: pl.DataFrame, markings: dict[int, Floats
 
 
 def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFrame:
-    """The tracks with their vehicles' columns, each vehicle complete and no frame of it twice."""
+    """The tracks with the columns of `meta`; every vehicle is complete and has no frame twice."""
     tracks = tracks.join(meta, on="id", how="left", maintain_order="left")
     for line, vehicle in _first(tracks, pl.col("drivingDirection").is_null(), "id"):
         raise DataError(
@@ -280,8 +282,8 @@ def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFram
     again = (pl.col("id").diff() == 0) & (pl.col("frame").diff() == 0)
     for line, vehicle in _first(tracks, again, "id"):
         raise DataError(
-            f"{trio.tracks}: line {line}: vehicle {vehicle} is in this frame already; "
-            "delete one of the two rows"
+            f"{trio.tracks}: line {line}: vehicle {vehicle} already has a row for this "
+            "frame; delete one of the two rows"
         )
     driven = tracks.group_by("id").agg(
         pl.len(), first=pl.col("frame").min(), last=pl.col("frame").max()
@@ -305,7 +307,7 @@ def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFram
 def _normalised(
     trio: Trio, part: pl.DataFrame, direction: int, markings: dict[int, Floats]
 ) -> tuple[pl.DataFrame, int]:
-    """One direction's tracks in its drivers' frame, and how many `laneId`s disagree."""
+    """The tracks of one direction in the drivers' frame, and how many `laneId`s disagree with y."""
     sign = -1.0 if direction == UPPER else 1.0
     to_the_right = np.sort(sign * markings[direction])
     lanes = to_the_right.size - 1
@@ -339,9 +341,9 @@ def _normalised(
 
 
 def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
-    """Stretched position, lane and whether on the road, of positions to the right.
+    """Stretched y, lane and whether on the road, of positions to the right.
 
-    A position on a marking belongs to the lane left of it, as for highway-env's closest lane.
+    A position on a marking belongs to the lane to its left, like highway-env's closest lane.
     """
     lane = np.clip(np.searchsorted(markings, y, side="left") - 1, 0, markings.size - 2)
     left, right = markings[lane], markings[lane + 1]
@@ -350,5 +352,5 @@ def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
 
 
 def _first(table: pl.DataFrame, mistaken: pl.Expr, column: str) -> Iterator[tuple[int, object]]:
-    """Line and value of the first mistaken row, if there is one."""
+    """Line and value of the first mistaken row, if any."""
     yield from table.filter(mistaken.fill_null(False)).select("line", column).head(1).iter_rows()

@@ -1,4 +1,4 @@
-"""Human driving as histograms that simulated driving is held against."""
+"""Reference histograms of human driving, which simulated driving is compared with."""
 
 import json
 from collections.abc import Sequence
@@ -10,9 +10,8 @@ from pydantic import Field, model_validator
 
 from charms_bench.engine.following import BIN, BINS, FOLLOWING_RANGE_M, bins_of
 from charms_bench.errors import suggestion
-from charms_bench.people.following import DECISION_HZ, followers
+from charms_bench.people.following import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
 from charms_bench.people.highd import read_folder
-from charms_bench.people.labels import LATERAL_SPEED_MPS
 from charms_bench.world.fields import FilePath, FrozenModel, Name
 from charms_bench.world.scene import Floats
 
@@ -20,21 +19,19 @@ LEADER = f"leader within {FOLLOWING_RANGE_M:g} m in the same lane, centre to cen
 SPEED = f"speed along the road with a {LEADER}, at {DECISION_HZ} Hz"
 DHW = f"distance to a {LEADER}, at the start of a lane change"
 START = (
-    "that is the last moment before the vehicle leaves its lane at which its speed towards the new "
-    f"lane was not above {LATERAL_SPEED_MPS:g} m/s"
+    "the start is the last moment before the vehicle leaves its lane at which its speed towards "
+    f"the new lane is {LANE_CHANGE_SPEED_MPS:g} m/s or less"
 )
-BINNING = (
-    f"{BINS} bins of {BIN:g} m/s and {BIN:g} m from 0; the last also takes what lies beyond it"
-)
+BINNING = f"{BINS} bins of {BIN:g} m/s and {BIN:g} m from 0; the last bin has no upper limit"
 
 REFERENCES = Path(__file__).with_name("references")
-"""Human driving that is shipped, as histograms: `NAME.json`."""
+"""The references in the package: `NAME.json`."""
 
 Counts = Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=BINS, max_length=BINS)]
 
 
 class ReferenceSpec(FrozenModel):
-    """Human driving: shipped histograms by name, or a folder of recordings in highD's format."""
+    """Names a reference in the package, or a folder of recordings in highD's format."""
 
     name: Name | None = None
     recordings: FilePath | None = None
@@ -58,50 +55,51 @@ class ReferenceSpec(FrozenModel):
 
     @property
     def title(self) -> str:
-        """What tables call it."""
+        """The reference's name in tables."""
         return self.name or str(self.recordings)
 
 
 class Reference(FrozenModel):
-    """Where people were recorded, and what they did while they followed; two are never pooled."""
+    """What recorded drivers did while they followed; two references are never pooled."""
 
     name: str
     origin: str
-    """Where and how it was recorded, and what is to be kept in mind."""
+    """Where and how the drivers were recorded, with the limits of the recording."""
     terms: str
-    """Whose data it is made from, and their licence."""
+    """Source and licence of the recording."""
     speed_is: str
     dhw_is: str
     """Definitions of the two quantities."""
     binning: str = BINNING
     vehicles: int
-    """All that were recorded."""
+    """Number of recorded vehicles, with or without a leader."""
     lane_changes: int | None
-    """All that were recorded, with a leader or without; None where lanes are not known."""
+    """Number of recorded lane changes, with or without a leader; None if lanes are unknown."""
     speed: Counts | None
-    """Drivers at decisions, by the bins of `charms_bench.engine.following`; None: not recorded."""
+    """Speeds of drivers at decisions, in the bins of `charms_bench.engine.following`; None if the
+    quantity was not recorded."""
     dhw: Counts | None
-    """Starts of lane changes, likewise."""
+    """Distance headways at starts of lane changes, likewise."""
 
     def counts(self, quantity: str) -> Floats | None:
-        """[BINS] of a quantity of `following.QUANTITIES`; None where nothing was recorded."""
+        """(BINS,) counts of a quantity of `following.QUANTITIES`; None if nothing was recorded."""
         counts = {"speed": self.speed, "dhw": self.dhw}[quantity]
         return np.array(counts, dtype=np.float64) if counts and any(counts) else None
 
     def to_json(self) -> str:
-        """As it is shipped: a field a line."""
+        """The reference as JSON, one field per line, as in the package."""
         fields = self.model_dump(mode="json")
         lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in fields.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def histogram(values: Floats) -> tuple[int, ...]:
-    """How many values lie in each bin."""
+    """(BINS,) number of values in each bin."""
     return tuple(np.bincount(bins_of(values), minlength=BINS).tolist())
 
 
 def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:
-    """The references of a suite; a relative path of recordings starts at `folder`.
+    """The references of a suite; relative paths of recordings start at `folder`.
 
     Raises:
         DataError: The recordings cannot be used.
@@ -115,11 +113,11 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
 
 
 def from_recordings(folder: Path, **fields: str) -> Reference:
-    """What the recordings of a folder hold, in highD's format.
+    """A reference made from a folder of recordings in highD's format.
 
     Args:
-        folder: With the recordings.
-        fields: Name, origin and terms, where more is known than the folder's name.
+        folder: The folder of recordings.
+        fields: Name, origin and terms; by default they are derived from the folder's name.
 
     Raises:
         DataError: The recordings cannot be used.
@@ -128,7 +126,7 @@ def from_recordings(folder: Path, **fields: str) -> Reference:
     described = {
         "name": folder.resolve().name,
         "origin": f"recordings in {folder}",
-        "terms": "those of the recordings",
+        "terms": "the terms of the recordings",
         "speed_is": SPEED,
         "dhw_is": f"{DHW}; {START}",
     }

@@ -1,8 +1,9 @@
-"""A recording -> what each of its drivers saw at each decision.
+"""Observations of recorded drivers: what each driver saw at each decision.
 
-The simulation has three lanes. A driver on a wider carriageway is given the three that hold his
-own lane in the middle, or at the edge where his is the outermost: he has a lane on his left and
-on his right exactly where the recorded driver had. A vehicle elsewhere is on no lane of his.
+Observations have three lanes. On a wider carriageway, a driver is given a window of three lanes
+with the driver's own lane in the middle, or at the edge if it is an outermost lane. So there is a
+lane to the left and to the right exactly where the recorded driver had one. Vehicles outside the
+window are not observed.
 """
 
 import numpy as np
@@ -17,30 +18,34 @@ from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings
 
 LANES = 3
-"""Lanes of the simulation."""
+"""Lanes of an observation."""
 VEHICLES_LIMIT = 501
-"""Vehicles of a carriageway at one time, as many as a scene may have."""
+"""Most vehicles on a carriageway at one time, as in a scene of the simulation."""
 _CHUNK = 200_000
-"""Vehicles in memory as scenes at a time, so about 50 MB."""
+"""Vehicles that are in memory as scenes at one time; they need about 50 MB."""
 
 
 def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Observations]:
-    """The rows of a recording nearest in time to each decision, and their observations.
+    """The frames of a recording at which drivers decide, and what the drivers see there.
 
-    Decision k is at k / `decision_hz` after the recording's first frame; a frame rate that is no
-    multiple of the decision rate gives intervals that differ by a frame.
+    Decision k is made k / `decision_hz` seconds after the recording's first frame, and the nearest
+    frame stands for it. If the frame rate is not a multiple of the decision rate, intervals differ
+    by one frame.
 
     Returns:
-        Rows of `Recording.tracks` by direction, frame and x, with these columns, and observations
-        (M, 7, 5), zeros where a carriageway has fewer than three lanes.
+        The M rows of `Recording.tracks` at decisions, sorted by direction, frame and x, and their
+        observations (M, 7, 5). Observations are zeros on a carriageway of fewer than three lanes.
+        The rows have these further columns:
 
-        lanes: Lanes of the carriageway.
-        view_cut: Whether a row of the observation is empty that may only look so, because the
-            recorded section ends within the observation's range.
-        leader_distance: To the leader on the own lane within 50 m, centre to centre, m, or null.
+        lanes: Number of lanes of the carriageway.
+        view_cut: Whether the observation may lack a neighbour because the recorded section ends
+            within the observation's range.
+        leader_distance: Distance to a leader within 50 m in the same lane, centre to centre, m;
+            null without such a leader.
 
     Raises:
-        DataError: There are fewer frames than decisions, or too many vehicles at once.
+        DataError: The frame rate is below the decision rate, or there are too many vehicles at
+            one time.
     """
     rows = recording.tracks.filter(at_decisions(recording, decision_hz))
     rows = rows.sort("direction", "frame", "x", "vehicle")
@@ -66,10 +71,10 @@ def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Ob
 
 
 def at_decisions(recording: Recording, decision_hz: int) -> Bools:
-    """Which rows of a recording are nearest in time to a decision; see `situations`.
+    """Which rows of a recording are at decisions; see `situations`.
 
     Raises:
-        DataError: There are fewer frames than decisions.
+        DataError: The frame rate is below the decision rate.
     """
     if recording.frame_rate_hz < decision_hz:
         raise DataError(
@@ -80,16 +85,16 @@ def at_decisions(recording: Recording, decision_hz: int) -> Bools:
     return nearest_to_decisions(frame - frame.min(), recording.frame_rate_hz / decision_hz)
 
 
-def nearest_to_decisions(frame: Ints, frames_a_decision: float) -> Bools:
-    """Whether each frame, counted from 0, is the one nearest to a decision."""
-    decision = np.rint(frame / frames_a_decision)
-    return np.asarray(np.floor(decision * frames_a_decision + 0.5) == frame)
+def nearest_to_decisions(frame: Ints, frames_per_decision: float) -> Bools:
+    """Whether each frame, counted from 0, is the frame nearest to a decision."""
+    decision = np.rint(frame / frames_per_decision)
+    return np.asarray(np.floor(decision * frames_per_decision + 0.5) == frame)
 
 
 def _seen(
     recording: Recording, rows: pl.DataFrame, lanes: int, section: tuple[float, float]
 ) -> tuple[Observations, Floats, Bools]:
-    """Observations, distances to leaders (nan for none) and `view_cut` of a carriageway's rows."""
+    """Observations, leader distances (NaN without a leader) and `view_cut` of a carriageway."""
     starts = np.flatnonzero(np.diff(rows["frame"].to_numpy(), prepend=-1))
     counts = np.diff(starts, append=rows.height)
     if counts.size and counts.max() > VEHICLES_LIMIT:
@@ -133,12 +138,12 @@ def _seen(
 
 
 def _empty_scene(scenes: int, vehicles: int, length_m: float) -> Scene:
-    """Scenes on a road of that length whose vehicles all lie beyond its end, on no lane."""
+    """Scenes on a road of that length, with all vehicles beyond the end of the road."""
     profile = CHARMS.model_copy(update={"road_length_m": length_m + 1.0})
     settings = SceneSettings(
         profile=profile, lanes=LANES, traffic_vehicles=vehicles - 1, ego_slots=1
     )
     scene = Scene.empty(settings, scenes)
-    # Apart from each other, since vehicles at one x are compared pair by pair.
+    # Spread out, because vehicles at the same x are compared pair by pair.
     scene.x[...] = length_m + 100.0 + np.arange(vehicles)
     return scene

@@ -1,63 +1,135 @@
-"""What a folder of recordings holds, in numbers."""
+"""What a folder of recordings holds, and what installed samplers can learn from it."""
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
 
-import numpy as np
 import polars as pl
 
-from charms_bench.people.samples import REASONS, Collected
-from charms_bench.world.actions import ACTIONS
+from charms_bench.people.following import DECISION_HZ
+from charms_bench.people.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
+from charms_bench.people.situations import situations
+from charms_bench.world.scene import Observations
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def survey(collected: Collected) -> dict[str, Any]:
-    """What was found, ready for JSON; SI units, every vehicle at the decision rate.
+@dataclass(frozen=True)
+class Learnable:
+    """What a sampler can learn from recordings; counts are of drivers at decisions."""
 
-    carriageways: How many carriageways have how many lanes.
-    offset_mean_m: Mean position right of the lane's centre. Far from 0, the markings are not where
-        drivers see them, and drifts away from the centre lean to one side.
-    following_distance_m: Quantiles of the distance to a leader within 50 m, centre to centre.
-    label_shares: Share of each action in the labels, before and after undersampling.
-    two_intents: Share of rows, before undersampling, with a lane change and a change of speed.
+    accepted: int
+    rejected: dict[str, int]
+    """Decisions that cannot be learnt from, by reason."""
+    two_actions: float
+    """Share of the accepted decisions whose label gives two actions a probability."""
+    label_shares: dict[str, dict[str, float]]
+    """Share of each action in the labels of all `accepted` decisions and of the `sampled` ones."""
+    training: int
+    """Samples to train on."""
+    held_out: int
+    """Samples to measure on."""
+    fingerprint: str
+    """Hash of everything that the samples depend on."""
+
+
+class Sampler(Protocol):
+    """What an entry point of the group `charms_bench.samplers` makes when called."""
+
+    def add(self, recording: Recording, rows: pl.DataFrame, observations: Observations) -> None:
+        """Takes the decisions of a recording, as `situations` returns them."""
+
+    def learnable(self) -> Learnable:
+        """What can be learnt from the recordings that were added."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a folder of recordings holds."""
+
+    recordings: pl.DataFrame
+    """One row per recording: frame_rate_hz, duration_s, rows, cars, trucks, lanes (one number per
+    carriageway with traffic), lane_changes, lane_id_disagreements."""
+    decisions: pl.DataFrame
+    """One row per vehicle and decision: speed (m/s), offset (position to the right of the lane's
+    centre, m), leader_distance (centre to centre, m; null without a leader within 50 m)."""
+
+    def facts(self) -> dict[str, Any]:
+        """The numbers, ready for JSON.
+
+        Units are SI; quantities of vehicles are taken at each decision, 3 times a second.
+
+        carriageways: The number of carriageways, by their number of lanes.
+        offset_mean_m: Far from 0, the lane markings are not where drivers see them.
+        following_distance_m: Quantiles of the distance to a leader within 50 m.
+        """
+        recordings, decisions = self.recordings, self.decisions
+        lanes = recordings["lanes"].explode().value_counts().sort("lanes")
+        return {
+            "recordings": recordings.height,
+            "frame_rates_hz": recordings["frame_rate_hz"].unique().sort().to_list(),
+            "recorded_h": float(recordings["duration_s"].sum()) / 3600,
+            "rows": recordings["rows"].sum(),
+            "cars": recordings["cars"].sum(),
+            "trucks": recordings["trucks"].sum(),
+            "carriageways": {str(count): number for count, number in lanes.iter_rows()},
+            "lane_changes": recordings["lane_changes"].sum(),
+            "lane_id_disagreements": recordings["lane_id_disagreements"].sum(),
+            "decisions": decisions.height,
+            "speed_mean_mps": decisions["speed"].mean(),
+            "speed_quantiles_mps": _quantiles(decisions["speed"]),
+            "offset_mean_m": decisions["offset"].mean(),
+            "following_distance_m": _quantiles(decisions["leader_distance"].drop_nulls()),
+        }
+
+
+def survey(
+    folder: Path,
+    samplers: Mapping[str, Sampler],
+    tell: Callable[[int], object] = lambda recordings: None,
+) -> tuple[Survey, dict[str, Learnable]]:
+    """The survey of a folder, and what each sampler can learn from it.
+
+    Only one recording is in memory at a time.
+
+    Args:
+        folder: With recordings in highD's format.
+        samplers: By name; each is given every recording.
+        tell: Called with 1 after each recording.
+
+    Raises:
+        DataError: The recordings cannot be used, or a sampler can learn nothing from them.
     """
-    recordings, decisions = collected.recordings, collected.decisions
-    lanes = recordings["lanes"].explode().value_counts().sort("lanes")
-    accepted = decisions.filter(pl.col("rejected").is_null())
-    reasons = decisions["rejected"].cast(pl.String)
-    held_out = collected.samples.held_out
+    recordings, decisions = [], []
+    for trio in find_trios(folder):
+        recording = read_recording(trio)
+        rows, observations = situations(recording, DECISION_HZ)
+        for sampler in samplers.values():
+            sampler.add(recording, rows, observations)
+        recordings.append(_row(recording))
+        offset = pl.col("y") - LANE_WIDTH_M * pl.col("lane")
+        decisions.append(rows.select("speed", offset.alias("offset"), "leader_distance"))
+        tell(1)
+    found = Survey(pl.DataFrame(recordings), pl.concat(decisions))
+    return found, {name: sampler.learnable() for name, sampler in samplers.items()}
+
+
+def _row(recording: Recording) -> dict[str, object]:
+    tracks = recording.tracks
+    frames = tracks["frame"].to_numpy()
+    cars = tracks.unique("vehicle")["car"]
     return {
-        "recordings": recordings.height,
-        "frame_rates_hz": recordings["frame_rate_hz"].unique().sort().to_list(),
-        "recorded_h": float(recordings["duration_s"].sum()) / 3600,
-        "rows": recordings["rows"].sum(),
-        "cars": recordings["cars"].sum(),
-        "trucks": recordings["trucks"].sum(),
-        "carriageways": {str(count): number for count, number in lanes.iter_rows()},
-        "lane_changes": recordings["lane_changes"].sum(),
-        "lane_id_disagreements": recordings["lane_id_disagreements"].sum(),
-        "decisions": decisions.height,
-        "speed_mean_mps": decisions["speed"].mean(),
-        "speed_quantiles_mps": _quantiles(decisions["speed"]),
-        "offset_mean_m": decisions["offset"].mean(),
-        "following_distance_m": _quantiles(decisions["leader_distance"].drop_nulls()),
-        "rejected": {reason: int((reasons == reason).sum()) for reason in REASONS},
-        "accepted": accepted.height,
-        "two_intents": float(
-            ((accepted["longitudinal"] != 0) & (accepted["lateral"] != 0)).to_numpy().mean()
-        ),
-        "label_shares": {
-            "accepted": _shares(accepted["label"].to_numpy()),
-            "sampled": _shares(collected.samples.labels),
-        },
-        "sampled": {"training": int((~held_out).sum()), "held_out": int(held_out.sum())},
-        "fingerprint": collected.samples.fingerprint,
+        "frame_rate_hz": recording.frame_rate_hz,
+        "duration_s": float(frames.max() - frames.min() + 1) / recording.frame_rate_hz,
+        "rows": tracks.height,
+        "cars": cars.sum(),
+        "trucks": (~cars).sum(),
+        "lanes": list(recording.lanes.values()),
+        "lane_changes": recording.lane_changes.height,
+        "lane_id_disagreements": recording.lane_id_disagreements,
     }
 
 
 def _quantiles(values: pl.Series) -> dict[str, float | None]:
     return {f"{q:g}": values.quantile(q, "linear") for q in QUANTILES}
-
-
-def _shares(labels: np.ndarray[Any, Any]) -> dict[str, float]:
-    return dict(zip(ACTIONS, labels.mean(axis=0, dtype=np.float64).tolist(), strict=True))

@@ -19,12 +19,14 @@ TRAFFIC = "charms_bench.traffic"
 PIPELINES = "charms_bench.pipelines"
 EXPORTERS = "charms_bench.exporters"
 METRICS = "charms_bench.metrics"
+SAMPLERS = "charms_bench.samplers"
 _ROLES = {
     AGENTS: "agent",
     TRAFFIC: "traffic",
     PIPELINES: "pipeline",
     EXPORTERS: "exporter",
     METRICS: "metric set",
+    SAMPLERS: "sampler",
 }
 
 
@@ -34,7 +36,7 @@ class Plugin:
 
     name: str
     role: str
-    """`agent`, `traffic`, `pipeline`, `exporter` or `metric set`."""
+    """`agent`, `traffic`, `pipeline`, `exporter`, `metric set` or `sampler`."""
     distribution: str
     version: str
     entry_point: EntryPoint

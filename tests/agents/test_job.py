@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from charms_agents.training.job import Job
+from charms_agents.training.job import ReinforcementJob
 from charms_agents.training.settings import load_training
 
 from charms_bench.plugins.registry import make_agent
@@ -13,21 +13,23 @@ from charms_bench.plugins.specs import TrafficSpec
 SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
 
 
-def job_of(**shares: float) -> Job:
-    suite = load_training(SUITE)
-    stage = suite.stages["prior_level_k"].model_copy(
-        update={"traffic": TrafficSpec(mixture=shares)}
-    )
-    return Job("prior_level_k", stage, suite, {name: make_agent(name) for name in shares})
+def job_of(shares: dict[str, float], **options: float) -> ReinforcementJob:
+    """The job of `prior_level_k` in a mixture, with other options."""
+    suite, name = load_training(SUITE), "prior_level_k"
+    changes = {"traffic": TrafficSpec(mixture=shares), **options}
+    stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
+    drivers = {driver: make_agent(driver) for driver in shares}
+    return ReinforcementJob(name, suite.model_copy(update={"stages": stages}), drivers)
 
 
 def test_who_drives_the_others_decides_the_network() -> None:
+    other_weights = {"prior_level_k": make_agent("charms")}
     keys = [
-        job_of(level_0=1.0).key,
-        job_of(level_0=0.5, idm_mobil=0.5).key,
-        job_of(level_0=0.25, idm_mobil=0.75).key,
-        job_of(prior_level_k=1.0).key,
-        replace(job_of(prior_level_k=1.0), drivers={"prior_level_k": make_agent("charms")}).key,
+        job_of({"level_0": 1.0}).key,
+        job_of({"level_0": 0.5, "idm_mobil": 0.5}).key,
+        job_of({"level_0": 0.25, "idm_mobil": 0.75}).key,
+        job_of({"prior_level_k": 1.0}).key,
+        replace(job_of({"prior_level_k": 1.0}), drivers=other_weights).key,
     ]
     assert len(set(keys)) == 5
 
@@ -36,8 +38,7 @@ def test_who_drives_the_others_decides_the_network() -> None:
     "option", [{"safe_headway_m": 50.0}, {"lane_change_cost": 0.1}, {"svo_angle_rad": 1.2}]
 )
 def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, float]) -> None:
-    plain = job_of(level_0=1.0)
-    changed = replace(plain, stage=plain.stage.model_copy(update=option))
+    plain, changed = job_of({"level_0": 1.0}), job_of({"level_0": 1.0}, **option)
     (name,) = option
     assert name not in str(plain.inputs)
     assert name in str(changed.inputs)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from charms_agents.charms import STYLES
+from charms_agents.human.samples import fingerprint
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
     FIRST_TRAINING_SEED,
@@ -15,7 +16,6 @@ from charms_agents.training.settings import (
 )
 
 from charms_bench.people.highd import find_trios
-from charms_bench.people.samples import fingerprint
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 

@@ -12,18 +12,17 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
+from charms_agents.human.samples import Samples
+from charms_agents.training.curve import Epoch
 from charms_agents.training.network import layers_of, network_of, untrained
 from charms_agents.training.settings import Supervised
 from charms_agents.training.supervised import (
-    Epoch,
     Fit,
     agreement,
     divergence,
     log_likelihood,
     squared_distance,
 )
-
-from charms_bench.people.samples import Samples
 
 THIRD = math.log(3)
 """Its softmax beside four zeros is 3/7, and theirs 1/7."""
@@ -36,13 +35,12 @@ def samples(count: int = 40, held_out: int = 10) -> Samples:
     labels = np.zeros((count, 5), dtype=np.float32)
     labels[np.arange(count), np.where(observations[:, 0, 0] > 0, 3, 4)] = 1.0
     kept = np.arange(count) >= count - held_out
-    return Samples(observations, labels, kept, pl.DataFrame(), "0" * 64)
+    return Samples(observations, labels, kept, pl.DataFrame())
 
 
 def fitted(seed: int = 0, start: int = 0, data: Samples | None = None, **settings: Any) -> Fit:
     fit = Fit(untrained((8,), start), data or samples(), Supervised(**settings), seed)
-    while not fit.finished:
-        fit.step()
+    fit.learn()
     return fit
 
 
@@ -149,8 +147,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_weights() -> None:
     stored = {name: array.copy() for name, array in stopped.arrays().items()}
     resumed = Fit(untrained((8,), 0), samples(), Supervised(**settings), 0)
     resumed.load_arrays(stored)
-    while not resumed.finished:
-        resumed.step()
+    resumed.learn()
     assert resumed.curve == whole.curve
     for name, array in whole.arrays().items():
         np.testing.assert_array_equal(resumed.arrays()[name], array)

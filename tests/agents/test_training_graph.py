@@ -99,7 +99,6 @@ def test_every_stage_of_the_graph_leaves_a_network(finished: Path) -> None:
         made = manifest(finished, name)
         assert made["onnx_sha256"] == hashlib.sha256(network.read_bytes()).hexdigest()
         assert OnnxPolicy(network).decision_hz == 3.0
-        assert (network.parent / f"{name}.png").exists()
         assert list((network.parent / "tensorboard").glob("events.*"))
 
 
@@ -207,7 +206,7 @@ def test_what_goes_wrong_in_a_process_is_said_as_it_is_here(
     broken = tmp_path / only(finished, "kind-*").name / "checkpoint.npz"
     broken.parent.mkdir()
     broken.write_bytes(b"broken")
-    with pytest.raises(RunFolderError, match=r"checkpoint\.npz: is no checkpoint"):
+    with pytest.raises(RunFolderError, match=r"checkpoint\.npz: not a checkpoint"):
         pipeline.run(suite, tmp_path, workers=2)
 
 

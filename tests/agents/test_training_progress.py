@@ -3,15 +3,8 @@
 from io import StringIO
 
 import pytest
-
-pytest.importorskip("torch", reason="needs the extra 'train'")
-pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
-
-from charms_agents.training.curve import Point
+from charms_agents.training.curve import Epoch, Point
 from charms_agents.training.progress import progress
-from charms_agents.training.schedule import in_words
-from charms_agents.training.supervised import Epoch
 from rich.console import Console
 
 
@@ -47,4 +40,4 @@ def test_on_a_terminal_every_stage_has_a_bar_until_it_is_done() -> None:
     ],
 )
 def test_a_point_of_a_curve_in_words(point: Point | Epoch, words: str) -> None:
-    assert in_words(point) == words
+    assert point.in_words == words

@@ -91,14 +91,14 @@ def test_a_number_is_given_once(tmp_path: Path) -> None:
     write_trio(tmp_path, [Row()])
     for path in sorted(tmp_path.iterdir()):
         (tmp_path / path.name.replace("01_", "001_")).write_bytes(path.read_bytes())
-    with pytest.raises(DataError, match="recording 1 is here twice"):
+    with pytest.raises(DataError, match="recording 1 appears twice"):
         find_trios(tmp_path)
 
 
 # file, what stands in it, what is put there, what is said of it
 MISTAKES: list[OLD_NEW] = [
     ("tracks", "xVelocity", "vx", r"line 1: no column 'xVelocity'. Known: frame, id, "),
-    ("tracks", "yAcceleration", "x", "line 1: the column 'x' stands here twice"),
+    ("tracks", "yAcceleration", "x", "line 1: the column 'x' appears twice"),
     ("tracks", "\n2,1,", "\n=1+1,1,", r"line 3: column 'frame': expected a whole .* '=1\+1'"),
     ("tracks", "\n2,1,101.2", "\n2,1,nan", "line 3: column 'x': .* -100000 to 100000 m, found 'n"),
     ("tracks", "\n2,1,101.2", "\n2,1,inf", "line 3: column 'x': expected a number .* found 'inf'"),
@@ -106,7 +106,7 @@ MISTAKES: list[OLD_NEW] = [
     ("tracks", "\n2,1,101.2", "\n2.5,1,1", "line 3: column 'frame': .*whole.*, found '2.5'"),
     ("tracks", "\n2,1,101.2", "\n2,1,1,2", "line 3: 12 fields, but the header has 11"),
     ("tracks", "30.0,0.0,0.0,0,7\n3", "300,0,0,0,7\n3", "column 'xVelocity': .*, found '300'"),
-    ("tracks", "\n2,1,", "\n1,1,", "line 3: vehicle 1 is in this frame already"),
+    ("tracks", "\n2,1,", "\n1,1,", "line 3: vehicle 1 already has a row for this frame"),
     ("tracks", "\n2,1,", "\n2,9,", r"line 3: vehicle 9 is not in 01_tracksMeta\.csv"),
     ("tracks", ",7\n3", ",11\n3", "line 3: column 'laneId': 11 is outside .* expected 1 to 9"),
     ("tracks", "\n3,1,", "\n4,1,", "vehicle 1: last 4, but .* says finalFrame 3"),

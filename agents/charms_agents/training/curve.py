@@ -1,7 +1,8 @@
-"""The learning curve of a stage."""
+"""Learning curves: the points of both kinds of stages, and their CSV file."""
 
 import csv
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,98 +12,103 @@ from charms_bench.world.files import write_atomically
 
 @dataclass(frozen=True)
 class Point:
-    """The episodes that ended since the point before; empty where there were none."""
+    """What is known of the episodes that ended since the previous point; None without episodes."""
 
     steps: int
     """Steps so far."""
     episodes: int
     return_mean: float | None
-    """Sum of the rewards of an episode."""
+    """Mean over episodes of the sum of rewards."""
     length_mean: float | None
-    """Decisions of an episode."""
+    """Mean number of decisions of an episode."""
     crashed_share: float | None
     off_road_share: float | None
     loss: float | None
-    """Of the last gradient steps."""
+    """Mean loss of the last gradient steps."""
     exploration: float
     """Probability of a random action."""
 
+    @property
+    def in_words(self) -> str:
+        """The point for a progress bar; empty without episodes."""
+        if self.return_mean is None or self.crashed_share is None:
+            return ""
+        return f"return {self.return_mean:.1f}, {self.crashed_share:.0%} crashed"
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What is known of a network that learns from human driving, after an epoch."""
+
+    epoch: int
+    """Epochs so far; 0 is before the first."""
+    loss: float
+    """L_total, eq. 11, over all training samples."""
+    log_likelihood: float | None
+    """Mean over held-out samples of the sum of y log softmax(Q), natural logarithm; None if no
+    samples are held out."""
+    agreement: float | None
+    """Share of held-out samples in which the network's action is the label's most probable one,
+    or one of several; None if no samples are held out."""
+
+    @property
+    def in_words(self) -> str:
+        """The point for a progress bar."""
+        agrees = "" if self.agreement is None else f", agrees with {self.agreement:.1%}"
+        return f"loss {self.loss:.3f}{agrees}"
+
 
 class LearningCurve:
-    """Gathers ended episodes into a point every so many steps."""
+    """Gathers ended episodes into points."""
 
     def __init__(self) -> None:
         self.points: list[Point] = []
-        self._returns: list[float] = []
-        self._lengths: list[int] = []
-        self._endings: list[int] = []
+        self._ended: list[dict[str, Any]] = []
 
     def add(self, final_info: dict[str, Any]) -> None:
-        """Takes note of an ended episode."""
-        self._returns.append(final_info["episode_return"])
-        self._lengths.append(final_info["steps"])
-        self._endings.append(final_info["ending"])
+        """Takes an episode that ended."""
+        self._ended.append(final_info)
 
-    def close(self, steps: int, loss: float, exploration: float) -> Point:
-        """Adds the point of everything since the last one."""
-        episodes = len(self._returns)
-        off_road = self._endings.count(OFF_ROAD)
-        crashed = episodes - off_road - self._endings.count(TIME)
+    def close(self, steps: int, loss: float, exploration: float) -> None:
+        """Adds a point for the episodes since the previous one."""
+        ended, count = self._ended, len(self._ended)
+        endings = [episode["ending"] for episode in ended]
+        off_road = endings.count(OFF_ROAD)
+        crashed = count - off_road - endings.count(TIME)
+
+        def mean(total: float) -> float | None:
+            return total / count if count else None
+
         point = Point(
             steps=steps,
-            episodes=episodes,
-            return_mean=sum(self._returns) / episodes if episodes else None,
-            length_mean=sum(self._lengths) / episodes if episodes else None,
-            crashed_share=crashed / episodes if episodes else None,
-            off_road_share=off_road / episodes if episodes else None,
+            episodes=count,
+            return_mean=mean(sum(episode["episode_return"] for episode in ended)),
+            length_mean=mean(sum(episode["steps"] for episode in ended)),
+            crashed_share=mean(crashed),
+            off_road_share=mean(off_road),
             loss=loss if loss == loss else None,
             exploration=exploration,
         )
         self.points.append(point)
-        self._returns, self._lengths, self._endings = [], [], []
-        return point
+        self._ended = []
 
     def state(self) -> dict[str, Any]:
-        """Everything, for JSON."""
-        return {
-            "points": [asdict(point) for point in self.points],
-            "returns": self._returns,
-            "lengths": self._lengths,
-            "endings": self._endings,
-        }
+        """Everything, ready for JSON."""
+        return {"points": [asdict(point) for point in self.points], "ended": self._ended}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Takes over what `state` returned."""
         self.points = [Point(**point) for point in state["points"]]
-        self._returns = list(state["returns"])
-        self._lengths = list(state["lengths"])
-        self._endings = list(state["endings"])
+        self._ended = list(state["ended"])
 
-    def write_csv(self, path: Path) -> None:
-        """One row a point."""
 
-        def write(partial: Path) -> None:
-            with partial.open("w", newline="", encoding="utf-8") as file:
-                rows = csv.DictWriter(file, fieldnames=list(Point.__annotations__))
-                rows.writeheader()
-                rows.writerows(asdict(point) for point in self.points)
+def write_csv(path: Path, kind: type[Point | Epoch], curve: Sequence[Point | Epoch]) -> None:
+    """Writes one row per point, with the fields of `kind` as columns."""
 
-        write_atomically(path, write)
+    def write(partial: Path) -> None:
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            rows = csv.DictWriter(file, fieldnames=[field.name for field in fields(kind)])
+            rows.writeheader()
+            rows.writerows(asdict(point) for point in curve)
 
-    def write_png(self, path: Path, title: str) -> None:
-        """Return and failures over steps."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        points = [point for point in self.points if point.episodes]
-        steps = [point.steps for point in points]
-        figure = Figure(figsize=(6.4, 4.8), layout="constrained")
-        FigureCanvasAgg(figure)
-        above, below = figure.subplots(2, sharex=True)
-        above.plot(steps, [point.return_mean for point in points], color="C0")
-        above.set(title=title, ylabel="return")
-        below.plot(steps, [point.crashed_share for point in points], color="C3", label="crashed")
-        below.plot(steps, [point.off_road_share for point in points], color="C1", label="off road")
-        below.set(xlabel="steps", ylabel="share of episodes", ylim=(0, 1))
-        below.legend()
-        write_atomically(path, lambda partial: figure.savefig(partial, format="png", dpi=120))
+    write_atomically(path, write)

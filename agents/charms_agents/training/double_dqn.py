@@ -12,37 +12,44 @@ from torch.nn import Sequential
 from torch.nn.functional import mse_loss
 
 from charms_agents.training.job import Arrays
+from charms_agents.training.network import (
+    load_module,
+    load_optimizer,
+    module_arrays,
+    optimizer_arrays,
+)
 from charms_agents.training.standardised import folded, standardise
 
+_NETWORKS = ("q_net", "q_net_target")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
 
 
 class Returns(NamedTuple):
-    """What y_t is made of, eq. 3 of the paper, over one step or several."""
+    """The parts of y_t, eq. 3 of the paper, over one or more steps."""
 
     rewards: NDArray[np.float32]
-    """The sum of the steps' discounted rewards."""
+    """Sum of the discounted rewards of the steps."""
     discounts: NDArray[np.float32]
-    """That of the value after the last step; 0 after a failure."""
+    """Discount of the value after the last step; 0 after a failure."""
     last: NDArray[Any]
-    """The row of the last step."""
+    """Row of the last step in the replay buffer."""
 
 
 class DoubleDQN(DQN):
-    """DQN in which the online network chooses the action that the target network values.
+    """DQN in which the online network chooses the action and the target network values it.
 
-    Beside that it differs from its base in three ways. The loss is the squared error, as in the
-    paper. Every environment explores by a draw of its own, where the base lets all explore in
-    the same steps. All chance after the initial weights comes from one generator, so that
-    `arrays` and `load_arrays` can take everything along.
+    It differs from its base class in three more ways. The loss is the squared error, as in the
+    paper. Each environment decides by a draw of its own whether to explore; in the base class all
+    environments explore in the same steps. After the initial weights, all random numbers come from
+    one generator, so that `arrays` holds the complete state.
 
     Args:
-        environment: Its observations are flattened.
-        seed: Of the initial weights and of exploration and replay.
-        return_steps: Rewards that y_t adds up before it looks at a value (n-step returns).
+        environment: The environment; its observations are flattened.
+        seed: Seed of the initial weights, of exploration and of replay.
+        return_steps: Number of rewards in y_t before the value (n-step returns).
         standardised: Whether the networks take standardised observations.
-        arguments: As for `DQN`.
+        arguments: Further arguments of `DQN`.
     """
 
     def __init__(
@@ -71,12 +78,12 @@ class DoubleDQN(DQN):
         actions = torch.from_numpy(buffer.actions[rows, envs])
         rewards = torch.from_numpy(returns.rewards)
         discounts = torch.from_numpy(returns.discounts)
-        # The networks behind Stable-Baselines3's preprocessing, which only flattens.
+        # The inner networks: the outer ones only flatten observations first.
         online, target = self.q_net.q_net, self.q_net_target.q_net
         optimizer, parameters = self.policy.optimizer, list(online.parameters())
         for group in optimizer.param_groups:
             group["lr"] = self.lr_schedule(self._current_progress_remaining)
-        with torch.no_grad():  # the target network stays the same throughout
+        with torch.no_grad():  # the target network does not change in between
             next_values = target(next_observations)
         losses = torch.empty(gradient_steps)
         for k in range(gradient_steps):
@@ -95,10 +102,10 @@ class DoubleDQN(DQN):
         self.loss = float(losses.mean())
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> "Returns":
-        """What came of steps of the replay buffer, any shape.
+        """The returns from steps in the replay buffer, in arrays of any one shape.
 
-        Adds up the rewards of `return_steps` steps, or of those until the episode ends or until the
-        buffer's newest step.
+        A return adds up the rewards of `return_steps` steps, or of fewer if the episode or the
+        buffer ends before.
         """
         buffer = self.replay_buffer
         assert buffer is not None
@@ -110,7 +117,7 @@ class DoubleDQN(DQN):
             last = np.where(goes_on, (last + 1) % buffer.buffer_size, last)
             rewards += np.where(goes_on, discounts * buffer.rewards[last, envs], 0)
             discounts *= np.where(goes_on, np.float32(self.gamma), 1)
-        # An episode whose time is over would have gone on: its last observation has a value.
+        # An episode that ended by time could have continued, so its last observation has a value.
         discounts *= 1 - buffer.dones[last, envs] * (1 - buffer.timeouts[last, envs])
         return Returns(rewards, discounts, last)
 
@@ -122,17 +129,17 @@ class DoubleDQN(DQN):
 
     @property
     def network(self) -> Sequential:
-        """The online network as one that takes plain observations."""
+        """The online network, made to take plain observations."""
         network: Sequential = self.q_net.q_net
         return folded(network) if self.standardised else network
 
     def _seen(self, observations: NDArray[np.float32]) -> torch.Tensor:
-        """Observations (..., 7, 5) as the networks take them, (..., 35)."""
+        """Observations (..., 7, 5) in the form that the networks take, (..., 35)."""
         flat = torch.from_numpy(observations).flatten(-2)
         return standardise(flat) if self.standardised else flat
 
     def recorded_observations(self) -> NDArray[np.float32]:
-        """What was seen in the last steps: all that the replay buffer holds, (M, 7, 5)."""
+        """All observations in the replay buffer, (M, 7, 5)."""
         buffer = self.replay_buffer
         assert buffer is not None
         observations: NDArray[np.float32] = buffer.observations[: buffer.size()]
@@ -151,16 +158,12 @@ class DoubleDQN(DQN):
         return actions, actions
 
     def arrays(self) -> Arrays:
-        """Everything that further training depends on, but for the environment, as plain arrays."""
+        """Everything that further training depends on except the environment, as plain arrays."""
         buffer = self.replay_buffer
         assert buffer is not None
-        arrays: Arrays = {}
-        for network in ("q_net", "q_net_target"):
-            for name, tensor in getattr(self, network).state_dict().items():
-                arrays[f"{network}/{name}"] = tensor.numpy()
-        for index, moments in self.policy.optimizer.state_dict()["state"].items():
-            for name, tensor in moments.items():
-                arrays[f"optimizer/{index}/{name}"] = tensor.numpy()
+        arrays: Arrays = optimizer_arrays(self.policy.optimizer)
+        for network in _NETWORKS:
+            arrays.update(module_arrays(network, getattr(self, network)))
         for name in _REPLAYED:
             arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()]
         numbers = {
@@ -173,24 +176,13 @@ class DoubleDQN(DQN):
         return arrays
 
     def load_arrays(self, arrays: Arrays) -> None:
-        """Takes over what `arrays` of an equally configured one returned."""
-        buffer, optimizer = self.replay_buffer, self.policy.optimizer
+        """Takes over what `arrays` returned for the same configuration."""
+        buffer = self.replay_buffer
         assert buffer is not None
         numbers = json.loads(str(arrays["numbers"]))
-        for network in ("q_net", "q_net_target"):
-            module = getattr(self, network)
-            module.load_state_dict(
-                {
-                    name: torch.from_numpy(arrays[f"{network}/{name}"])
-                    for name in module.state_dict()
-                }
-            )
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for key in (key for key in arrays if key.startswith("optimizer/")):
-            _, index, name = key.split("/")
-            state.setdefault(int(index), {})[name] = torch.from_numpy(arrays[key])
-        groups = optimizer.state_dict()["param_groups"]
-        optimizer.load_state_dict({"state": state, "param_groups": groups})
+        for network in _NETWORKS:
+            load_module(network, getattr(self, network), arrays)
+        load_optimizer(self.policy.optimizer, arrays)
         for name in _REPLAYED:
             stored = arrays[f"replay/{name}"]
             getattr(buffer, name)[: len(stored)] = stored

@@ -1,4 +1,4 @@
-"""The pipeline `charms`: a training suite -> networks, stage by stage."""
+"""The pipeline `charms`: trains the networks of a training suite, stage by stage."""
 
 import hashlib
 import os
@@ -7,24 +7,20 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 
+from charms_agents.human.samples import SampleStore
 from charms_agents.training.curves import write_curves
-from charms_agents.training.human_stage import HumanData, HumanJob
-from charms_agents.training.job import Job, StageFolder
+from charms_agents.training.job import HumanJob, Job, ReinforcementJob, StageFolder
 from charms_agents.training.progress import progress
-from charms_agents.training.schedule import AnyJob, run_stages
+from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import write_summary
 from charms_bench.errors import InputError
-from charms_bench.people.highd import find_trios
-from charms_bench.people.samples import fingerprint
-from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.report.training import render_stages
@@ -39,18 +35,18 @@ def run(
     only: str | None = None,
     recordings: Path | None = None,
 ) -> None:
-    """Trains the stages of a suite, or goes on with them; a finished one is never trained again.
+    """Trains the stages of a suite that are not finished, each from its last checkpoint.
 
     Args:
         suite_file: The training suite.
-        output: The run folder; every stage has its own in it, named after its inputs, and
-            `curves.csv`, `curves.png` and `stages.csv` are of all of them.
-        workers: Most stages at a time; by default one a core.
-        only: The stage to train, with what it needs; by default all.
-        recordings: The folder of human driving, instead of the suite's.
+        output: The run folder. Each stage has a folder in it, whose name contains a hash of the
+            stage's inputs; `curves.csv`, `curves.png` and `stages.csv` cover all stages.
+        workers: Most stages to train at a time; by default, the number of cores.
+        only: The stage to train, with the stages that it needs; by default, all stages.
+        recordings: Folder of human driving; by default, the folder that the suite names.
 
     Raises:
-        KeyboardInterrupt: The training was interrupted; `output` holds a checkpoint.
+        KeyboardInterrupt: The training was interrupted; `output` holds checkpoints.
         InputError: The suite, the recordings or the run folder cannot be used.
     """
     suite = load_training(suite_file)
@@ -63,20 +59,17 @@ def run(
     def say(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    data = None
+    samples = None
     if suite.human is not None and set(names) & set(suite.human.stages):
-        data = _human_data(suite_file, suite.human, output, recordings)
+        samples = _sample_store(suite_file, suite.human, output, recordings)
 
-    def make_job(name: str, finished: Mapping[str, StageFolder]) -> AnyJob:
-        if name in suite.human_stages:
-            assert data is not None
-            return _human_job(name, suite, data, finished)
-        return _job(name, suite, finished)
+    def make_job(name: str, finished: Mapping[str, StageFolder]) -> Job:
+        return _make_job(name, suite, samples, finished)
 
     needs = {name: suite.needs[name] for name in names}
     with locked(output):
-        if data is not None:
-            data.load()
+        if samples is not None:
+            samples.load()
         with _stop_on_signals() as stop, progress(console) as tell:
             folders = run_stages(
                 needs, make_job, output, suite_sha256, workers or os.cpu_count() or 1,
@@ -88,69 +81,64 @@ def run(
     Console().print(render_stages(summary))
 
 
-def _human_data(suite_file: Path, human: Human, output: Path, recordings: Path | None) -> HumanData:
-    """Where the samples are from."""
+def _sample_store(
+    suite_file: Path, human: Human, output: Path, recordings: Path | None
+) -> SampleStore:
+    """The samples of the recordings, which are kept in the run folder."""
     folder = recordings or suite_file.parent / human.recordings
     if not folder.is_dir():
-        what = f"no folder '{folder}'; put recordings in highD's format there, or name theirs"
+        what = f"no folder '{folder}'; put recordings in highD's format there, or name their folder"
         if recordings is not None:
             raise InputError(f"--recordings: {what}")
         raise Document(suite_file).error(("human", "recordings"), f"{what} with --recordings")
-    key = fingerprint(find_trios(folder), human.samples)
-    return HumanData(folder, output / "samples", human.samples, key)
+    store = SampleStore(folder, output / "samples", human.samples)
+    store.fingerprint  # noqa: B018  # names unusable recordings before the run folder is made
+    return store
 
 
-def _human_job(
-    name: str, suite: TrainingSuite, data: HumanData, finished: Mapping[str, StageFolder]
-) -> HumanJob:
-    """A stage that learns from human driving, once the one it starts from is finished."""
-    assert suite.human is not None
-    stage = suite.human.stages[name]
-    job = HumanJob(name, suite.human.settings_of(stage), suite, data)
-    if stage.fine_tunes is None:
-        return job
-    network = finished[stage.fine_tunes].network
-    sha256 = hashlib.sha256(network.read_bytes()).hexdigest()
-    style = suite.stages[stage.fine_tunes]
-    words = f"{style.weights}, {style.svo}, fine-tuned on human driving"
-    return replace(job, before=stage.fine_tunes, network=network, sha256=sha256, style=words)
-
-
-def _job(name: str, suite: TrainingSuite, finished: Mapping[str, StageFolder]) -> Job:
-    """A stage, once those it needs are finished."""
-    stage = suite.stages[name]
-    drivers: dict[str, Agent] = {
+def _make_job(
+    name: str,
+    suite: TrainingSuite,
+    samples: SampleStore | None,
+    finished: Mapping[str, StageFolder],
+) -> Job:
+    """The job of a stage whose needs are finished."""
+    if name in suite.human_stages:
+        assert samples is not None
+        start = suite.human_stages[name].fine_tunes
+        return HumanJob(name, suite, samples, finished[start].network if start else None)
+    drivers = {
         driver: OnnxPolicy(finished[driver].network)
         if driver in suite.stages
         else make_agent(driver)
-        for driver in suite.traffic_of(stage).agents
+        for driver in suite.traffic_of(suite.stages[name]).agents
     }
-    return Job(name, stage, suite, drivers)
+    return ReinforcementJob(name, suite, drivers)
 
 
 @contextmanager
 def _stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """Turns the first Ctrl-C or SIGTERM into a wish that the training grants.
+    """Turns the first Ctrl-C or SIGTERM into a request to stop, which the result returns.
 
-    Once it has, the signal does what it would have done; a second one does at once.
+    When the training has stopped, the signal has its usual effect. A second signal has it at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    wished: list[int] = []
+    requests: list[int] = []
 
-    def wish(number: int, frame: FrameType | None) -> None:
-        wished.append(number)
+    def request(number: int, frame: FrameType | None) -> None:
+        requests.append(number)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, before[signal.SIGTERM])
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     for number in before:
-        signal.signal(number, wish)
+        signal.signal(number, request)
     try:
-        yield lambda: bool(wished)
+        yield lambda: bool(requests)
     except Interrupted:
-        signal.raise_signal(wished[0])
+        signal.raise_signal(requests[0])
         raise KeyboardInterrupt from None
     finally:
         for number, handler in before.items():

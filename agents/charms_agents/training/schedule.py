@@ -1,4 +1,4 @@
-"""Runs stages in the order of what they need, side by side where there are workers for it."""
+"""Trains the stages of a suite in the order of their needs, side by side where possible."""
 
 import multiprocessing
 import time
@@ -10,20 +10,16 @@ from pathlib import Path
 from queue import Empty
 from typing import Any
 
-from charms_agents.training.curve import Point
-from charms_agents.training.human_stage import HumanJob, fit_stage
 from charms_agents.training.job import Job, StageFolder
 from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
-from charms_agents.training.supervised import Epoch
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.workers import start_worker
 
-AnyJob = Job | HumanJob
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""
-MakeJob = Callable[[str, Mapping[str, StageFolder]], AnyJob]
-"""The job of a stage, from the folders of those that are finished."""
+MakeJob = Callable[[str, Mapping[str, StageFolder]], Job]
+"""Makes the job of a stage, from the folders of the stages that are finished."""
 
 POLL_S = 0.2
 _told: Any = None
@@ -37,56 +33,57 @@ def run_stages(
     suite_sha256: str,
     workers: int,
     tell: Tell,
-    said: Callable[[str], None],
+    say: Callable[[str], None],
     stop: Callable[[], bool],
 ) -> dict[str, StageFolder]:
-    """Trains stages that are not finished, in processes unless only one can run at a time.
+    """Trains the stages that are not finished.
+
+    Stages are trained in worker processes, or in this process if only one can be trained at a
+    time.
 
     Args:
-        needs: All stages, and what each of them needs.
-        make_job: Called once what a stage needs is finished.
-        output: Where their folders are.
-        suite_sha256: For their manifests.
-        workers: Most stages at a time.
-        tell: Told how they go.
-        said: Told when one is finished.
+        needs: All stages, and the stages that each of them needs.
+        make_job: Called for a stage when the stages that it needs are finished.
+        output: The run folder.
+        suite_sha256: For the manifests.
+        workers: Most stages to train at a time.
+        tell: Told of the progress of each stage.
+        say: Told when a stage is finished.
         stop: Whether to write checkpoints and stop.
 
     Returns:
         All folders, by stage.
 
     Raises:
-        Interrupted: `stop` said so.
-        CharmsBenchError: The first that a stage raised, after the others have written checkpoints.
+        Interrupted: `stop` returned True.
+        CharmsBenchError: The first error of a stage; the other stages have written checkpoints.
     """
     workers = min(workers, _width(needs))
     finished: dict[str, StageFolder] = {}
     sorter = TopologicalSorter(needs)
     sorter.prepare()
 
-    def begin(name: str) -> AnyJob | None:
-        """A stage's job; none where it was finished before."""
-        job = make_job(name, finished)
-        folder = StageFolder(output, job)
-        if not folder.finished:
-            return job
-        said(f"{name}: finished before, in {folder.path}")
-        end(name, folder)
-        return None
+    def ready() -> list[Job]:
+        """The jobs that can start now."""
+        jobs = []
+        for name in sorter.get_ready():
+            job = make_job(name, finished)
+            folder = StageFolder(output, job)
+            if folder.finished:
+                end(name, folder, "was finished before")
+            else:
+                jobs.append(job)
+        return jobs
 
-    def end(name: str, folder: StageFolder) -> None:
+    def end(name: str, folder: StageFolder, how: str = "finished") -> None:
+        say(f"{name}: {how}, in {folder.path}")
         finished[name] = folder
         sorter.done(name)
 
-    def ended(name: str, folder: StageFolder) -> None:
-        said(f"{name}: finished, in {folder.path}")
-        end(name, folder)
-
     if workers == 1:
         while sorter.is_active():
-            for name in sorter.get_ready():
-                if job := begin(name):
-                    ended(name, train(job, output, suite_sha256, tell, stop))
+            for job in ready():
+                end(job.name, train_stage(job, output, suite_sha256, tell, stop))
         return finished
 
     context = multiprocessing.get_context("spawn")
@@ -95,34 +92,33 @@ def run_stages(
     running: dict[Future[StageFolder], str] = {}
     try:
         while sorter.is_active():
-            for name in sorter.get_ready():
-                if job := begin(name):
-                    running[executor.submit(_train_in_worker, job, output, suite_sha256)] = name
+            for job in ready():
+                running[executor.submit(_train_in_worker, job, output, suite_sha256)] = job.name
             done, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
             _pass_on(told, tell)
             if stop():
                 raise Interrupted
             for future in done:
-                ended(running.pop(future), future.result())
+                end(running.pop(future), future.result())
     except BrokenProcessPool as error:
-        if stop():  # a signal to all processes alike
+        if stop():  # a signal that reached all processes
             raise Interrupted from error
         raise RunFolderError(
             f"a stage's process died; checkpoints are in {output}, "
-            "and the same command goes on from there"
+            "and the same command continues from there"
         ) from error
     finally:
         stopping.set()
         for future in running:
             future.cancel()
         while wait(running, timeout=POLL_S).not_done:
-            _pass_on(told, tell)  # a process ends only once its queue is read
+            _pass_on(told, tell)  # a process ends only when its queue has been read
         executor.shutdown()
     return finished
 
 
 def _width(needs: Needs) -> int:
-    """The most stages that could ever run side by side."""
+    """The largest number of stages that can be trained at the same time."""
     sorter = TopologicalSorter(needs)
     sorter.prepare()
     width = 1
@@ -133,35 +129,8 @@ def _width(needs: Needs) -> int:
     return width
 
 
-def train(
-    job: AnyJob, output: Path, suite_sha256: str, tell: Tell, stop: Callable[[], bool]
-) -> StageFolder:
-    """Trains a stage in this process; see `train_stage` and `fit_stage`."""
-    if isinstance(job, HumanJob):
-
-        def report_epoch(point: Epoch) -> None:
-            tell(job.name, point.epoch, job.steps, in_words(point))
-
-        return fit_stage(job, output, suite_sha256, report_epoch, stop)
-
-    def report(steps: int, point: Point | None) -> None:
-        tell(job.name, steps, job.stage.steps, in_words(point) if point else "")
-
-    return train_stage(job, output, suite_sha256, report, stop)
-
-
-def in_words(point: Point | Epoch) -> str:
-    """How a stage goes."""
-    if isinstance(point, Epoch):
-        agrees = "" if point.agreement is None else f", agrees with {point.agreement:.1%}"
-        return f"loss {point.loss:.3f}{agrees}"
-    if point.return_mean is None or point.crashed_share is None:
-        return ""
-    return f"return {point.return_mean:.1f}, {point.crashed_share:.0%} crashed"
-
-
 def _pass_on(told: Any, tell: Tell) -> None:
-    """Tells what workers told."""
+    """Tells everything that workers have told so far."""
     while True:
         try:
             tell(*told.get_nowait())
@@ -170,13 +139,13 @@ def _pass_on(told: Any, tell: Tell) -> None:
 
 
 def _start_worker(told: Any, stopping: Any) -> None:
-    """Gives the worker its ways to talk to the parent."""
+    """Keeps the worker's connections to its parent."""
     global _told, _stopping
     _told, _stopping = told, stopping
     start_worker()
 
 
-def _train_in_worker(job: AnyJob, output: Path, suite_sha256: str) -> StageFolder:
+def _train_in_worker(job: Job, output: Path, suite_sha256: str) -> StageFolder:
     last = 0.0
 
     def tell(stage: str, done: int, total: int, words: str) -> None:
@@ -185,4 +154,4 @@ def _train_in_worker(job: AnyJob, output: Path, suite_sha256: str) -> StageFolde
             last = time.monotonic()
             _told.put((stage, done, total, words))
 
-    return train(job, output, suite_sha256, tell, _stopping.is_set)
+    return train_stage(job, output, suite_sha256, tell, _stopping.is_set)

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from charms_agents.human.samples import SampleSettings
 from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
 from charms_bench.errors import InputError, RegistryError
-from charms_bench.people.samples import SampleSettings
 from charms_bench.plugins.registry import AGENTS, find
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic

@@ -1,235 +1,213 @@
-"""Training one network: from settings to a finished folder, through checkpoints."""
+"""The life of a stage: from a job to a finished folder, with checkpoints on the way."""
 
+import hashlib
 import json
+import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
+from torch.nn import Sequential
 
-from charms_agents.training.curve import LearningCurve, Point
-from charms_agents.training.double_dqn import DoubleDQN
+from charms_agents.training.curve import Epoch, Point, write_csv
 from charms_agents.training.export import export
-from charms_agents.training.job import Arrays, Job, StageFolder
-from charms_agents.training.manifest import write_manifest
-from charms_agents.training.rewards import StyleReward
-from charms_agents.training.vec_env import EpisodesVecEnv
-from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
+from charms_agents.training.job import Arrays, HumanJob, Job, ReinforcementJob, StageFolder
+from charms_agents.training.network import read_network, untrained
+from charms_agents.training.progress import Tell
+from charms_agents.training.reinforcement import Reinforcement
+from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
-from charms_bench.plugins.agent import Policy
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Observations
+
+_VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
 
 
 class Interrupted(Exception):
-    """The training was asked to stop, and has written a checkpoint."""
+    """The training was asked to stop and has written a checkpoint."""
 
 
-class Training(BaseCallback):
-    """What surrounds the learning of a stage: curve, logs and checkpoints.
+class Learner(Protocol):
+    """A network while it learns."""
 
-    Between two rollouts nothing is under way, so that is when checkpoints are written. When they
-    are written changes nothing about what is learnt.
+    @property
+    def point(self) -> type[Point | Epoch]:
+        """The kind of points in the learning curve."""
+
+    @property
+    def curve(self) -> Sequence[Point | Epoch]:
+        """The points so far."""
+
+    @property
+    def done(self) -> int:
+        """Steps or epochs so far."""
+
+    @property
+    def network(self) -> Sequential:
+        """The network so far."""
+
+    @property
+    def observations(self) -> Observations:
+        """(M, 7, 5) observations on which the exported network is compared with this one."""
+
+    def learn(self, pause: Callable[[], None]) -> None:
+        """Learns to the end; calls `pause` wherever `arrays` can be called."""
+
+    def arrays(self) -> Arrays:
+        """Everything that further learning depends on, as plain arrays."""
+
+    def load_arrays(self, arrays: Arrays) -> None:
+        """Takes over what `arrays` returned for the same job."""
+
+    def results(self) -> dict[str, Any]:
+        """What the manifest says of the learning."""
+
+
+def make_learner(job: Job) -> Learner:
+    """The learner of a job, before it has learnt anything.
+
+    Raises:
+        CharmsBenchError: The samples or the network to start from cannot be used.
+    """
+    if isinstance(job, HumanJob):
+        layers, seed = job.suite.hyperparameters.hidden_layers, job.suite.seed
+        start = read_network(job.start) if job.start else untrained(layers, seed)
+        return Fit(start, job.samples.load(), job.settings, seed)
+    assert isinstance(job, ReinforcementJob)
+    return Reinforcement(job)
+
+
+def train_stage(
+    job: Job, output: Path, suite_sha256: str, tell: Tell, stop: Callable[[], bool]
+) -> StageFolder:
+    """Trains a stage from its last checkpoint, and writes its network, curve and manifest.
+
+    A finished stage is left as it is.
 
     Args:
         job: The stage.
-        folder: Where it is kept.
-        report: Called with the steps so far and, at every point of the curve, that point.
+        output: The run folder.
+        suite_sha256: For the manifest.
+        tell: Told of the progress.
         stop: Whether to write a checkpoint and stop.
+
+    Raises:
+        Interrupted: `stop` returned True; the folder holds a checkpoint.
+        RunFolderError: The folder cannot be read or written, or its checkpoint does not fit.
+        CharmsBenchError: The samples or the network to start from cannot be used.
+    """
+    folder = StageFolder(output, job)
+    if folder.finished:
+        return folder
+    for partial in folder.path.glob(".*.partial"):
+        partial.unlink(missing_ok=True)  # from a training that was killed while it wrote
+    torch.set_num_threads(1)
+    learner = make_learner(job)
+    wall_s = _Life(job, folder, learner, tell, stop).run()
+    facts = {"stage": job.name, "style": job.style, "decision_hz": job.decision_hz}
+    checked = export(learner.network, folder.network, facts, learner.observations)
+    manifest = {
+        **job.inputs,
+        "key": job.key,
+        "suite_sha256": suite_sha256,
+        "onnx_sha256": hashlib.sha256(folder.network.read_bytes()).hexdigest(),
+        "export_check": checked,
+        **learner.results(),
+        "wall_s": round(wall_s, 1),
+        "steps_per_s": round(job.total / wall_s, 1),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in _VERSIONS},
+        },
+        "machine": {"system": platform.system(), "processor": platform.machine()},
+    }
+    text = json.dumps(manifest, indent=2) + "\n"
+    # Written last: from now on, the stage is finished.
+    write_atomically(folder.manifest, lambda path: path.write_text(text, encoding="utf-8"))
+    return folder
+
+
+class _Life:
+    """Restores a learner, and reports and saves it while it learns.
+
+    The times at which checkpoints are written do not change what is learnt.
     """
 
     def __init__(
         self,
         job: Job,
         folder: StageFolder,
-        report: Callable[[int, Point | None], None],
+        learner: Learner,
+        tell: Tell,
         stop: Callable[[], bool],
     ) -> None:
-        super().__init__()
-        self.curve = LearningCurve()
-        self.wall_s = 0.0
-        self._job, self._folder, self._report, self._stop = job, folder, report, stop
-        self._tick = self._last_checkpoint = time.monotonic()
-        self._agent = make_model(job)
-        stored = folder.read_checkpoint()
-        if stored is not None:
-            self._restore(stored)
-        self._agent.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
+        self._job, self._folder, self._learner = job, folder, learner
+        self._tell, self._stop = tell, stop
+        self._wall_s = 0.0
+        self._reported = 0
+        self._restore()
+        self._logger = configure(str(folder.tensorboard), ["tensorboard"])
+        self._saved_at = time.monotonic()
 
-    def train(self) -> DoubleDQN:
-        """Goes on to the stage's last step.
+    def run(self) -> float:
+        """Learns to the end; returns the seconds that the stage took, over all its runs."""
+        try:
+            self._learner.learn(self._pause)
+            self._report()
+            self._save()
+        finally:
+            self._logger.close()
+        return self._wall_s
 
-        Raises:
-            Interrupted: `stop` said so.
-        """
-        self._tick = self._last_checkpoint = time.monotonic()
-        agent, steps = self._agent, self._job.stage.steps
-        if agent.num_timesteps < steps:
-            agent.learn(
-                steps - agent.num_timesteps,
-                callback=self,
-                log_interval=None,  # type: ignore[arg-type]  # which it allows
-                reset_num_timesteps=False,
-            )
-            self._close_point_when_due()
-            self._write_checkpoint()
-        agent.logger.close()
-        return agent
-
-    def _on_rollout_start(self) -> None:
-        self._close_point_when_due()
+    def _pause(self) -> None:
+        self._report()
         if self._stop():
-            self._write_checkpoint()
-            self._agent.logger.close()
+            self._save()
             raise Interrupted
-        if time.monotonic() - self._last_checkpoint >= self._job.suite.checkpoint_s:
-            self._write_checkpoint()
+        if time.monotonic() - self._saved_at >= self._job.suite.checkpoint_s:
+            self._save()
 
-    def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if info:
-                self.curve.add(info["final_info"])
-        return True
+    def _report(self) -> None:
+        """Tells how far the learner is, and logs the points that were not logged before."""
+        points, words = self._learner.curve[self._reported :], ""
+        for point in points:
+            (_, at), *values = asdict(point).items()
+            for name, value in values:
+                if value is not None:
+                    self._logger.record(f"charms/{name}", value)
+            self._logger.dump(at)
+            words = point.in_words
+        self._reported += len(points)
+        self._tell(self._job.name, self._learner.done, self._job.total, words)
 
-    def _close_point_when_due(self) -> None:
-        agent, last = self._agent, self.curve.points[-1].steps if self.curve.points else 0
-        if agent.num_timesteps - last < self._job.suite.curve_steps:
-            self._report(agent.num_timesteps, None)
-            return
-        point = self.curve.close(agent.num_timesteps, agent.loss, agent.exploration_rate)
-        for name, value in asdict(point).items():
-            if name != "steps" and value is not None:
-                agent.logger.record(f"charms/{name}", value)
-        agent.logger.dump(agent.num_timesteps)
-        self._report(agent.num_timesteps, point)
-
-    def _write_checkpoint(self) -> None:
+    def _save(self) -> None:
         now = time.monotonic()
-        self.wall_s += now - self._tick
-        self._tick = self._last_checkpoint = now
-        arrays = self._agent.arrays()
-        episodes = _episodes(self._agent).state()
-        for name, value in episodes._asdict().items():
-            arrays[f"episodes/{name}"] = np.asarray(value)
-        progress = {"key": self._job.key, "wall_s": self.wall_s, "curve": self.curve.state()}
-        arrays["progress"] = np.array(json.dumps(progress))
+        self._wall_s += now - self._saved_at
+        self._saved_at = now
+        progress = {"key": self._job.key, "wall_s": self._wall_s}
+        arrays = {**self._learner.arrays(), "progress": np.array(json.dumps(progress))}
         self._folder.write_checkpoint(arrays)
-        self.curve.write_csv(self._folder.curve_csv)
+        write_csv(self._folder.curve_csv, self._learner.point, self._learner.curve)
 
-    def _restore(self, arrays: Arrays) -> None:
+    def _restore(self) -> None:
+        arrays = self._folder.read_checkpoint()
+        if arrays is None:
+            return
         try:
             progress = json.loads(str(arrays["progress"]))
             if progress["key"] != self._job.key:
-                raise ValueError("it is that of other settings")
-            self.wall_s = progress["wall_s"]
-            self.curve.restore(progress["curve"])
-            self._agent.load_arrays(arrays)
-            fields = {name: arrays[f"episodes/{name}"] for name in EpisodesState._fields}
-            next_seed = int(fields.pop("next_seed"))
-            state = EpisodesState(next_seed=next_seed, **fields)
-            self._agent._last_obs = _episodes(self._agent).restore(state)
+                raise ValueError("it was written with other settings")
+            self._wall_s = float(progress["wall_s"])
+            self._learner.load_arrays(arrays)
+            self._reported = len(self._learner.curve)
         except (KeyError, ValueError, TypeError, RuntimeError) as error:
             raise RunFolderError(
                 f"{self._folder.checkpoint}: cannot be continued: {error}; "
-                "delete it to begin this stage anew"
+                "delete it to start this stage from the beginning"
             ) from error
-        scenes = self._job.hyperparameters.scenes
-        self._agent._last_episode_starts = np.zeros(scenes, dtype=np.bool_)
-
-
-def make_model(job: Job) -> DoubleDQN:
-    """The untrained network of a stage, in its environment."""
-    h, suite, stage = job.hyperparameters, job.suite, job.stage
-    episodes = HighwayVectorEnv(
-        stage.scene,
-        h.scenes,
-        suite.traffic_of(stage),
-        job.drivers,
-        StyleReward(
-            suite.weights[stage.weights],
-            stage.angle_rad,
-            stage.safety_horizon_s,
-            stage.safe_headway_m,
-            stage.lane_change_cost,
-        ),
-        job.first_episode_seed,
-    )
-    return DoubleDQN(
-        EpisodesVecEnv(episodes),
-        suite.seed,
-        h.return_steps,
-        h.standardised,
-        learning_rate=h.learning_rate_at,
-        buffer_size=h.replay_buffer,
-        learning_starts=h.learning_starts,
-        batch_size=h.batch_size,
-        gamma=h.discount,
-        train_freq=(1, "step"),  # of all scenes together: `scenes` steps
-        gradient_steps=h.scenes // h.steps_per_gradient_step,
-        target_update_interval=h.target_update_steps,
-        tau=h.target_update_rate,
-        exploration_initial_eps=h.exploration_initial,
-        exploration_final_eps=h.exploration_final,
-        exploration_fraction=h.exploration_share,
-        max_grad_norm=h.max_gradient_norm,
-        policy_kwargs={
-            "net_arch": list(h.hidden_layers),
-            "optimizer_class": torch.optim.Adam,
-            "optimizer_kwargs": {"fused": True},
-        },
-        device="cpu",
-    )
-
-
-def _episodes(agent: DoubleDQN) -> HighwayVectorEnv[Any]:
-    environment = agent.get_env()
-    assert isinstance(environment, EpisodesVecEnv)
-    return environment.episodes
-
-
-def train_stage(
-    job: Job,
-    output: Path,
-    suite_sha256: str,
-    report: Callable[[int, Point | None], None],
-    stop: Callable[[], bool],
-) -> StageFolder:
-    """Trains a stage, or goes on with it, and writes its network; a finished one is left alone.
-
-    Raises:
-        Interrupted: `stop` said so; the folder holds a checkpoint.
-        RunFolderError: The folder cannot be read, written or continued.
-    """
-    folder = StageFolder(output, job)
-    if folder.finished:
-        return folder
-    for partial in folder.path.glob(".*.partial"):
-        partial.unlink(missing_ok=True)  # of a training that was killed while it wrote
-    torch.set_num_threads(1)
-    training = Training(job, folder, report, stop)
-    agent = training.train()
-    facts = {"stage": job.name, "style": job.style, "decision_hz": f"{Policy.decision_hz:g}"}
-    checked = export(agent.network, folder.network, facts, agent.recorded_observations())
-    training.curve.write_csv(folder.curve_csv)
-    training.curve.write_png(folder.curve_png, f"{job.name} ({job.style})")
-    results = {
-        "export_check": checked,
-        "gradient_steps": agent._n_updates,
-        "curve": _summary(training.curve),
-        "wall_s": round(training.wall_s, 1),
-        "steps_per_s": round(job.stage.steps / training.wall_s, 1),
-    }
-    write_manifest(folder, job, suite_sha256, results)
-    return folder
-
-
-def _summary(curve: LearningCurve) -> dict[str, Any]:
-    """First, best and last point with episodes."""
-    points = [point for point in curve.points if point.return_mean is not None]
-    if not points:
-        return {}
-    best = max(points, key=lambda point: point.return_mean or 0.0)
-    return {"first": asdict(points[0]), "best": asdict(best), "last": asdict(points[-1])}

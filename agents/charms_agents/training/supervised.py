@@ -1,13 +1,12 @@
-"""Learning from human driving: fine-tuning, eq. 11 of the paper, and imitation.
+"""Learning from human driving as a learner of a stage: eq. 11 of the paper.
 
-Imitation is fine-tuning that starts from an untrained network and is pulled nowhere.
+Fine-tuning starts from a trained network. Imitation starts from an untrained one, with no pull.
 """
 
-import csv
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,45 +14,36 @@ from torch import Tensor
 from torch.nn import Sequential
 from torch.nn.functional import log_softmax
 
+from charms_agents.human.samples import Samples
+from charms_agents.training.curve import Epoch
 from charms_agents.training.job import Arrays
-from charms_agents.training.network import OBSERVED
+from charms_agents.training.network import (
+    OBSERVED,
+    load_module,
+    load_optimizer,
+    module_arrays,
+    optimizer_arrays,
+)
 from charms_agents.training.settings import Supervised
-from charms_bench.people.samples import Samples
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.files import write_atomically
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """The network after so many epochs; 0 is before the first.
-
-    What it says of held-out samples is empty where none are held out.
-    """
-
-    epoch: int
-    loss: float
-    """L_total, eq. 11, over all training samples."""
-    log_likelihood: float | None
-    """Of the labels of held-out samples, mean: sum of y log softmax(Q), natural."""
-    agreement: float | None
-    """Share of held-out samples in which the action of the highest value is the label's most
-    probable one, or one of them where several are."""
 
 
 class Fit:
     """A network while it learns from samples; the same seed and samples give the same network.
 
     Args:
-        network: Where it starts, and where `Supervised.pull` pulls it. It is trained in place.
-        samples: What it learns from; those held out are only measured.
-        settings: How it learns.
-        seed: Of the order of samples.
+        network: The network to train in place; `Supervised.pull` pulls it back to this start.
+        samples: The samples; held-out ones are only measured.
+        settings: How the network learns.
+        seed: Decides the order of the samples.
     """
+
+    point = Epoch
 
     def __init__(
         self, network: Sequential, samples: Samples, settings: Supervised, seed: int
     ) -> None:
-        self.network = network
+        self.network, self.observations = network, samples.observations
         self._settings, self._seed = settings, seed
         self._parameters = list(network.parameters())
         self._pretrained = [parameter.detach().clone() for parameter in self._parameters]
@@ -65,14 +55,20 @@ class Fit:
         self.curve = [self._measured(0)]
 
     @property
-    def finished(self) -> bool:
-        """Whether all epochs are over."""
-        return self.curve[-1].epoch >= self._settings.epochs
+    def done(self) -> int:
+        """Epochs so far."""
+        return self.curve[-1].epoch
 
-    def step(self) -> Epoch:
+    def learn(self, pause: Callable[[], None] = lambda: None) -> None:
+        """Learns until the last epoch; calls `pause` before each epoch."""
+        while self.done < self._settings.epochs:
+            pause()
+            self.step()
+
+    def step(self) -> None:
         """Learns from every training sample once."""
         observations, labels = self._training
-        epoch = self.curve[-1].epoch + 1
+        epoch = self.done + 1
         order = np.random.default_rng([self._seed, epoch]).permutation(len(labels))
         for rows in torch.split(torch.from_numpy(order), self._settings.batch_size):
             loss = self._loss(observations[rows], labels[rows])
@@ -80,7 +76,6 @@ class Fit:
             loss.backward()  # type: ignore[no-untyped-call]  # of torch
             self._optimizer.step()
         self.curve.append(self._measured(epoch))
-        return self.curve[-1]
 
     def _loss(self, observations: Tensor, labels: Tensor) -> Tensor:
         """L_total, eq. 11."""
@@ -99,36 +94,31 @@ class Fit:
             return Epoch(epoch, loss, log_likelihood(logits, labels), agreement(logits, labels))
 
     def arrays(self) -> Arrays:
-        """Everything that further training depends on, as plain arrays."""
-        arrays: Arrays = {}
-        for name, tensor in self.network.state_dict().items():
-            arrays[f"network/{name}"] = tensor.numpy()
-        for index, moments in self._optimizer.state_dict()["state"].items():
-            for name, tensor in moments.items():
-                arrays[f"optimizer/{index}/{name}"] = tensor.numpy()
-        arrays["curve"] = np.array(json.dumps([asdict(point) for point in self.curve]))
-        return arrays
+        """Everything that further learning depends on, as plain arrays."""
+        curve = np.array(json.dumps([asdict(point) for point in self.curve]))
+        return {
+            **module_arrays("network", self.network),
+            **optimizer_arrays(self._optimizer),
+            "curve": curve,
+        }
 
     def load_arrays(self, arrays: Arrays) -> None:
-        """Takes over what `arrays` of an equally made one returned."""
-        names = self.network.state_dict()
-        self.network.load_state_dict(
-            {name: torch.from_numpy(arrays[f"network/{name}"]) for name in names}
-        )
-        state: dict[int, dict[str, Tensor]] = {}
-        for key in (key for key in arrays if key.startswith("optimizer/")):
-            _, index, name = key.split("/")
-            state.setdefault(int(index), {})[name] = torch.from_numpy(arrays[key])
-        groups = self._optimizer.state_dict()["param_groups"]
-        self._optimizer.load_state_dict({"state": state, "param_groups": groups})
+        """Takes over what `arrays` returned for the same job."""
+        load_module("network", self.network, arrays)
+        load_optimizer(self._optimizer, arrays)
         self.curve = [Epoch(**point) for point in json.loads(str(arrays["curve"]))]
+
+    def results(self) -> dict[str, Any]:
+        """What the manifest says of the learning: samples, and the first and last point."""
+        used = {"training": len(self._training[1]), "held_out": len(self._held_out[1])}
+        return {"used": used, "before": asdict(self.curve[0]), "after": asdict(self.curve[-1])}
 
 
 def divergence(logits: Tensor, labels: Tensor, floor: float) -> Tensor:
     """KL(softmax(logits) || y), the first term of eq. 11, mean over rows.
 
-    It is infinite where a label is 0, so every label is mixed with the uniform distribution until
-    none of its probabilities is below `floor`: y (1 - 5 floor) + floor.
+    The divergence is infinite where a label is 0. So every label is mixed with the uniform
+    distribution until no probability is below `floor`: y (1 - 5 floor) + floor.
     """
     log_p = log_softmax(logits, dim=1)
     floored = labels * (1 - len(ACTIONS) * floor) + floor
@@ -146,43 +136,14 @@ def squared_distance(parameters: Sequence[Tensor], pretrained: Sequence[Tensor])
 
 
 def log_likelihood(logits: Tensor, labels: Tensor) -> float:
-    """Mean of sum y log softmax: of the drivers' actions, where a label is what was done."""
+    """Mean over rows of the sum of y log softmax(logits)."""
     return float((labels * log_softmax(logits, dim=1)).sum(dim=1).mean())
 
 
 def agreement(values: Tensor, labels: Tensor) -> float:
-    """Share of rows in which the network takes an action that is most probable by the label.
+    """Share of rows in which the network's action is a most probable action of the label.
 
-    The network takes the first action of the highest value, as `OnnxPolicy` does.
+    The network takes the first action with the highest value, like `OnnxPolicy`.
     """
     taken = torch.from_numpy(values.numpy().argmax(axis=1))[:, None]
     return float((labels.gather(1, taken)[:, 0] == labels.amax(dim=1)).double().mean())
-
-
-def write_csv(path: Path, curve: list[Epoch]) -> None:
-    """One row an epoch."""
-
-    def write(partial: Path) -> None:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, fieldnames=list(Epoch.__annotations__))
-            rows.writeheader()
-            rows.writerows(asdict(point) for point in curve)
-
-    write_atomically(path, write)
-
-
-def write_png(path: Path, curve: list[Epoch], title: str) -> None:
-    """Loss and held-out agreement over epochs."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    epochs = [point.epoch for point in curve]
-    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    above, below = figure.subplots(2, sharex=True)
-    above.plot(epochs, [point.loss for point in curve], color="C0")
-    above.set(title=title, ylabel="loss")
-    agreed = [float("nan") if p.agreement is None else p.agreement for p in curve]
-    below.plot(epochs, agreed, color="C2")
-    below.set(xlabel="epochs", ylabel="held-out agreement", ylim=(0, 1))
-    write_atomically(path, lambda partial: figure.savefig(partial, format="png", dpi=120))

@@ -1,4 +1,4 @@
-"""What a recorded driver did, as a distribution over the meta-actions."""
+"""Labels of recorded driving: a distribution over the meta-actions for each decision."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,29 +7,33 @@ from charms_bench.world.actions import ACTIONS, FASTER, IDLE, LANE_LEFT, LANE_RI
 from charms_bench.world.scene import Floats
 
 ACCELERATION_MPS2 = 0.2
-"""A stronger acceleration is meant."""
+"""A stronger acceleration counts as intended."""
 LATERAL_SPEED_MPS = 0.07
-"""A faster drift away from the lane's centre is meant."""
+"""A faster drift away from the centre of the lane counts as intended."""
 
 Labels = NDArray[np.float32]
 Intents = NDArray[np.int8]
 
 
 def longitudinal_intents(acceleration: Floats) -> Intents:
-    """(M,) 1 faster, -1 slower, 0 neither; of accelerations along the road, m/s2."""
-    meant = np.abs(acceleration) > ACCELERATION_MPS2
-    return np.where(meant, np.sign(acceleration), 0).astype(np.int8)
+    """(M,) 1 for faster, -1 for slower, 0 for neither.
+
+    Args:
+        acceleration: (M,) along the road, m/s2.
+    """
+    intended = np.abs(acceleration) > ACCELERATION_MPS2
+    return np.where(intended, np.sign(acceleration), 0).astype(np.int8)
 
 
 def lateral_intents(lateral_speed: Floats, offset: Floats) -> Intents:
-    """(M,) 1 to the right, -1 to the left, 0 neither.
+    """(M,) 1 for a move to the right, -1 for a move to the left, 0 for neither.
 
     Args:
         lateral_speed: (M,) to the right, m/s.
-        offset: (M,) position right of the centre of the lane, m.
+        offset: (M,) position to the right of the lane's centre, m.
     """
-    meant = (np.abs(lateral_speed) > LATERAL_SPEED_MPS) & (lateral_speed * offset > 0)
-    return np.where(meant, np.sign(lateral_speed), 0).astype(np.int8)
+    intended = (np.abs(lateral_speed) > LATERAL_SPEED_MPS) & (lateral_speed * offset > 0)
+    return np.where(intended, np.sign(lateral_speed), 0).astype(np.int8)
 
 
 def soft_labels(
@@ -37,8 +41,9 @@ def soft_labels(
 ) -> Labels:
     """(M, 5) probabilities of `ACTIONS` for the M rows of a data set.
 
-    One intent is one action, none is IDLE. Two share the probability, CHARMS eq. 9 and 10, by
-    their magnitudes, each divided by its mean over the data set.
+    A row with one intent has one certain action. A row without an intent is IDLE. In a row with
+    two intents, the two actions share the probability in proportion to their magnitudes, each
+    divided by its mean over the data set (CHARMS eqs. 9 and 10).
     """
     a, v = np.abs(acceleration), np.abs(lateral_speed)
     both = (longitudinal != 0) & (lateral != 0)

@@ -1,8 +1,7 @@
 """What a driver meant, and CHARMS eq. 9 and 10."""
 
 import numpy as np
-
-from charms_bench.people.labels import lateral_intents, longitudinal_intents, soft_labels
+from charms_agents.human.labels import lateral_intents, longitudinal_intents, soft_labels
 
 
 def test_a_weak_acceleration_means_nothing() -> None:

@@ -3,24 +3,26 @@
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from charms_agents.human.samples import (
+    REASONS,
+    CharmsSampler,
+    SampleSettings,
+    SampleStore,
+    collect,
+    fingerprint,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from trios import Row, busy_road, write_trio
 
 from charms_bench.errors import DataError
 from charms_bench.people.highd import find_trios
-from charms_bench.people.samples import (
-    REASONS,
-    Collected,
-    SampleSettings,
-    collect,
-    fingerprint,
-    load_samples,
-)
+from charms_bench.people.survey import survey
 
 TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS = REASONS
 
@@ -33,18 +35,23 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def of(collected: Collected, lane: int, place: int) -> dict[str, object]:
-    """The first decision of a vehicle of the busy road."""
-    rows = collected.decisions.filter(vehicle=11 * lane + place + 1)
-    return rows.row(0, named=True)
+def decisions(folder: Path, **settings: Any) -> pl.DataFrame:
+    """All decisions of a folder, with their labels."""
+    sampler = CharmsSampler(SampleSettings(**settings))
+    survey(folder, {"charms": sampler})
+    return sampler.decisions()
 
 
 def test_rows_are_rejected_for_the_first_reason_that_holds(folder: Path) -> None:
-    collected = collect(folder)
-    assert of(collected, 1, 5)["rejected"] == TRUCK
-    assert of(collected, 1, 0)["rejected"] == HIDDEN
-    assert of(collected, 2, 4)["rejected"] == NO_LANE  # the 27th: drifts right on the right lane
-    assert of(collected, 1, 4)["rejected"] is None
+    rows = decisions(folder)
+
+    def rejected(lane: int, place: int) -> object:
+        return rows.filter(vehicle=11 * lane + place + 1)["rejected"][0]
+
+    assert rejected(1, 5) == TRUCK
+    assert rejected(1, 0) == HIDDEN
+    assert rejected(2, 4) == NO_LANE  # the 27th: drifts right on the right lane
+    assert rejected(1, 4) is None
 
 
 def test_other_reasons_are_beside_the_road_few_lanes_and_few_neighbours(tmp_path: Path) -> None:
@@ -53,19 +60,18 @@ def test_other_reasons_are_beside_the_road_few_lanes_and_few_neighbours(tmp_path
     alone = Row(vehicle=93, x=450.0)
     narrow = Row(vehicle=94, y=15.0, vx=-30.0, lane_id=3, direction=1)
     write_trio(tmp_path, [*busy_road(frames=1), *far, beside, alone, narrow], upper="10;14;18")
-    rows = collect(tmp_path).decisions
+    rows = decisions(tmp_path)
     reasons = dict(rows.select("vehicle", "rejected").iter_rows())
     assert [reasons[v] for v in (92, 93, 94)] == [BESIDE, FEW_NEIGHBOURS, FEW_LANES]
 
 
 def test_trucks_are_samples_when_wanted(folder: Path) -> None:
-    rows = collect(folder, SampleSettings(cars_only=False)).decisions
+    rows = decisions(folder, cars_only=False)
     assert TRUCK not in rows["rejected"].to_list()
 
 
 def test_a_label_follows_from_what_was_measured(folder: Path) -> None:
-    collected = collect(folder)
-    accepted = collected.decisions.filter(pl.col("rejected").is_null())
+    accepted = decisions(folder).filter(pl.col("rejected").is_null())
     # Of the drivers' magnitudes 0.5, 0.8, 0, 0 m/s2 and 0, 0, 0.1 m/s.
     numbers = accepted["vehicle"].to_numpy() - 1
     a = np.array([0.5, 0.8, 0.0, 0.0])[numbers % 4]
@@ -78,43 +84,43 @@ def test_a_label_follows_from_what_was_measured(folder: Path) -> None:
 
 
 def test_idle_rows_are_drawn_down_to_their_ratio(folder: Path) -> None:
-    collected = collect(folder, SampleSettings(idle_ratio=0.1))
-    for _, rows in collected.decisions.filter("sampled").group_by("recording"):
+    for _, rows in decisions(folder, idle_ratio=0.1).filter("sampled").group_by("recording"):
         idle = (rows["longitudinal"] == 0) & (rows["lateral"] == 0)
         assert idle.sum() == int(0.1 * (~idle).sum())
-    everything = collect(folder, SampleSettings(idle_ratio=9)).decisions
+    everything = decisions(folder, idle_ratio=9)
     assert (everything["sampled"] == everything["rejected"].is_null()).all()
 
 
 def test_whole_recordings_are_held_out(folder: Path) -> None:
-    samples = collect(folder, SampleSettings(held_out=0.4)).samples
+    samples = collect(folder, SampleSettings(held_out=0.4))
     held_out = set(samples.rows.filter(samples.held_out)["recording"])
     training = set(samples.rows.filter(~samples.held_out)["recording"])
     assert (len(held_out), len(training), held_out & training) == (2, 3, set())
 
 
 def test_a_single_recording_is_all_for_training(tmp_path: Path) -> None:
-    assert not collect(write_trio(tmp_path, busy_road())).samples.held_out.any()
+    assert not collect(write_trio(tmp_path, busy_road())).held_out.any()
 
 
 def test_the_seed_decides_on_what_is_drawn_and_held_out(folder: Path) -> None:
-    runs = [collect(folder, SampleSettings(seed=seed)).samples for seed in (0, 0, 1)]
+    runs = [collect(folder, SampleSettings(seed=seed)) for seed in (0, 0, 1)]
     assert runs[0].rows.equals(runs[1].rows)
     assert not runs[0].rows.equals(runs[2].rows)
 
 
 def test_the_cache_is_read_back_and_its_bytes_do_not_vary(folder: Path, tmp_path: Path) -> None:
     caches = [tmp_path / name for name in ("one", "two")]
-    first, second = (load_samples(folder, cache) for cache in caches)
-    again = load_samples(folder, caches[0])
-    made = collect(folder).samples
-    for samples in (first, again):
+    stores = [SampleStore(folder, caches[k], SampleSettings()) for k in (0, 0, 1)]
+    made = collect(folder)
+    for samples in (store.load() for store in stores):
         np.testing.assert_array_equal(samples.observations, made.observations)
         np.testing.assert_array_equal(samples.labels, made.labels)
         np.testing.assert_array_equal(samples.held_out, made.held_out)
         assert samples.rows.equals(made.rows)
     files = [path for cache in caches for path in cache.iterdir()]
-    assert [path.name for path in files] == [f"samples-{second.fingerprint[:16]}.parquet"] * 2
+    assert [path.name for path in files] == [
+        SampleStore(folder, caches[0], SampleSettings()).path.name
+    ] * 2
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -128,19 +134,19 @@ def test_the_fingerprint_follows_files_and_settings(folder: Path) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"no parquet"])
 def test_a_damaged_cache_says_so(folder: Path, tmp_path: Path, content: bytes) -> None:
-    load_samples(folder, tmp_path / "cache")
+    SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
     (path,) = (tmp_path / "cache").iterdir()
     path.write_bytes(content)
     with pytest.raises(DataError, match=r"cannot be read: .*; delete it and try again"):
-        load_samples(folder, tmp_path / "cache")
+        SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
 
 
 def test_another_table_in_the_cache_is_refused(folder: Path, tmp_path: Path) -> None:
-    load_samples(folder, tmp_path / "cache")
+    SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
     (path,) = (tmp_path / "cache").iterdir()
     pl.DataFrame({"a": [1]}).write_parquet(path)
     with pytest.raises(DataError, match="holds other columns; delete it"):
-        load_samples(folder, tmp_path / "cache")
+        SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
 
 
 def test_a_road_of_one_lane_leaves_nothing_to_learn(tmp_path: Path) -> None:
@@ -169,6 +175,6 @@ def test_damage_is_an_error_of_the_data_or_does_no_harm(
     start = int(at * len(content))
     path.write_text(content[:start] + text + content[start + length :], newline="")
     with suppress(DataError):
-        samples = collect(tmp_path).samples
+        samples = collect(tmp_path)
         assert np.isfinite(samples.observations).all()
         np.testing.assert_allclose(samples.labels.sum(axis=1), 1, rtol=1e-6)

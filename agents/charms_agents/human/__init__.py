@@ -1,0 +1,1 @@
+"""Human driving as CHARMS learns from it: intents, soft labels and samples. Needs no torch."""

@@ -1,0 +1,322 @@
+"""Samples of human driving: what a policy is fine-tuned on, from recordings in highD's format.
+
+Each sample is one driver at one decision: the observation `neighbours` and a soft label. A
+decision is rejected for the first of `REASONS` that applies. Of the accepted decisions, IDLE ones
+are drawn at random until their recording has at most `idle_ratio` of them for each other one.
+Whole recordings are held out, so no driver is in both the training and the held-out samples.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import polars as pl
+from pydantic import Field
+
+from charms_agents.human.labels import Labels, lateral_intents, longitudinal_intents, soft_labels
+from charms_bench import __version__
+from charms_bench.errors import DataError
+from charms_bench.people.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
+from charms_bench.people.situations import LANES, situations
+from charms_bench.people.survey import Learnable
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.fields import FrozenModel, NonNegative
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Bools, Observations
+
+REASONS = (
+    "truck",
+    "carriageway of fewer than three lanes",
+    "outside the lane markings",
+    "drifts to a side without a lane",
+    "neighbours may be beyond the recorded section",
+    "too few neighbours",
+)
+"""Why a decision is rejected, in the order in which the reasons are checked."""
+
+_SAMPLES = pl.Schema(
+    {
+        "recording": pl.Int64(),
+        "direction": pl.Int8(),
+        "vehicle": pl.Int64(),
+        "frame": pl.Int64(),
+        "held_out": pl.Boolean(),
+        "observation": pl.Array(pl.Float32, 35),
+        "label": pl.Array(pl.Float32, 5),
+    }
+)
+
+
+class SampleSettings(FrozenModel):
+    """How samples are taken from recordings."""
+
+    decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
+    cars_only: bool = True
+    min_neighbours: Annotated[int, Field(ge=0, le=6)] = 1
+    """A decision with fewer vehicles in its observation is rejected."""
+    idle_ratio: NonNegative = 0.25
+    """IDLE samples for each other sample, at most; 0.25 makes IDLE a fifth, one action of five."""
+    held_out: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.2
+    """Share of the recordings to hold out, rounded to whole recordings; at least one, unless the
+    share is 0 or there is only one recording."""
+    seed: Annotated[int, Field(ge=0)] = 0
+
+
+@dataclass(frozen=True)
+class Samples:
+    """M samples, sorted by recording, direction, frame and position."""
+
+    observations: Observations
+    """(M, 7, 5) the observation `neighbours`."""
+    labels: Labels
+    """(M, 5) probabilities of the actions."""
+    held_out: Bools
+    """(M,) whether the sample is kept from training."""
+    rows: pl.DataFrame
+    """Where each sample comes from: recording, direction, vehicle, frame."""
+
+
+@dataclass(frozen=True)
+class SampleStore:
+    """The samples of a folder of recordings, in a Parquet file `samples-FINGERPRINT.parquet`.
+
+    Args:
+        recordings: The folder of recordings.
+        cache: The folder of the Parquet file.
+        settings: How samples are taken.
+    """
+
+    recordings: Path
+    cache: Path
+    settings: SampleSettings
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of the recordings, the settings and this project's version; see `fingerprint`."""
+        return fingerprint(find_trios(self.recordings), self.settings)
+
+    @property
+    def path(self) -> Path:
+        """The Parquet file."""
+        return self.cache / f"samples-{self.fingerprint[:16]}.parquet"
+
+    def load(self) -> Samples:
+        """Reads the samples, and first collects them if the file does not exist.
+
+        Raises:
+            DataError: The recordings or the Parquet file cannot be used.
+            RunFolderError: The Parquet file cannot be written.
+        """
+        path = self.path
+        if not path.exists():
+            write_atomically(path, _table(collect(self.recordings, self.settings)).write_parquet)
+        try:
+            table = pl.read_parquet(path, glob=False)
+            if table.schema != _SAMPLES:
+                raise DataError(f"{path}: holds other columns; delete it and try again")
+            return Samples(
+                observations=table["observation"].to_numpy().reshape(-1, 7, 5),
+                labels=table["label"].to_numpy(),
+                held_out=table["held_out"].to_numpy(),
+                rows=table.select("recording", "direction", "vehicle", "frame"),
+            )
+        except (OSError, pl.exceptions.PolarsError) as error:
+            reason = str(error).partition("\n")[0]
+            raise DataError(f"{path}: cannot be read: {reason}; delete it and try again") from error
+
+
+def fingerprint(trios: Sequence[Trio], settings: SampleSettings) -> str:
+    """SHA-256 of everything that the samples depend on.
+
+    Raises:
+        DataError: A file cannot be read.
+    """
+    digest = hashlib.sha256(f"{__version__} {settings.model_dump_json()}".encode())
+    for trio in trios:
+        for path in trio.paths:
+            try:
+                with path.open("rb") as file:
+                    content = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as error:
+                raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+            digest.update(f" {trio.number} {content}".encode())
+    return digest.hexdigest()
+
+
+def collect(folder: Path, settings: SampleSettings | None = None) -> Samples:
+    """The samples of a folder of recordings; only one recording is in memory at a time.
+
+    Raises:
+        DataError: The recordings cannot be used, or every decision in them is rejected.
+    """
+    sampler = CharmsSampler(settings)
+    for recording in read_folder(folder):
+        sampler.add(recording, *situations(recording, sampler.settings.decision_hz))
+    return sampler.samples()
+
+
+class CharmsSampler:
+    """Takes samples from recordings, one recording after another.
+
+    Args:
+        settings: By default, what `charms-bench data` reports on.
+    """
+
+    def __init__(self, settings: SampleSettings | None = None) -> None:
+        self.settings = settings or SampleSettings()
+        self._trios: list[Trio] = []
+        self._decisions: list[pl.DataFrame] = []
+        self._observations: list[Observations] = []
+
+    def add(self, recording: Recording, rows: pl.DataFrame, observations: Observations) -> None:
+        """Takes the decisions of a recording.
+
+        Args:
+            recording: The recording.
+            rows: Its decisions, as `situations` returns them.
+            observations: (M, 7, 5) what the drivers saw.
+        """
+        trio = recording.trio
+        rows = _judged(rows, observations, self.settings)
+        rng = np.random.default_rng([self.settings.seed, trio.number])
+        sampled = _undersampled(rows, rng, self.settings)
+        self._trios.append(trio)
+        self._observations.append(observations[sampled])
+        self._decisions.append(
+            rows.select(
+                pl.lit(trio.number, dtype=pl.Int64).alias("recording"),
+                *("direction", "vehicle", "frame", "rejected", "longitudinal", "lateral"),
+                *("acceleration", "lateral_speed"),
+                pl.Series("sampled", sampled),
+            )
+        )
+
+    def decisions(self) -> pl.DataFrame:
+        """All decisions, one row per driver and decision.
+
+        Columns recording, direction, vehicle, frame, rejected (a reason or null), longitudinal
+        and lateral (the intents), acceleration, lateral_speed, sampled, and label (null where
+        rejected). The means that normalise magnitudes are taken over all accepted decisions.
+        """
+        decisions = pl.concat(self._decisions)
+        accepted = decisions["rejected"].is_null()
+        rows = decisions.filter(accepted)
+        labels = np.zeros((decisions.height, 5), dtype=np.float32)
+        labels[accepted.to_numpy()] = soft_labels(
+            rows["longitudinal"].to_numpy(),
+            rows["lateral"].to_numpy(),
+            rows["acceleration"].to_numpy(),
+            rows["lateral_speed"].to_numpy(),
+        )
+        label = pl.Series(labels, dtype=_SAMPLES["label"])
+        return decisions.with_columns(label=pl.when(accepted).then(label))
+
+    def samples(self, decisions: pl.DataFrame | None = None) -> Samples:
+        """The samples of the recordings that were added.
+
+        Args:
+            decisions: What `decisions` returned, if it was called before.
+
+        Raises:
+            DataError: Every decision is rejected.
+        """
+        table = self.decisions() if decisions is None else decisions
+        chosen = table.filter("sampled")
+        if chosen.is_empty():
+            counts = table["rejected"].drop_nulls().value_counts(sort=True).rows()
+            found = ", ".join(f"{reason} {count:,}" for reason, count in counts) or "none"
+            folder = self._trios[0].tracks.parent
+            raise DataError(f"{folder}: no row to learn from; rejected: {found}")
+        return Samples(
+            observations=np.concatenate(self._observations),
+            labels=chosen["label"].to_numpy(),
+            held_out=_held_out(chosen["recording"], self.settings),
+            rows=chosen.select("recording", "direction", "vehicle", "frame"),
+        )
+
+    def learnable(self) -> Learnable:
+        """What `charms-bench data` reports.
+
+        Raises:
+            DataError: Every decision is rejected.
+        """
+        decisions = self.decisions()
+        samples = self.samples(decisions)
+        accepted = decisions.filter(pl.col("rejected").is_null())
+        reasons = decisions["rejected"].cast(pl.String)
+        two_intents = (accepted["longitudinal"] != 0) & (accepted["lateral"] != 0)
+        held_out = int(samples.held_out.sum())
+        return Learnable(
+            accepted=accepted.height,
+            rejected={reason: int((reasons == reason).sum()) for reason in REASONS},
+            two_actions=float(two_intents.to_numpy().mean()),
+            label_shares={
+                "accepted": _shares(accepted["label"].to_numpy()),
+                "sampled": _shares(samples.labels),
+            },
+            training=len(samples.labels) - held_out,
+            held_out=held_out,
+            fingerprint=fingerprint(self._trios, self.settings),
+        )
+
+
+def _judged(
+    rows: pl.DataFrame, observations: Observations, settings: SampleSettings
+) -> pl.DataFrame:
+    """Adds the intents and, for a rejected decision, the reason."""
+    lane = rows["lane"].to_numpy()
+    offset = rows["y"].to_numpy() - LANE_WIDTH_M * lane
+    lateral = lateral_intents(rows["lateral_speed"].to_numpy(), offset)
+    aimed_at = lane + lateral
+    applies = (
+        ~rows["car"].to_numpy() & settings.cars_only,
+        rows["lanes"].to_numpy() < LANES,
+        ~rows["on_road"].to_numpy(),
+        (aimed_at < 0) | (aimed_at >= rows["lanes"].to_numpy()),
+        rows["view_cut"].to_numpy(),
+        observations[:, 1:, 0].sum(axis=1) < settings.min_neighbours,
+    )
+    rejected = np.select(applies, range(len(REASONS)), -1)
+    names = np.array([*REASONS, None], dtype=object)[rejected]
+    return rows.with_columns(
+        longitudinal=longitudinal_intents(rows["acceleration"].to_numpy()),
+        lateral=lateral,
+        rejected=pl.Series(names, dtype=pl.Enum(REASONS)),
+    )
+
+
+def _undersampled(rows: pl.DataFrame, rng: np.random.Generator, settings: SampleSettings) -> Bools:
+    """Which decisions become samples: all accepted ones, except most IDLE ones."""
+    accepted = rows["rejected"].is_null().to_numpy()
+    idle = accepted & ((rows["longitudinal"] == 0) & (rows["lateral"] == 0)).to_numpy()
+    sampled = accepted & ~idle
+    places = np.flatnonzero(idle)
+    wanted = min(places.size, int(settings.idle_ratio * sampled.sum()))
+    sampled[rng.choice(places, wanted, replace=False)] = True
+    return np.asarray(sampled)
+
+
+def _held_out(recording: pl.Series, settings: SampleSettings) -> Bools:
+    numbers = recording.unique().sort().to_numpy()
+    wanted = round(settings.held_out * numbers.size)
+    if settings.held_out > 0:
+        wanted = min(max(wanted, 1), numbers.size - 1)
+    drawn = np.random.default_rng(settings.seed).permutation(numbers)[:wanted]
+    return np.isin(recording.to_numpy(), drawn)
+
+
+def _table(samples: Samples) -> pl.DataFrame:
+    flat = samples.observations.reshape(len(samples.observations), -1)
+    return samples.rows.with_columns(
+        pl.Series("held_out", samples.held_out),
+        pl.Series("observation", flat, dtype=_SAMPLES["observation"]),
+        pl.Series("label", samples.labels, dtype=_SAMPLES["label"]),
+    )
+
+
+def _shares(labels: Labels) -> dict[str, float]:
+    return dict(zip(ACTIONS, labels.mean(axis=0, dtype=np.float64).tolist(), strict=True))
