@@ -1,8 +1,8 @@
-"""Measures environment steps a second: this engine, highway-env and, if installed, EnvPool.
+"""Measures environment steps per second: this engine, highway-env and, if installed, EnvPool.
 
-An environment step is one decision of the ego: a third of a second of traffic at 15 Hz, the
-observation, and a new scene when the episode is over. Everything is measured in one run, in turn,
-several times, so that ratios hold on a machine whose speed drifts.
+One environment step is one decision of the ego: a third of a second of traffic at 15 Hz, the
+observation, and a new scene when the episode is over. All contestants are measured in turn, several
+times, in one run. So their ratios hold even if the speed of the machine drifts.
 """
 
 import multiprocessing
@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from charms_bench.engine import EngineName
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.plugins.registry import make_agent, make_traffic
-from charms_bench.world.actions import IDLE, Actions
+from charms_bench.world.actions import IDLE
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
 
@@ -29,13 +30,24 @@ _SCENES = 512
 _SEED = 10**6
 _OBSERVATION = {"type": "Kinematics", "vehicles_count": 7}
 
-Contestant = Callable[[float], tuple[int, float]]
-"""Steps for about so many seconds: the environment steps made, and the seconds they took."""
+Step = Callable[[], int]
+"""Makes some environment steps and returns how many."""
+Stepping = Callable[[float], tuple[int, float]]
+"""Steps for about so many seconds: the environment steps made, and the seconds that they took."""
+
+
+class Contestant(NamedTuple):
+    """What is measured."""
+
+    name: str
+    threads: int
+    vehicles: int
+    stepping: Stepping
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What one contestant managed."""
+    """The speed of one contestant."""
 
     name: str
     threads: int
@@ -47,7 +59,7 @@ class Measurement:
 
     @property
     def ns_per_vehicle_step(self) -> float:
-        """Thread time of one vehicle's simulation step, with its share of everything else."""
+        """Thread time per vehicle and simulation step, with its share of everything else."""
         simulation_steps = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
         return 1e9 * self.threads / (self.steps_per_s * simulation_steps * self.vehicles)
 
@@ -64,26 +76,26 @@ def bench(
     Args:
         vehicles: Vehicles in a scene, the ego included.
         traffic: The traffic by name; EnvPool and highway-env have their own IDM.
-        seconds: Of one measurement.
-        rounds: Measurements of each.
-        progress: Told what is being measured.
+        seconds: Duration of one measurement.
+        rounds: Measurements of each contestant.
+        progress: Called with the name of what is measured next.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
     crowded = _SETTINGS.model_copy(update={"traffic_vehicles": 199})
-    all_threads = os.cpu_count() or 1
-    contestants: list[tuple[str, int, int, Contestant]] = [
-        ("batched", 1, vehicles, _batched(settings, traffic)),
-        ("batched", all_threads, vehicles, _in_processes(settings, traffic, all_threads)),
-        ("batched", 1, 200, _batched(crowded, traffic)),
-        ("highway-env engine", 1, vehicles, _reference(settings, traffic)),
-        ("highway-env", 1, vehicles, _highway_env(settings)),
+    cores = os.cpu_count() or 1
+    ours = [
+        ("batched", 1, vehicles, _stepping(_ours(settings, traffic))),
+        ("batched", cores, vehicles, _in_processes(settings, traffic, cores)),
+        ("batched", 1, 200, _stepping(_ours(crowded, traffic))),
+        ("highway-env engine", 1, vehicles, _stepping(_ours(settings, traffic, "highway-env", 1))),
+        ("highway-env", 1, vehicles, _stepping(_highway_env(settings))),
     ]
-    if find_spec("envpool"):
-        contestants += [
-            ("EnvPool", 1, vehicles, _envpool(settings, 1)),
-            ("EnvPool", all_threads, vehicles, _envpool(settings, all_threads)),
-        ]
-    return _in_turn(contestants, seconds, rounds, progress)
+    envpool = [
+        ("EnvPool", threads, vehicles, _stepping(_envpool(settings, threads)))
+        for threads in (1, cores)
+        if find_spec("envpool")
+    ]
+    return _in_turn([Contestant(*each) for each in ours + envpool], seconds, rounds, progress)
 
 
 def bench_environments(
@@ -96,8 +108,8 @@ def bench_environments(
 ) -> list[Measurement]:
     """Measures Gymnasium's vector environments of `count` environments each, in the same way.
 
-    All of them see seven rows of `Kinematics`. highway-env's are in one process after another, or
-    in a process each.
+    All of them observe seven rows of `Kinematics`. highway-env's environments run in one process,
+    or in one process each.
     """
     import gymnasium
     import highway_env  # noqa: F401  # registers highway-v0
@@ -110,34 +122,30 @@ def bench_environments(
         "traffic_vehicles": vehicles - 1,
         "observation": _OBSERVATION,
     }
-    processes = min(count, os.cpu_count() or 1)  # that run at a time
-    made = [
+    processes = min(count, os.cpu_count() or 1)  # that run at the same time
+    contestants = []
+    for name, threads, environments in (
         ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
         ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
         ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
-    ]
-    contestants = []
-    for name, threads, environments in made:
+    ):
         environments.reset(seed=_SEED)
-        contestant = _in_step(environments, np.full(count, IDLE))
-        contestants.append((name, threads, vehicles, contestant))
+        stepping = _stepping(_together(environments, count))
+        contestants.append(Contestant(name, threads, vehicles, stepping))
     return _in_turn(contestants, seconds, rounds, progress)
 
 
 def _in_turn(
-    contestants: list[tuple[str, int, int, Contestant]],
-    seconds: float,
-    rounds: int,
-    progress: Callable[[str], None],
+    contestants: list[Contestant], seconds: float, rounds: int, progress: Callable[[str], None]
 ) -> list[Measurement]:
-    """Measures name, threads, vehicles and contestant; see `bench`."""
+    """Measures every contestant in each round; see `bench`."""
+    for contestant in contestants:
+        contestant.stepping(0.0)  # compiles and allocates
     rates: list[list[float]] = [[] for _ in contestants]
-    for _, _, _, contestant in contestants:
-        contestant(0.0)  # compiles and allocates
     for _ in range(rounds):
-        for (name, threads, size, contestant), measured in zip(contestants, rates, strict=True):
+        for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
             progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
-            steps, took = contestant(seconds)
+            steps, took = stepping(seconds)
             measured.append(steps / took)
     return [
         Measurement(name, threads, size, median(measured), min(measured), max(measured))
@@ -145,17 +153,20 @@ def _in_turn(
     ]
 
 
-def _batched(settings: SceneSettings, traffic: str) -> Contestant:
-    simulation = _simulation(settings, traffic, "batched", _SCENES)
+def _stepping(step: Step) -> Stepping:
+    """Repeats a step, at least once, until the time is over."""
 
     def run(seconds: float) -> tuple[int, float]:
         start = time.perf_counter()
-        return _drive(simulation, start + seconds), time.perf_counter() - start
+        steps = step()
+        while time.perf_counter() < start + seconds:
+            steps += step()
+        return steps, time.perf_counter() - start
 
     return run
 
 
-def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Contestant:
+def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Stepping:
     """This engine as `run` uses it: one thread in each of several processes."""
     context = multiprocessing.get_context("spawn")
     pipes = []
@@ -175,70 +186,52 @@ def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Contesta
 
 
 def _serve(pipe: Connection, settings: SceneSettings, traffic: str) -> None:
-    run = _batched(settings, traffic)
-    with suppress(EOFError):  # nobody asks any more
+    run = _stepping(_ours(settings, traffic))
+    with suppress(EOFError):  # the parent process is gone
         while True:
             pipe.send(run(pipe.recv()))
 
 
-def _reference(settings: SceneSettings, traffic: str) -> Contestant:
-    simulation = _simulation(settings, traffic, "highway-env", 1)
-
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        return _drive(simulation, start + seconds), time.perf_counter() - start
-
-    return run
-
-
-def _simulation(settings: SceneSettings, traffic: str, engine: Any, scenes: int) -> Simulation:
+def _ours(
+    settings: SceneSettings, traffic: str, engine: EngineName = "batched", scenes: int = _SCENES
+) -> Step:
     plugin = make_traffic(traffic)
     agents = {name: make_agent(name) for name in plugin.agents}
     simulation = Simulation(settings, scenes, None, plugin, agents, engine)
     simulation.reset(np.arange(_SEED, _SEED + scenes, dtype=np.uint64))
-    # Episodes in all stages, so that every step has its share of new scenes.
+    # Episodes at all stages, so that every step has its share of new scenes.
     simulation.steps[:] = np.arange(scenes) * settings.decisions // scenes
-    return simulation
+    actions = np.full(scenes, IDLE)
 
-
-def _drive(simulation: Simulation, until: float) -> int:
-    """Steps until that time, at least once; returns the environment steps made."""
-    actions = np.full(simulation.seeds.size, IDLE)
-    steps = 0
-    while True:
+    def step() -> int:
         simulation.step(actions)
         ended = np.nonzero(simulation.ending != RUNNING)[0]
         if ended.size:
-            simulation.reset(simulation.seeds[ended] + np.uint64(simulation.seeds.size), ended)
+            simulation.reset(simulation.seeds[ended] + np.uint64(scenes), ended)
         neighbours(simulation.scene, simulation.ego_vehicles)
-        steps += simulation.seeds.size
-        if time.perf_counter() >= until:
-            return steps
+        return scenes
+
+    return step
 
 
-def _highway_env(settings: SceneSettings) -> Contestant:
+def _highway_env(settings: SceneSettings) -> Step:
     import gymnasium
     import highway_env  # noqa: F401  # registers highway-v0
 
     environment = gymnasium.make("highway-v0", config=_config(settings))
     environment.reset(seed=_SEED)
 
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        steps = 0
-        while True:
-            _, _, terminated, truncated, _ = environment.step(IDLE)
-            steps += 1
-            if terminated or truncated:
-                environment.reset()
-            if time.perf_counter() >= start + seconds:
-                return steps, time.perf_counter() - start
+    def step() -> int:
+        _, _, terminated, truncated, _ = environment.step(IDLE)
+        if terminated or truncated:
+            environment.reset()
+        return 1
 
-    return run
+    return step
 
 
 def _config(settings: SceneSettings) -> dict[str, Any]:
-    """The same scene to highway-env."""
+    """highway-env's configuration of the same scene."""
     return {
         "lanes_count": settings.lanes,
         "vehicles_count": settings.traffic_vehicles,
@@ -249,22 +242,18 @@ def _config(settings: SceneSettings) -> dict[str, Any]:
     }
 
 
-def _in_step(environments: Any, actions: Actions) -> Contestant:
-    """Environments that have been reset and make their steps together."""
+def _together(environments: Any, count: int, dtype: Any = np.int64) -> Step:
+    """A step of a vector environment that has been reset."""
+    actions = np.full(count, IDLE, dtype=dtype)
 
-    def run(seconds: float) -> tuple[int, float]:
-        start = time.perf_counter()
-        steps = 0
-        while True:
-            environments.step(actions)
-            steps += actions.size
-            if time.perf_counter() >= start + seconds:
-                return steps, time.perf_counter() - start
+    def step() -> int:
+        environments.step(actions)
+        return count
 
-    return run
+    return step
 
 
-def _envpool(settings: SceneSettings, threads: int) -> Contestant:
+def _envpool(settings: SceneSettings, threads: int) -> Step:
     import envpool
 
     environments = envpool.make_gymnasium(
@@ -280,4 +269,4 @@ def _envpool(settings: SceneSettings, threads: int) -> Contestant:
         duration=round(settings.duration_s),
     )
     environments.reset()
-    return _in_step(environments, np.full(64 * threads, IDLE, dtype=np.int32))
+    return _together(environments, 64 * threads, np.int32)

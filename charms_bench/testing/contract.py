@@ -1,8 +1,8 @@
-"""The contract of agents and traffics as tests: for plugin authors, and for `charms-bench check`.
+"""The contract of agents and traffics as tests: for plugin authors and for `charms-bench check`.
 
 In a plugin's own tests:
 
-    from charms_bench.testing.contract import agent_rules
+    from charms_bench.testing import agent_rules
 
     @pytest.mark.parametrize("rule", agent_rules(MyPolicy()), ids=lambda rule: rule.__name__)
     def test_contract(rule):
@@ -32,18 +32,18 @@ Rule = Callable[[], None]
 _SCENES = 16
 _WRITABLE = {"timer_s"}
 SLOW_MS = 3.0
-"""A vehicle's decision that takes longer, among many; networks of 256-256 units take 0.002."""
+"""Longest time per decision of a vehicle, among many; networks of 256-256 units take 0.002."""
 
 
 def example_scene(seed: int = 0) -> Scene:
-    """16 scenes of 21 vehicles in motion, some of them changing lanes and a few crashed."""
+    """16 scenes of 21 vehicles in motion; some vehicles are changing lanes, a few have crashed."""
     settings = SceneSettings(density=2.0)
     engine = BatchedEngine(settings, _SCENES, {})
     rows = np.arange(_SCENES)
-    others = np.ones((_SCENES, settings.traffic_vehicles), dtype=np.int64)
-    engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), others)
+    traffic = np.ones((_SCENES, settings.traffic_vehicles), dtype=np.int64)
+    engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), traffic)
     rng = np.random.default_rng(seed)
-    everyone = np.nonzero(engine.scene.x)
+    everyone = _everyone(engine.scene)
     for _ in range(4):
         engine.command(everyone, rng.integers(0, len(ACTIONS), everyone[0].size))
         for _ in range(5):
@@ -52,28 +52,27 @@ def example_scene(seed: int = 0) -> Scene:
 
 
 def agent_rules(agent: Agent) -> list[Rule]:
-    """Every rule an agent has to keep, ready to be called."""
+    """Every rule that an agent has to keep, ready to be called."""
+    own: tuple[Callable[..., None], ...] = (
+        model_returns_one_acceleration_and_lane_per_vehicle,
+        model_drives_each_scene_independently,
+        model_is_deterministic,
+        model_does_not_change_the_scene,
+    )
     if isinstance(agent, Policy):
-        rules: list[Callable[..., None]] = [
+        own = (
             policy_names_an_observation_and_a_rate,
-            policy_returns_an_action_a_vehicle,
-            policy_decides_for_each_vehicle_alone,
-            policy_decides_the_same_again,
-            policy_leaves_its_observations_alone,
-        ]
-    else:
-        rules = [
-            model_returns_an_acceleration_and_a_lane_a_vehicle,
-            model_drives_each_scene_alone,
-            model_drives_the_same_again,
-            model_leaves_the_scene_alone,
-        ]
-    rules += [agent_answers_the_same_in_another_process, agent_answers_in_time]
+            policy_returns_one_action_per_vehicle,
+            policy_decides_for_each_vehicle_independently,
+            policy_is_deterministic,
+            policy_does_not_change_its_observations,
+        )
+    rules = (*own, agent_answers_the_same_in_another_process, agent_answers_in_time)
     return [_bound(rule, agent) for rule in rules]
 
 
 def traffic_rules(traffic: Traffic) -> list[Rule]:
-    """Every rule a traffic has to keep, ready to be called."""
+    """Every rule that a traffic has to keep, ready to be called."""
     return [_bound(traffic_assigns_its_agents, traffic), _bound(traffic_follows_its_rng, traffic)]
 
 
@@ -90,75 +89,69 @@ def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
     assert policy.decision_hz > 0, f"decision_hz is {policy.decision_hz}"
 
 
-def policy_returns_an_action_a_vehicle(policy: Policy) -> None:
-    """`decide` returns integers 0..4, one a row, for many rows and for one."""
+def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
+    """`decide` returns integers 0..4, one per row, for many rows and for one."""
     observations = _observations(policy)
     for rows in (observations, observations[:1]):
         actions = np.asarray(policy.decide(rows))
         assert actions.shape == (len(rows),), f"shape {actions.shape} for {len(rows)} vehicles"
-        assert np.issubdtype(actions.dtype, np.integer), f"actions are {actions.dtype}"
-        found = (actions.min(), actions.max())
-        assert found[0] >= 0, f"action {found[0]}"
-        assert found[1] < len(ACTIONS), f"action {found[1]}"
+        _check_integers("action", actions, len(ACTIONS))
 
 
-def policy_decides_for_each_vehicle_alone(policy: Policy) -> None:
-    """A vehicle's action does not depend on who else is in the batch."""
+def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
+    """A vehicle's action does not depend on the other vehicles in the batch."""
     observations = _observations(policy)
     together = np.asarray(policy.decide(observations))
     alone = [int(np.asarray(policy.decide(row[None]))[0]) for row in observations]
     differing = int((together != alone).sum())
-    assert not differing, f"{differing} of {len(alone)} vehicles decide otherwise when alone"
+    assert not differing, f"{differing} of {len(alone)} actions differ if the vehicle is alone"
 
 
-def policy_decides_the_same_again(policy: Policy) -> None:
-    """Two calls with the same observations give the same actions."""
+def policy_is_deterministic(policy: Policy) -> None:
+    """Two calls with the same observations return the same actions."""
     observations = _observations(policy)
     first, second = (np.array(policy.decide(observations.copy())) for _ in range(2))
-    assert (first == second).all(), f"{(first != second).sum()} actions changed"
+    differing = (first != second).sum()
+    assert not differing, f"{differing} actions differ between two calls"
 
 
-def policy_leaves_its_observations_alone(policy: Policy) -> None:
-    """`decide` does not write to what it is given."""
+def policy_does_not_change_its_observations(policy: Policy) -> None:
+    """`decide` does not write to its observations."""
     observations = _observations(policy)
     before = observations.copy()
     policy.decide(observations)
     assert (observations == before).all(), "decide changed its observations"
 
 
-def model_returns_an_acceleration_and_a_lane_a_vehicle(model: DriverModel) -> None:
-    """`drive` returns finite accelerations and lanes of the road, one each a vehicle."""
+def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> None:
+    """`drive` returns finite accelerations and lanes of the road, one of each per vehicle."""
     scene = example_scene()
     for vehicles in (_everyone(scene), (np.array([0]), np.array([3]))):
         acceleration, lane = map(np.asarray, model.drive(scene, vehicles))
         shapes = (acceleration.shape, lane.shape)
         assert shapes == (vehicles[0].shape,) * 2, f"shapes {shapes} for {vehicles[0].shape}"
         assert np.isfinite(acceleration).all(), "some accelerations are not finite"
-        assert np.issubdtype(lane.dtype, np.integer), f"lanes are {lane.dtype}"
-        found = (lane.min(), lane.max())
-        assert found[0] >= 0, f"lane {found[0]}"
-        assert found[1] < scene.constants.lanes, f"lane {found[1]} of {scene.constants.lanes}"
+        _check_integers("lane", lane, scene.constants.lanes)
 
 
-def model_drives_each_scene_alone(model: DriverModel) -> None:
-    """What happens in one scene does not depend on the scenes beside it."""
-    scene = example_scene()
-    rows, places = _everyone(scene)
+def model_drives_each_scene_independently(model: DriverModel) -> None:
+    """What happens in one scene does not depend on the other scenes."""
+    rows, places = _everyone(example_scene())
     together = _answer(model, example_scene(), (rows, places))
     for row in range(0, _SCENES, 5):
         alone = _answer(model, example_scene(), (rows[rows == row], places[rows == row]))
-        assert (alone == together[:, rows == row]).all(), f"scene {row} is driven otherwise alone"
+        same = (alone == together[:, rows == row]).all()
+        assert same, f"scene {row} is driven differently if it is alone"
 
 
-def model_drives_the_same_again(model: DriverModel) -> None:
-    """The same scene is driven the same way twice."""
-    vehicles = _everyone(example_scene())
-    first, second = (_answer(model, example_scene(), vehicles) for _ in range(2))
+def model_is_deterministic(model: DriverModel) -> None:
+    """The same scene is driven in the same way twice."""
+    first, second = (_asked(model)() for _ in range(2))
     assert (first == second).all(), "two calls on the same scene differ"
 
 
-def model_leaves_the_scene_alone(model: DriverModel) -> None:
-    """`drive` writes to nothing but `timer_s`."""
+def model_does_not_change_the_scene(model: DriverModel) -> None:
+    """`drive` writes to `timer_s` only."""
     scene, before = example_scene(), example_scene()
     model.drive(scene, _everyone(scene))
     for name in set(Scene._fields) - _WRITABLE - {"constants"}:
@@ -167,28 +160,28 @@ def model_leaves_the_scene_alone(model: DriverModel) -> None:
 
 
 def agent_answers_the_same_in_another_process(agent: Agent) -> None:
-    """It can be pickled, and what comes of that answers the same."""
+    """The agent can be pickled, and the copy answers the same."""
     try:
         copy = pickle.loads(pickle.dumps(agent))
     except Exception as error:  # whatever a class does wrong
         raise AssertionError(f"cannot be pickled: {type(error).__name__}: {error}") from error
     same = _asked(agent)() == _asked(copy)()
-    assert same.all(), f"{(~same).sum()} answers differ once it has been pickled"
+    assert same.all(), f"{(~same).sum()} answers differ after pickling"
 
 
 def agent_answers_in_time(agent: Agent) -> None:
-    """Asked about many vehicles, it takes at most 3 ms a vehicle; the best of three times."""
+    """Asked about many vehicles, it takes at most 3 ms per vehicle; the best of three times."""
     ask = _asked(agent)
     took = []
     for _ in range(3):
         start = time.perf_counter()
         answers = ask()
         took.append((time.perf_counter() - start) * 1e3 / answers.shape[-1])
-    assert min(took) <= SLOW_MS, f"takes {min(took):.1f} ms a vehicle; expected {SLOW_MS} at most"
+    assert min(took) <= SLOW_MS, f"takes {min(took):.1f} ms per vehicle; expected <= {SLOW_MS} ms"
 
 
 def traffic_assigns_its_agents(traffic: Traffic) -> None:
-    """`assign` returns names of `agents`, one a vehicle of each scene."""
+    """`assign` returns names from `agents`, one per vehicle of each scene."""
     names = np.asarray(traffic.assign(np.random.default_rng(0), 50, 20))
     assert names.shape == (50, 20), f"shape {names.shape}, expected (50, 20)"
     unknown = set(names.ravel().tolist()) - set(traffic.agents)
@@ -198,7 +191,14 @@ def traffic_assigns_its_agents(traffic: Traffic) -> None:
 def traffic_follows_its_rng(traffic: Traffic) -> None:
     """The same generator gives the same assignment."""
     first, second = (traffic.assign(np.random.default_rng(1), 50, 20) for _ in range(2))
-    assert (np.asarray(first) == np.asarray(second)).all(), "two equal generators differ"
+    same = (np.asarray(first) == np.asarray(second)).all()
+    assert same, "two generators with the same seed give different assignments"
+
+
+def _check_integers(what: str, values: NDArray[Any], count: int) -> None:
+    assert np.issubdtype(values.dtype, np.integer), f"{what}s are {values.dtype}"
+    for value in (values.min(), values.max()):
+        assert 0 <= value < count, f"{what} {value}; expected 0 to {count - 1}"
 
 
 def _observations(policy: Policy) -> Observations:
@@ -222,5 +222,5 @@ def _everyone(scene: Scene) -> Vehicles:
 
 def _answer(model: DriverModel, scene: Scene, vehicles: Vehicles) -> NDArray[np.float64]:
     acceleration, lane = model.drive(scene, vehicles)
-    driven = ~scene.crashed[vehicles]  # what is answered for a wreck is ignored
+    driven = ~scene.crashed[vehicles]  # the answer for a wreck is ignored
     return np.where(driven, np.stack([acceleration, lane]), 0.0)

@@ -51,21 +51,25 @@ def scribble(observations: Observations) -> Actions:
 @pytest.mark.parametrize(
     ("function", "rule", "message"),
     [
-        (lambda o: np.ones(3, int), "policy_returns_an_action_a_vehicle", r"shape \(3,\) for 336"),
-        (lambda o: np.ones(len(o)), "policy_returns_an_action_a_vehicle", "are float64"),
-        (lambda o: np.full(len(o), -1), "policy_returns_an_action_a_vehicle", "action -1"),
-        (lambda o: np.full(len(o), 5), "policy_returns_an_action_a_vehicle", "action 5"),
+        (
+            lambda o: np.ones(3, int),
+            "policy_returns_one_action_per_vehicle",
+            r"shape \(3,\) for 336",
+        ),
+        (lambda o: np.ones(len(o)), "policy_returns_one_action_per_vehicle", "actions are float64"),
+        (lambda o: np.full(len(o), -1), "policy_returns_one_action_per_vehicle", "action -1"),
+        (lambda o: np.full(len(o), 5), "policy_returns_one_action_per_vehicle", "action 5"),
         (
             lambda o: np.full(len(o), min(len(o), 3)),
-            "policy_decides_for_each_vehicle_alone",
-            "336 vehicles decide otherwise when alone",
+            "policy_decides_for_each_vehicle_independently",
+            "336 actions differ if the vehicle is alone",
         ),
         (
             lambda o: RNG.integers(0, 5, len(o)),
-            "policy_decides_the_same_again",
-            "actions changed",
+            "policy_is_deterministic",
+            "actions differ between two calls",
         ),
-        (scribble, "policy_leaves_its_observations_alone", "changed its observations"),
+        (scribble, "policy_does_not_change_its_observations", "changed its observations"),
     ],
 )
 def test_a_policy_that_breaks_a_rule_is_found(
@@ -102,20 +106,20 @@ def push(scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
     [
         (
             lambda s, v: (np.zeros(v[0].size), s.lane[v] + 1),
-            "model_returns_an_acceleration_and_a_lane_a_vehicle",
-            "lane 3 of 3",
+            "model_returns_one_acceleration_and_lane_per_vehicle",
+            "lane 3; expected 0 to 2",
         ),
         (
             lambda s, v: (np.full(v[0].size, float(v[0].size)), s.lane[v]),
-            "model_drives_each_scene_alone",
-            "scene 0 is driven otherwise alone",
+            "model_drives_each_scene_independently",
+            "scene 0 is driven differently if it is alone",
         ),
         (
             lambda s, v: (RNG.random(v[0].size), s.lane[v]),
-            "model_drives_the_same_again",
+            "model_is_deterministic",
             "two calls on the same scene differ",
         ),
-        (push, "model_leaves_the_scene_alone", r"drive changed scene\.x"),
+        (push, "model_does_not_change_the_scene", r"drive changed scene\.x"),
     ],
 )
 def test_a_driver_model_that_breaks_a_rule_is_found(
@@ -158,11 +162,11 @@ def test_an_agent_that_is_another_in_another_process_is_found() -> None:
     policy = Forgetful()
     contract.agent_answers_the_same_in_another_process(policy)
     policy.action = 2
-    with pytest.raises(AssertionError, match="336 answers differ once it has been pickled"):
+    with pytest.raises(AssertionError, match="336 answers differ after pickling"):
         contract.agent_answers_the_same_in_another_process(policy)
 
 
 def test_an_agent_that_takes_its_time_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contract, "SLOW_MS", 0.0)
-    with pytest.raises(AssertionError, match=r"ms a vehicle; expected 0\.0 at most"):
+    with pytest.raises(AssertionError, match=r"ms per vehicle; expected <= 0\.0 ms"):
         contract.agent_answers_in_time(Forgetful())
