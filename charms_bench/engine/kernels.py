@@ -1,9 +1,10 @@
 """highway-env's road, vehicle and collision rules, compiled.
 
-Each function names the highway-env function it follows. Operations keep highway-env's order, for
-a sum in another order is another number. A kernel takes its arrays out of the scene once, and what
-it calls for every vehicle gets numbers: to hand over an array costs an atomic reference count, and
-that more than the physics. Private to the harness; `tests/naive.py` holds plain versions.
+Each function names the highway-env function that it follows. Operations keep highway-env's order,
+because floating-point sums depend on their order. A kernel takes its arrays out of the scene once
+and passes numbers to the functions that it calls per vehicle: passing an array costs an atomic
+reference count, which takes longer than the physics. Kernels are private to the harness;
+`tests/naive.py` holds plain versions of them.
 """
 
 import math
@@ -26,7 +27,7 @@ class SpawnRule(NamedTuple):
     ego_spacing: float
     spacing: float
     crowding: float
-    """highway-env's factor of all distances, smaller on a road of more lanes."""
+    """highway-env's factor for all distances; it falls with the number of lanes."""
     speed_low: float
     speed_high: float
 
@@ -69,10 +70,10 @@ def closest_lane(y: float, lanes: int, lane_width: float) -> int:
 
 @compiled
 def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
-    """Steers and moves all vehicles of some scenes by a step of the bicycle model.
+    """Steers and moves all vehicles of some scenes by one step of the bicycle model.
 
-    [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`] `modelled` [B, N] marks
-    vehicles whose acceleration a driver model has set; the others follow their target speed.
+    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; all others
+    control their target speed [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
     """
     c = scene.constants
     x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
@@ -100,7 +101,7 @@ def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
                 wanted = max(wanted, 1.0 * (c.speed_min - v))
             acceleration[b, i] = wanted
             steering[b, i] = angle
-            if angle == 0.0 and psi == 0.0:  # exactly what the rest gives
+            if angle == 0.0 and psi == 0.0:  # the result is the same, bit for bit
                 x[b, i] += v * c.dt
             else:
                 beta = math.atan(1 / 2 * math.tan(angle))
@@ -121,9 +122,9 @@ def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
 
 @compiled
 def sort_by_x(scene: Scene, rows: Ints) -> None:
-    """Restores `order` and `rank`: by x, and at one x the last spawned first.
+    """Restores `order` and `rank`: by x, and at equal x in reverse order of spawning.
 
-    Nearly sorted already, so by insertion.
+    The vehicles are nearly sorted, so this is an insertion sort.
     """
     x, order, rank = scene.x, scene.order, scene.rank
     for b in rows:
@@ -145,9 +146,9 @@ def sort_by_x(scene: Scene, rows: Ints) -> None:
 def find_neighbours(scene: Scene, rows: Ints) -> None:
     """Fills `leaders` and `followers` of some scenes [`Road.neighbour_vehicles` for each lane].
 
-    A vehicle is on a lane up to 1 m beside it, so it may be on two. Vehicles at one x are each
-    other's leader and nobody's follower; among several the last spawned leads and the first
-    spawned follows, which the order of `sort_by_x` gives.
+    A vehicle is on a lane up to 1 m beside it, so it may be on two. Vehicles at equal x are each
+    other's leaders, but not followers. Among several, the last spawned is the leader and the first
+    spawned is the follower; the order of `sort_by_x` gives this.
     """
     c = scene.constants
     x, y, order = scene.x, scene.y, scene.order
@@ -177,7 +178,7 @@ def find_neighbours(scene: Scene, rows: Ints) -> None:
 
 @compiled
 def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
-    """Corrects the neighbours of the k-th vehicle, at whose x others were spawned later."""
+    """Corrects the neighbours of the k-th vehicle, which has the same x as the one before it."""
     c, x, order = scene.constants, scene.x, scene.order
     i = order[b, k]
     scene.followers[b, i] = scene.followers[b, order[b, k - 1]]
@@ -192,7 +193,7 @@ def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
 
 @compiled
 def fill_polygon(x: float, y: float, cos: float, sin: float, c: Constants, corners: Floats) -> None:
-    """A vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated first one]."""
+    """Writes a vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated corner]."""
     for corner in range(4):
         ahead = -c.length / 2 if corner < 2 else c.length / 2
         aside = -c.width / 2 if corner in (0, 3) else c.width / 2
@@ -221,10 +222,10 @@ def interval_distance(low_a: float, high_a: float, low_b: float, high_b: float) 
 def polygons_intersect(
     a: Floats, b: Floats, displacement_x: float, displacement_y: float
 ) -> tuple[bool, bool, float, float]:
-    """Separating axes of two rectangles [`utils.are_polygons_intersecting`].
+    """Tests two rectangles by their separating axes [`utils.are_polygons_intersecting`].
 
-    `displacement` is that of a relative to b within the step. Returns whether they intersect,
-    whether they will, and the translation that parts them.
+    `displacement` is the displacement of a relative to b within the step. Returns whether they
+    intersect, whether they will intersect, and the translation that separates them.
     """
     intersecting = will_intersect = True
     smallest = np.inf
@@ -263,10 +264,10 @@ def polygons_intersect(
 
 @compiled
 def collide(scene: Scene, rows: Ints) -> None:
-    """Collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
+    """Finds the collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
 
-    Pairs are found along `order` and then applied in highway-env's order, place by place, because
-    a later impact replaces an earlier one.
+    Pairs are found along `order`, but applied in highway-env's order, by their places, because a
+    later impact replaces an earlier one.
     """
     c = scene.constants
     x, y, heading, speed, order = scene.x, scene.y, scene.heading, scene.speed, scene.order
@@ -290,7 +291,7 @@ def collide(scene: Scene, rows: Ints) -> None:
                 if dx > reach:
                     break
                 if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > c.width:
-                    continue  # side by side and straight: no axis across the road lets them touch
+                    continue  # side by side and straight, so they are apart across the road
                 i, j = min(near, far), max(near, far)
                 if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:
                     continue
@@ -312,27 +313,13 @@ def collide(scene: Scene, rows: Ints) -> None:
                     hits[found, 5] = part_y
                     found += 1
         if found:
-            sort_hits(hits[:found])
-            apply_hits(b, scene, hits[:found])
-
-
-@compiled
-def sort_hits(hits: Floats) -> None:
-    """Brings hits into the order of places, by insertion; there is rarely more than one."""
-    for first in range(1, len(hits)):
-        m = first
-        while m > 0 and (
-            hits[m - 1, 0] > hits[m, 0]
-            or (hits[m - 1, 0] == hits[m, 0] and hits[m - 1, 1] > hits[m, 1])
-        ):
-            for column in range(6):
-                hits[m, column], hits[m - 1, column] = hits[m - 1, column], hits[m, column]
-            m -= 1
+            in_turn = np.argsort(hits[:found, 0] * vehicles + hits[:found, 1])
+            apply_hits(b, scene, hits[in_turn])
 
 
 @compiled
 def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
-    """Notes the collisions of scene b: (place, place, now, soon, translation) a row."""
+    """Applies the collisions of scene b; each row is (place, place, now, soon, translation)."""
     for hit in range(len(hits)):
         i, j = int(hits[hit, 0]), int(hits[hit, 1])
         if hits[hit, 3]:
@@ -394,7 +381,7 @@ def advance(scene: Scene, modelled: Bools) -> None:
 
 @compiled
 def locate(scene: Scene, rows: Ints) -> None:
-    """Refreshes what follows from x, y and heading in some scenes: directions, lanes, tables."""
+    """Computes what follows from x, y and heading: directions, lanes, order and neighbours."""
     c = scene.constants
     for b in rows:
         for i in range(scene.x.shape[1]):
@@ -416,8 +403,8 @@ def draw_scene(
 ) -> int:
     """Draws a scene's vehicles (N,) and returns the ego's place.
 
-    The chain of `Vehicle.create_random` in `HighwayEnv._create_vehicles`; the ego's temperament
-    is drawn last, so that with one slot the draws are `highway-v0`'s.
+    The draws are those of `Vehicle.create_random` in `HighwayEnv._create_vehicles`. The ego's
+    temperament is drawn last, so that with one slot the draws are the same as in `highway-v0`.
     """
     ego = rng.integers(0, rule.ego_slots)
     furthest = 0.0

@@ -19,17 +19,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
 Bools = NDArray[np.bool_]
 Vehicles = tuple[Ints, ...]
-"""M vehicles: their scenes (M,) and their places in them (M,); indexes any `[B, N]` array."""
+"""M vehicles: their scenes (M,) and their places in them (M,). Indexes any `[B, N]` array."""
 Observations = NDArray[np.float32]
-"""(M, rows, columns): what M vehicles see."""
+"""(M, rows, columns): the observations of M vehicles."""
 EVALUATION_SEEDS = 1_000_000_000
-"""Episodes of evaluations have seeds below this, those of trainings above."""
+"""Seeds of evaluation episodes lie below this number; those of training episodes do not."""
 DECISIONS_LIMIT = 20_000
-"""Of an episode, almost two hours at the usual 3 Hz."""
+"""The most decisions of an episode: almost two hours at the usual 3 Hz."""
 
 
 def _with_overrides(value: object) -> object:
-    """A profile by name, or by name with other values for some of its fields."""
+    """The profile's fields, from its name or from its name and other values for some fields."""
     name = value.get("name") if isinstance(value, dict) else value
     if isinstance(value, Profile) or not isinstance(name, str):
         return value
@@ -48,12 +48,12 @@ class SceneSettings(FrozenModel):
     """What every scene of a suite has in common."""
 
     profile: Annotated[Profile, BeforeValidator(_with_overrides)] = CHARMS
-    """A profile, its name, or its name with other values for some of its fields."""
+    """A profile, its name, or its name and other values for some of its fields."""
     lanes: Annotated[int, Field(ge=2, le=8)] = 3
     traffic_vehicles: Annotated[int, Field(ge=0, le=500)] = 20
     density: Positive = 1.0
     ego_slots: Annotated[int, Field(ge=1)] = 6
-    """The ego is one of this many first vehicles, each equally likely."""
+    """The ego is one of this many first vehicles; each is equally likely."""
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     duration_s: Positive = 20.0
@@ -62,7 +62,7 @@ class SceneSettings(FrozenModel):
     def _rates_fit(self) -> "SceneSettings":
         if self.simulation_hz % self.decision_hz:
             raise ValueError(
-                f"simulation_hz {self.simulation_hz} is no multiple of "
+                f"simulation_hz {self.simulation_hz} is not a multiple of "
                 f"decision_hz {self.decision_hz}"
             )
         if self.ego_slots > self.vehicles:
@@ -79,12 +79,12 @@ class SceneSettings(FrozenModel):
 
     @property
     def vehicles(self) -> int:
-        """Vehicles in a scene, the ego included."""
+        """The vehicles of a scene, including the ego."""
         return self.traffic_vehicles + 1
 
     @property
     def decisions(self) -> int:
-        """Decisions in a full episode."""
+        """The decisions of a full episode."""
         return round(self.duration_s * self.decision_hz)
 
     @property
@@ -94,7 +94,7 @@ class SceneSettings(FrozenModel):
 
 
 class Scene(NamedTuple):
-    """B scenes of N vehicles. A driver model may write `timer_s` of its vehicles, nothing else."""
+    """B scenes of N vehicles. A driver model may only write `timer_s` of its own vehicles."""
 
     x: Floats
     """[B, N] centre along the road, m."""
@@ -109,78 +109,60 @@ class Scene(NamedTuple):
     speed: Floats
     """[B, N] along the heading, m/s."""
     acceleration: Floats
-    """[B, N] as commanded and clipped in the last simulation step, m/s2."""
+    """[B, N] the command of the last simulation step after clipping, m/s2."""
     steering: Floats
     """[B, N] steering angle of the last simulation step, rad."""
     target_speed: Floats
-    """[B, N] the speed the driver wants, m/s."""
+    """[B, N] desired speed, m/s."""
     lane: Ints
     """[B, N] nearest lane."""
     target_lane: Ints
-    """[B, N] the lane steered to; differs from `lane` during a lane change."""
+    """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change."""
     crashed: Bools
     """[B, N] whether the vehicle has collided."""
     timer_s: Floats
-    """[B, N] time since the driver model set it to 0; starts within a lane-change period."""
+    """[B, N] time since the driver model last set it to 0; starts within a lane-change period."""
     temperament: Floats
-    """[B, N] a number in [0, 1] drawn once a vehicle, for what varies between drivers."""
+    """[B, N] in [0, 1], drawn once per vehicle, for properties that vary between drivers."""
     ego: Ints
     """[B] the ego's place."""
     active: Bools
-    """[B] whether the scene still runs; an ended one stays as it was."""
+    """[B] whether the scene still runs; a scene that has ended no longer changes."""
     order: Ints
     """[B, N] the vehicles' places, sorted by x."""
     rank: Ints
     """[B, N] each vehicle's index in `order`."""
     leaders: Ints
-    """[B, N, L] nearest vehicle ahead on each lane, -1 for none; see `leader`."""
+    """[B, N, L] nearest vehicle ahead on each lane. For speed, -1 stands for none in this table;
+    outside compiled code, use `leader`."""
     followers: Ints
-    """[B, N, L] nearest vehicle behind on each lane, -1 for none; see `follower`."""
+    """[B, N, L] nearest vehicle behind on each lane, likewise; see `follower`."""
     impact_x: Floats
-    """[B, N] displacement a collision causes in the next step, m."""
+    """[B, N] displacement that a collision causes in the next step, m."""
     impact_y: Floats
     impact: Bools
-    """[B, N] whether there is one."""
+    """[B, N] whether there is such a displacement."""
     constants: Constants
 
     @classmethod
     def empty(cls, settings: SceneSettings, scenes: int) -> "Scene":
-        """`scenes` scenes without a state yet."""
+        """Some scenes, all zeros; an engine fills them."""
         shape = (scenes, settings.vehicles)
-
-        def floats() -> Floats:
-            return np.zeros(shape)
-
-        def ints(*more: int) -> Ints:
-            return np.zeros(shape + more, dtype=np.int64)
-
-        def bools() -> Bools:
-            return np.zeros(shape, dtype=np.bool_)
-
+        places = np.tile(np.arange(settings.vehicles), (scenes, 1))
+        per_vehicle: dict[str, NDArray[Any]] = {
+            name: np.zeros(shape, dtype)
+            for dtype, names in _PER_VEHICLE.items()
+            for name in names.split()
+        }
+        per_vehicle["direction_x"][:] = 1.0
         return cls(
-            x=floats(),
-            y=floats(),
-            heading=floats(),
-            direction_x=np.ones(shape),
-            direction_y=floats(),
-            speed=floats(),
-            acceleration=floats(),
-            steering=floats(),
-            target_speed=floats(),
-            lane=ints(),
-            target_lane=ints(),
-            crashed=bools(),
-            timer_s=floats(),
-            temperament=floats(),
+            **per_vehicle,
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
-            order=np.tile(np.arange(shape[1]), (scenes, 1)),
-            rank=np.tile(np.arange(shape[1]), (scenes, 1)),
-            leaders=np.full((*shape, settings.lanes), -1, dtype=np.int64),
-            followers=np.full((*shape, settings.lanes), -1, dtype=np.int64),
-            impact_x=floats(),
-            impact_y=floats(),
-            impact=bools(),
+            order=places,
+            rank=places.copy(),
+            leaders=np.full((*shape, settings.lanes), -1),
+            followers=np.full((*shape, settings.lanes), -1),
             constants=settings.constants,
         )
 
@@ -192,10 +174,10 @@ class Scene(NamedTuple):
 
         Args:
             vehicles: M vehicles.
-            lane: (M,) the lane to look on; one outside the road has nobody.
+            lane: (M,) the lane to search; there are no vehicles on lanes outside the road.
 
         Returns:
-            Its place (M,), only meaningful where the mask (M,) beside it is true.
+            The places (M,), which are only meaningful where the mask (M,) beside them is true.
         """
         return self._neighbour(self.leaders, vehicles, lane)
 
@@ -211,6 +193,15 @@ class Scene(NamedTuple):
 
     @property
     def off_road(self) -> Bools:
-        """[B, N] whether the vehicle's centre is beside its lane [`RoadObject.on_road`]."""
+        """[B, N] whether the vehicle's centre is outside its lane [`RoadObject.on_road`]."""
         margin = 0.0
         return np.asarray(~is_on_lane(self.x, self.y, self.lane, self.constants, margin))
+
+
+_PER_VEHICLE: dict[type, str] = {
+    np.float64: "x y heading direction_x direction_y speed acceleration steering target_speed "
+    "timer_s temperament impact_x impact_y",
+    np.int64: "lane target_lane",
+    np.bool_: "crashed impact",
+}
+"""The arrays [B, N] of a `Scene` by the type of their values."""
