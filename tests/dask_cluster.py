@@ -50,13 +50,14 @@ class DaskCluster:
         self, *arguments: str, packages: Path | None = None
     ) -> tuple[subprocess.Popen[bytes], Path]:
         log = self.folder / f"{len(self._processes)}.log"
+        path = (packages, os.environ.get("PYTHONPATH"))
         with log.open("wb") as file:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dask", *arguments],
                 stdout=subprocess.DEVNULL,
                 stderr=file,
                 cwd=self.folder,
-                env=os.environ | ({"PYTHONPATH": str(packages)} if packages else {}),
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(map(str, filter(None, path)))},
             )
         self._processes.append(process)
         return process, log

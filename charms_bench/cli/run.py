@@ -100,7 +100,7 @@ def run(
     loaded = suite_of(document)
     references = read_references(loaded.references, loaded.folder)
     folder = output or Path("runs") / loaded.suite
-    elsewhere = None if cluster is None else on_cluster(cluster)
+    on_dask = None if cluster is None else on_cluster(cluster)
     total = loaded.episodes * len(loaded.cells)
     with interruptible(f"finished shards are in {folder}"), progress("episodes", total) as bar:
         finished = runner.run(
@@ -112,7 +112,7 @@ def run(
             rows,
             shard_limit or runner.SHARD_LIMIT_S,
             note,
-            elsewhere,
+            on_dask,
         )
     with interruptible(f"all rows are in {folder}"), locked(folder):
         following = finished.following() if references else []

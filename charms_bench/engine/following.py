@@ -1,45 +1,35 @@
-"""What all vehicles of a scene do while they follow, counted in bins: realism is read from it.
+"""Counts what all vehicles of a scene do while they follow a leader, in bins.
 
-Two quantities of the paper's realism test, taken at every decision of every vehicle that drives
-with a leader within 50 m in its lane, centre to centre: its speed, and, in the step in which it
-starts a lane change, its distance headway to that leader.
+The paper's realism test compares two quantities. They are taken at every decision interval, from
+every vehicle that has a leader within 50 m on its lane, centre to centre: the vehicle's speed, and
+its distance headway to that leader in the interval in which it starts a lane change.
 """
-
-from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.engine.rows import COUNT_SCHEMA, table
 from charms_bench.world.scene import Ints, Scene
 
 FOLLOWING_RANGE_M = 50.0
-"""A driver follows the leader within this distance, centre to centre."""
+"""A vehicle follows a leader that is at most this far ahead, centre to centre."""
 BIN = 0.5
-"""Width of a bin: m/s of the speeds, m of the headways."""
+"""Width of a bin: m/s for speeds, m for headways."""
 BINS = 100
-"""The last bin also takes what lies beyond it."""
+"""Number of bins; the last bin has no upper edge."""
 QUANTITIES = ("speed", "dhw")
-
-COUNT_SCHEMA = pl.Schema(
-    {
-        "episode": pl.UInt64(),  # the episode's seed
-        "quantity": pl.String(),  # speed while following, dhw at the start of a lane change
-        "bin": pl.Int16(),  # from bin * BIN on
-        "count": pl.Int32(),  # vehicles, each at a decision
-    }
-)
 
 
 class FollowingCounts:
-    """Counts of B scenes; call `note` after every decision interval."""
+    """Counts for B scenes; call `note` after every decision interval."""
 
     def __init__(self, scene: Scene) -> None:
         self._counts = np.zeros((scene.ego.size, len(QUANTITIES), BINS), dtype=np.int64)
         self._target_lane = scene.target_lane.copy()
 
     def note(self, scene: Scene, rows: Ints) -> None:
-        """Counts the vehicles of the scenes `rows`."""
+        """Adds the vehicles of the scenes `rows` (R,)."""
         lane, target = scene.lane[rows], scene.target_lane[rows]
         starts = (target != self._target_lane[rows]) & (target != lane)
         self._target_lane[rows] = target
@@ -59,17 +49,17 @@ class FollowingCounts:
         self._counts[:, quantity] += counted.reshape(-1, BINS)
 
     def table(self, episodes: NDArray[np.uint64]) -> pl.DataFrame:
-        """The counts above 0 (`COUNT_SCHEMA`), by episode, quantity and bin."""
+        """Returns the counts above 0 (`rows.COUNT`), sorted by episode, quantity and bin."""
         scene, quantity, bin_ = np.nonzero(self._counts)
-        columns: dict[str, Any] = {
+        columns = {
             "episode": episodes[scene],
             "quantity": np.array(QUANTITIES)[quantity],
             "bin": bin_,
             "count": self._counts[scene, quantity, bin_],
         }
-        return pl.DataFrame(columns).cast(COUNT_SCHEMA).sort("episode", "quantity", "bin")
+        return table(columns, COUNT_SCHEMA).sort("episode", "quantity", "bin")
 
 
 def bins_of(values: NDArray[np.float64]) -> Ints:
-    """The bin of each value."""
+    """Returns the bin of each value."""
     return (values / BIN).astype(np.int64).clip(0, BINS - 1)

@@ -1,55 +1,19 @@
-"""What is kept of an episode: a row a decision of the ego, a row an episode, and counts of all.
+"""Records episodes: one row per decision of the ego, one per episode, and counts of all vehicles.
 
-Every metric is computed from these rows, so a new one needs no new simulation. A quantity that
-does not exist at a moment (the leader's, without a leader) is null.
+Every metric is computed from these rows, so a new metric needs no new simulation. `engine.rows`
+declares the columns. A value that does not exist, such as the speed of a missing leader, is null.
 """
-
-from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.engine.following import FollowingCounts
+from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA, table
 from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.world.scene import Bools, Ints
 
 INTERACTION_RANGE_M = 30.0
-
-STEP_SCHEMA = pl.Schema(
-    {
-        "episode": pl.UInt64(),  # the episode's seed
-        "step": pl.Int32(),  # decisions made, from 1
-        "x": pl.Float32(),  # m
-        "y": pl.Float32(),
-        "heading": pl.Float32(),  # rad
-        "speed": pl.Float32(),  # m/s
-        "acceleration": pl.Float32(),  # m/s2, as commanded in the last simulation step
-        "steering": pl.Float32(),  # rad
-        "lane": pl.Int8(),
-        "target_lane": pl.Int8(),
-        "action": pl.Int8(),  # index into agent.ACTIONS; null under a driver model
-        "leader_distance": pl.Float32(),  # m, centre to centre, on the ego's lane
-        "leader_speed": pl.Float32(),
-        "follower_distance": pl.Float32(),
-        "follower_speed": pl.Float32(),
-        "follower_acceleration": pl.Float32(),  # also null for a wreck, which nobody drives
-        "vehicles_near": pl.Int16(),  # within 30 m and a lane, the ego included
-    }
-)
-
-EPISODE_SCHEMA = pl.Schema(
-    {
-        "episode": pl.UInt64(),
-        "ending": pl.String(),  # time, rear_end, side or off_road
-        "steps": pl.Int32(),
-        "duration_s": pl.Float64(),
-        "distance_m": pl.Float64(),  # of the ego, along the road
-        "traffic_vehicles": pl.Int32(),
-        "traffic_crashed": pl.Int32(),  # vehicles of the traffic that collided or left the road
-        "traffic_distance_m": pl.Float64(),  # of all vehicles of the traffic together
-    }
-)
 
 
 class Recording:
@@ -98,37 +62,37 @@ class Recording:
             ),
             "vehicles_near": near.sum(axis=1),
         }
-        self._frames.append(pl.DataFrame(columns).cast(STEP_SCHEMA))
+        self._frames.append(table(columns, STEP_SCHEMA))
 
     def steps(self) -> pl.DataFrame:
-        """The rows of all steps so far, by episode and step."""
+        """Returns the rows of all steps so far (`rows.STEP`), sorted by episode and step."""
         frame = pl.concat(self._frames) if self._frames else pl.DataFrame(schema=STEP_SCHEMA)
         return frame.sort("episode", "step")
 
     def episodes(self) -> pl.DataFrame:
-        """A row an episode, by episode."""
+        """Returns one row per episode (`rows.EPISODE`), sorted by episode."""
         simulation, scene = self._simulation, self._simulation.scene
         rows, ego = simulation.ego_vehicles
         driven = scene.x - self._start
-        others = np.ones(driven.shape, dtype=np.bool_)
-        others[rows, ego] = False
-        columns: dict[str, Any] = {
+        is_traffic = np.ones(driven.shape, dtype=np.bool_)
+        is_traffic[rows, ego] = False
+        columns = {
             "episode": simulation.seeds,
             "ending": [ENDINGS[ending] for ending in simulation.ending],
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
-            "traffic_vehicles": others.sum(axis=1),
-            "traffic_crashed": (self._lost & others).sum(axis=1),
-            "traffic_distance_m": np.where(others, driven, 0.0).sum(axis=1),
+            "traffic_vehicles": is_traffic.sum(axis=1),
+            "traffic_crashed": (self._lost & is_traffic).sum(axis=1),
+            "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1),
         }
-        return pl.DataFrame(columns).cast(EPISODE_SCHEMA).sort("episode")
+        return table(columns, EPISODE_SCHEMA).sort("episode")
 
     def counts(self) -> pl.DataFrame:
-        """What all vehicles did while they followed; see `following.COUNT_SCHEMA`."""
+        """Returns what all vehicles did while they followed a leader (`rows.COUNT`)."""
         return self._following.table(self._simulation.seeds)
 
 
 def _where(present: Bools, values: NDArray[np.float64] | Ints) -> pl.Series:
-    """The values, null where they are not present."""
+    """Returns the values, null where they are not present."""
     return pl.select(pl.when(pl.Series(present)).then(pl.Series(values))).to_series()

@@ -19,8 +19,8 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.specs import AgentSpec
 from charms_bench.runs.finished import FinishedRun
-from charms_bench.runs.runner import plan
-from charms_bench.runs.suite import Cell, EgoEntry
+from charms_bench.runs.shard import identify_agents
+from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
 TRAJECTORY_SCHEMA = pl.Schema(
@@ -70,9 +70,9 @@ class Replay:
     has_action: Bools
     """Whether there is one: not before the first, and never under a driver model."""
     episodes: pl.DataFrame
-    """The episode row (`recording.EPISODE_SCHEMA`)."""
+    """The episode row (`engine.rows.EPISODE`)."""
     steps: pl.DataFrame
-    """The step rows (`recording.STEP_SCHEMA`)."""
+    """The step rows (`engine.rows.STEP`)."""
 
     @property
     def ending(self) -> str:
@@ -201,7 +201,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     for b, episode in enumerate(episodes):
         mine = pl.col("episode") == episode
         again = steps.filter(mine)
-        _check(run, cell, folder, stored.filter(mine), again)
+        _check(run, cell, stored.filter(mine), again)
         length = int(simulation.steps[b]) * interval + 1
         replays.append(
             Replay(
@@ -265,9 +265,7 @@ def _frame(simulation: Simulation) -> dict[str, Any]:
     return scene | taken
 
 
-def _check(
-    run: FinishedRun, cell: int, folder: Path, stored: pl.DataFrame, again: pl.DataFrame
-) -> None:
+def _check(run: FinishedRun, cell: int, stored: pl.DataFrame, again: pl.DataFrame) -> None:
     """Raises an error if the rows of a replay differ from those of the run."""
     if again.equals(stored):
         return
@@ -282,18 +280,17 @@ def _check(
     raise RunFolderError(
         f"{run.folder.path}: episode {stored['episode'][0]} of {run.suite.cells[cell].ego.title} "
         f"no longer follows the recorded trajectory: step {step}, {name} was {then}, now {now}. "
-        f"{_reason(run, cell, folder)}"
+        f"{_reason(run, cell)}"
     )
 
 
-def _reason(run: FinishedRun, cell: int, folder: Path) -> str:
+def _reason(run: FinishedRun, cell: int) -> str:
     """Says which versions the run was made with, agents first."""
     manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
-    ego = chosen.ego
-    if ego.agent.onnx is not None:  # its hash was checked; only the traffic's agents can differ
-        ego = EgoEntry(agent=AgentSpec(name=chosen.traffic.traffic.make().agents[0]))
-    alone = {"egos": (ego,), "traffics": (chosen.traffic,), "folder": folder}
-    _, agents = plan(run.suite.model_copy(update=alone), "batched")
+    ego, traffic = chosen.ego.agent, chosen.traffic.traffic
+    if ego.onnx is not None:  # its hash was checked; only the traffic's agents can differ
+        ego = AgentSpec(name=traffic.make().agents[0])
+    agents = identify_agents(ego, traffic)
     recorded = manifest.get("agents", {})
     changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
     if changed:

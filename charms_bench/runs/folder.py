@@ -1,7 +1,7 @@
-"""A run folder: its manifest and its shards, each written whole or not at all.
+"""A run folder: its manifest and its shards; every file is written whole or not at all.
 
-A shard is finished once its checksums are there, which are written last, as a file of its own in
-the format of `sha256sum`; what does not match them is simulated again.
+A shard is finished once its checksums are in the folder. They are written last, to a file of their
+own in the format of `sha256sum`. A shard that does not match its checksums is simulated again.
 """
 
 import hashlib
@@ -12,8 +12,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -21,61 +19,45 @@ from typing import Any
 import polars as pl
 
 from charms_bench import __version__
-from charms_bench.engine.following import COUNT_SCHEMA
-from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.rows import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.runs.keys import library_versions
 from charms_bench.runs.lock import locked
+from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import read_limited, write_bytes
 from charms_bench.world.scene import DECISIONS_LIMIT
 
+FORMAT = 2
+"""Version of the format of run folders, as docs/run-folders.md describes it."""
 MANIFEST = "manifest.json"
-SCHEMAS = {"steps": STEP_SCHEMA, "counts": COUNT_SCHEMA, "episodes": EPISODE_SCHEMA}
 KINDS = tuple(SCHEMAS)
-"""The kinds of rows of a shard, as `Recording` has them, each in a folder of its own."""
+"""The kinds of rows of a shard; each has a folder of its own."""
 FILE_LIMIT_BYTES = 2**30
 ROWS_LIMIT = 150 * DECISIONS_LIMIT
-"""Of a shard, which can say in a few bytes that it repeats one without end."""
+"""Most rows of a shard; a Parquet file of a few bytes can repeat a row without end."""
 CHECKSUMS = "checksums"
-"""The folder of their checksums."""
 NETWORKS = "networks"
-"""The folder of the networks that a suite gives by path, each named by its hash."""
+"""The folder of networks that the suite gives by path; each file is named by its hash."""
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
-_RECORDED_VERSIONS = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
-
-
-@cache
-def recorded_versions() -> dict[str, str]:
-    """The libraries that may decide what a row holds, or how it is written."""
-    return {name: version(name) for name in _RECORDED_VERSIONS}
-
-
-ShardFiles = Mapping[str, bytes]
-"""The Parquet files of a shard, by kind: one a kind of `KINDS`."""
-
-
-def in_parquet(rows: pl.DataFrame) -> bytes:
-    """Rows as a Parquet file."""
-    file = BytesIO()
-    rows.write_parquet(file)
-    return file.getvalue()
 
 
 @dataclass(frozen=True)
 class Shard:
-    """A fixed number of episodes of a cell; its key names everything its rows depend on."""
+    """A fixed number of episodes of a cell."""
 
     cell: int
     """Index into `Suite.cells`."""
     first_seed: int
     episodes: int
     key: str
+    """Hash of everything that its rows depend on."""
 
     @property
     def name(self) -> str:
-        """Name of its files, without ending."""
+        """Name of its files, without the ending."""
         return f"{self.cell:03d}-{self.first_seed:09d}-{self.key[:16]}"
 
 
@@ -87,26 +69,26 @@ class RunFolder:
 
     @contextmanager
     def opened_for(self, suite: Suite, engine: str) -> Iterator[None]:
-        """Makes the folder this suite's, and this process's alone; another run is left as it is.
+        """Locks the folder for running a suite; a folder with another run is not changed.
 
         Raises:
-            RunFolderError: It holds another run, or one that is at work, or cannot be read or
-                written.
+            RunFolderError: The folder holds something else, another process uses it, or it
+                cannot be read or written.
         """
         if self._holds_something_else():
             raise RunFolderError(
-                f"{self.path} is not empty and holds no run; choose another with --output"
+                f"{self.path} is not empty and holds no run; choose another folder with --output"
             )
         with locked(self.path):
             if (self.path / MANIFEST).exists():
                 self._refuse_another(suite, engine)
             for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
-                for left in (self.path / folder).glob(".*.partial"):
-                    left.unlink()
+                for partial in (self.path / folder).glob(".*.partial"):
+                    partial.unlink()
             yield
 
     def _holds_something_else(self) -> bool:
-        """A run that was killed before it wrote its manifest has left hidden files alone."""
+        """A run that was killed before it wrote its manifest leaves only hidden files."""
         try:
             return (
                 self.path.exists()
@@ -119,16 +101,24 @@ class RunFolder:
     def _refuse_another(self, suite: Suite, engine: str) -> None:
         fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
         ours = {"suite": fields, "engine": engine}
-        theirs = self.manifest()
-        for difference in _differences({key: theirs.get(key) for key in ours}, ours):
+        manifest = self.manifest()
+        found = {key: manifest.get(key) for key in ours}
+        for difference in _differences(found, ours):
             raise RunFolderError(
                 f"{self.path} holds another run: {difference}; "
                 "choose another folder with --output, or delete this one"
             )
 
-    def write_manifest(self, suite: Suite, engine: str, agents: dict[str, Any]) -> None:
-        """Writes what was run, with what, on what."""
+    def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
+        """Writes the suite, the software and the machine of the run.
+
+        Args:
+            suite: What is run.
+            engine: The engine's name.
+            agents: See `shard.identify_agents`; of all cells.
+        """
         manifest = {
+            "format": FORMAT,
             "charms_bench": __version__,
             **json.loads(suite.model_dump_json(include=set(_UNDECIDING))),
             "suite": json.loads(suite.model_dump_json(exclude=set(_UNDECIDING))),
@@ -136,7 +126,7 @@ class RunFolder:
             "engine": engine,
             "agents": agents,
             "metric_sets": {each.name: each.version for each in METRIC_SETS},
-            "versions": recorded_versions(),
+            "versions": library_versions(),
             "machine": {
                 "python": platform.python_version(),
                 "system": platform.system(),
@@ -148,10 +138,10 @@ class RunFolder:
         write_bytes(self.path / MANIFEST, text.encode())
 
     def manifest(self) -> dict[str, Any]:
-        """What `write_manifest` wrote.
+        """Returns what `write_manifest` wrote.
 
         Raises:
-            RunFolderError: There is none, or it is damaged.
+            RunFolderError: The manifest is missing, damaged or of another format.
         """
         path = self.path / MANIFEST
         try:
@@ -159,16 +149,22 @@ class RunFolder:
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
         except (ValueError, RecursionError) as error:
-            raise RunFolderError(f"{path}: is no JSON: {error}") from error
+            raise RunFolderError(f"{path}: is not JSON: {error}") from error
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
+        if manifest.get("format") != FORMAT:
+            has = f"has format {manifest['format']!r}" if "format" in manifest else "has no format"
+            raise RunFolderError(
+                f"{path}: {has}, expected format {FORMAT}; run the suite again into another "
+                "folder, or read this one with the release of charms-bench that wrote it"
+            )
         return manifest
 
     def suite(self) -> Suite:
-        """The suite whose rows it holds; relative paths in it start nowhere.
+        """Returns the suite of the run; its relative paths have no folder to start from.
 
         Raises:
-            RunFolderError: There is no manifest, or it is damaged.
+            RunFolderError: The manifest cannot be read, or describes no suite.
         """
         manifest = self.manifest()
         try:
@@ -179,27 +175,27 @@ class RunFolder:
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
 
     def shards(self) -> tuple[Shard, ...]:
-        """The finished shards in it, by cell and seed; their `key` is only its beginning.
+        """Returns the finished shards, by cell and seed, with only the beginning of their keys.
 
         Raises:
-            RunFolderError: A file has another name than shards have, or is damaged.
+            RunFolderError: A file is not named like those of shards, or is damaged.
         """
         found = []
         for path in sorted((self.path / CHECKSUMS).glob("*.sha256")):
             match = re.fullmatch(r"(\d{3,})-(\d{9,})-([0-9a-f]{16})", path.stem)
             if match is None:
-                raise RunFolderError(f"{path}: is no shard of a run; delete it")
+                raise RunFolderError(f"{path}: is not a shard of a run; delete the file")
             cell, first_seed, key = match.groups()
             rows = self._read("episodes", path.stem)
             found.append(Shard(int(cell), int(first_seed), len(rows), key))
         return tuple(found)
 
     def has(self, shard: Shard) -> bool:
-        """Whether the shard is finished."""
+        """Returns whether the shard was finished; its files may have changed since."""
         return self._checksums(shard.name).exists()
 
     def is_whole(self, shard: Shard) -> bool:
-        """Whether the shard is finished and every byte of it as it was written."""
+        """Returns whether the shard was finished and no byte of it has changed since."""
         return self._files(shard.name) is not None
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
@@ -213,10 +209,10 @@ class RunFolder:
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
 
     def take(self, shards: Iterable[Shard], other: Path) -> None:
-        """Copies the shards that another run has finished, whatever their cells are there.
+        """Copies the shards that another run has finished; its cells may be in another order.
 
         Raises:
-            RunFolderError: It has none of them.
+            RunFolderError: The other run has none of the shards.
         """
         has_some = False
         for shard in shards:
@@ -233,15 +229,15 @@ class RunFolder:
             )
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
-        """The rows, one of `KINDS`, of some shards.
+        """Returns the rows of one of `KINDS`, of some shards.
 
         Raises:
-            RunFolderError: A file is missing or is not as it was written.
+            RunFolderError: A file is missing or has changed since it was written.
         """
         return pl.concat([self._read(kind, shard.name) for shard in shards])
 
     def _read(self, kind: str, name: str) -> pl.DataFrame:
-        path, checksums = self._file(kind, name), self._checksums(name)
+        path, checksums, schema = self._file(kind, name), self._checksums(name), SCHEMAS[kind]
         try:
             data = read_limited(path, FILE_LIMIT_BYTES)
             lines = read_limited(checksums, FILE_LIMIT_BYTES).splitlines()
@@ -251,53 +247,61 @@ class RunFolder:
             ) from error
         if _checksum(kind, name, data) not in lines:
             raise RunFolderError(
-                f"{path}: has changed since it was written, by {checksums}; run the suite again"
+                f"{path}: does not match its checksum in {checksums}; run the suite again"
             )
         try:
-            table = pl.scan_parquet(BytesIO(data))
-            if (
-                table.collect_schema() == SCHEMAS[kind]
-                and table.select(pl.len()).collect().item() <= ROWS_LIMIT
-            ):
-                return table.collect()
+            rows = pl.scan_parquet(BytesIO(data))
+            found = rows.collect_schema()
+            wrong = [name for name in schema if found.get(name) != schema[name]]
+            if not wrong and rows.select(pl.len()).collect().item() <= ROWS_LIMIT:
+                return rows.select(schema.names()).collect()  # later versions may add columns
         except pl.exceptions.PolarsError as error:
-            raise RunFolderError(f"{path}: is no Parquet file; run the suite again") from error
-        raise RunFolderError(f"{path}: holds other rows than runs write; run the suite again")
+            raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
+        problem = (
+            f"the columns {', '.join(wrong)} are missing or have other types"
+            if wrong
+            else f"holds more than {ROWS_LIMIT:,} rows"
+        )
+        raise RunFolderError(f"{path}: {problem}; run the suite again")
 
     def _files(self, name: str) -> ShardFiles | None:
-        """The files of a shard; none where they are not as they were written."""
+        """Returns the files of a shard, or None if one has changed since it was written."""
         try:
             files = {kind: read_limited(self._file(kind, name), FILE_LIMIT_BYTES) for kind in KINDS}
-            kept = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
+            written = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
         except OSError:
             return None
-        return files if kept == _checksums(name, files) else None
+        return files if written == _checksums(name, files) else None
 
     def keep_network(self, network: Path, sha256: str) -> None:
-        """Copies a network that the suite gives by its path, so that the folder holds all it had.
+        """Copies a network that the suite gives by path, so that the folder is complete.
 
         Raises:
-            RunFolderError: It is no longer the one of this hash, or the folder cannot be written.
+            RunFolderError: The network no longer has this hash, or the folder cannot be written.
         """
-        kept = self._network(sha256)
+        copy = self._network(sha256)
         data = network.read_bytes()
         if hashlib.sha256(data).hexdigest() != sha256:
             raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
-        if not kept.exists() or kept.read_bytes() != data:
-            write_bytes(kept, data)
+        if not copy.exists() or copy.read_bytes() != data:
+            write_bytes(copy, data)
 
     def network(self, key: str) -> Path | None:
-        """The copy of the network that an agent is, by its key; none where there is none."""
+        """Returns the copy of an agent's network, or None if the folder has none.
+
+        Args:
+            key: The agent's `AgentSpec.key`.
+        """
         agents = self.manifest().get("agents")
         identity = agents.get(key) if isinstance(agents, dict) else None
         sha256 = identity.get("weights_sha256") if isinstance(identity, dict) else None
         if re.fullmatch(r"[0-9a-f]{64}", str(sha256)) is None:
             return None
-        kept = self._network(str(sha256))
-        return kept if kept.exists() else None
+        copy = self._network(str(sha256))
+        return copy if copy.exists() else None
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
-        """Removes shards of the folder that are no longer part of the run."""
+        """Deletes every shard that is not one of these."""
         names = {shard.name for shard in shards}
         for folder in (CHECKSUMS, *KINDS):
             for path in sorted((self.path / folder).glob("*.*")):
@@ -315,7 +319,7 @@ class RunFolder:
 
 
 def _checksums(name: str, files: ShardFiles) -> bytes:
-    """What `sha256sum` says of a shard's files, asked in the run folder."""
+    """Returns what `sha256sum` prints for a shard's files when it runs in the run folder."""
     return b"".join(_checksum(kind, name, files[kind]) + b"\n" for kind in KINDS)
 
 
@@ -323,21 +327,13 @@ def _checksum(kind: str, name: str, data: bytes) -> bytes:
     return f"{hashlib.sha256(data).hexdigest()}  {kind}/{name}.parquet".encode()
 
 
-def _differences(theirs: Any, ours: Any, at: str = "") -> list[str]:
-    """Where two JSON values differ, in words."""
-    if isinstance(theirs, dict) and isinstance(ours, dict):
-        keys = sorted({*theirs, *ours})
-        return [
-            difference
-            for key in keys
-            for difference in _differences(theirs.get(key), ours.get(key), f"{at}.{key}")
-        ]
-    if isinstance(theirs, list) and isinstance(ours, list) and len(theirs) == len(ours):
-        return [
-            difference
-            for index, pair in enumerate(zip(theirs, ours, strict=True))
-            for difference in _differences(*pair, f"{at}[{index}]")
-        ]
-    if theirs == ours:
-        return []
-    return [f"{at.removeprefix('.suite').lstrip('.')} was {theirs}, now {ours}"]
+def _differences(found: Any, ours: Any, at: str = "") -> Iterator[str]:
+    """Yields in words where two JSON values differ."""
+    if isinstance(found, dict) and isinstance(ours, dict):
+        for key in sorted({*found, *ours}):
+            yield from _differences(found.get(key), ours.get(key), f"{at}.{key}")
+    elif isinstance(found, list) and isinstance(ours, list) and len(found) == len(ours):
+        for index, pair in enumerate(zip(found, ours, strict=True)):
+            yield from _differences(*pair, f"{at}[{index}]")
+    elif found != ours:
+        yield f"{at.removeprefix('.suite').lstrip('.')} was {found}, now {ours}"

@@ -1,44 +1,104 @@
-"""Code by its hash, so that rows of other code are never taken for those of this."""
+"""Hashes of the code that decides rows, so that rows from different code are never mixed.
 
-from collections.abc import Iterable, Iterator
+The rows of a shard depend on the module that workers run (`ENTRY`) and on every module that it
+imports, directly or not. These modules are found in the sources, so no list has to be kept.
+"""
+
+import ast
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from importlib.machinery import BYTECODE_SUFFIXES, all_suffixes
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
-ROW_MODULES = ("engine", "plugins", "world")
-"""The modules of this package that decide what is recorded of an episode."""
+ENTRY = "charms_bench.runs.shard"
+SOURCES = Path(__file__).parents[2]
+"""The folder that holds this package."""
+_LIBRARIES = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
 _SUFFIXES = tuple(set(all_suffixes()) - set(BYTECODE_SUFFIXES))
 
 
 @cache
-def harness_sha256() -> str:
-    """Hash of `ROW_MODULES`."""
-    here = Path(__file__).parent.parent
-    return _sha256(path for name in ROW_MODULES for path in (here / f"{name}.py", here / name))
+def library_versions() -> dict[str, str]:
+    """Returns the versions of the libraries that decide what a row holds or how it is written."""
+    return {name: version(name) for name in _LIBRARIES}
+
+
+def row_modules(sources: Path = SOURCES) -> dict[str, Path]:
+    """Returns the modules of this package that decide rows, by name, with their files.
+
+    They are `ENTRY` and everything that it imports, inside functions too, except what only type
+    checkers import. Importing a module runs its parent packages, so these are included.
+    """
+    found: dict[str, Path] = {}
+    waiting = [ENTRY]
+    while waiting:
+        name = waiting.pop()
+        path = sources.joinpath(*name.split("."))
+        source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if name not in found and source.is_file():  # else it is a name inside a module
+            found[name] = source
+            waiting += [
+                name.rpartition(".")[0] or name,
+                *imported_modules(ast.parse(source.read_bytes())),
+            ]
+    return dict(sorted(found.items()))
+
+
+def imported_modules(node: ast.AST) -> Iterator[str]:
+    """Yields the dotted names in this package that a module imports, wherever it does."""
+    names: list[str] = []
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        assert not node.level, "relative imports are not followed"
+        names = [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
+    yield from (name for name in names if name.partition(".")[0] == "charms_bench")
+    children: Iterable[ast.AST] = ast.iter_child_nodes(node)
+    if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        children = node.orelse
+    for child in children:
+        yield from imported_modules(child)
+
+
+@cache
+def harness_sha256(sources: Path = SOURCES) -> str:
+    """Returns the hash of `row_modules`."""
+    return _sha256(row_modules(sources))
 
 
 @cache
 def code_sha256(module: str) -> str:
-    """Hash of all code of the package that a module stands in, compiled extensions included."""
+    """Returns the hash of all code of a plugin's package, compiled extensions included.
+
+    Args:
+        module: Any module of the package.
+    """
     spec = find_spec(module.partition(".")[0])
     if spec is None:
         return ""
-    return _sha256(map(Path, spec.submodule_search_locations or [str(spec.origin)]))
+    files: dict[str, Path] = {}
+    for root in map(Path, spec.submodule_search_locations or [str(spec.origin)]):
+        code = [root] if root.is_file() else root.rglob("*")
+        found = (path for path in code if path.name.endswith(_SUFFIXES))
+        files |= {path.relative_to(root.parent).as_posix(): path for path in found}
+    return _sha256(files)
 
 
-def _sha256(roots: Iterable[Path]) -> str:
+def _sha256(files: Mapping[str, Path]) -> str:
+    """Returns the hash of the names and contents of files."""
     digest = sha256()
-    for root in roots:
-        for path in _code(root):
-            digest.update(path.relative_to(root.parent).as_posix().encode() + b"\0")
-            digest.update(path.read_bytes() + b"\0")
+    for name, path in sorted(files.items()):
+        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
-def _code(root: Path) -> Iterator[Path]:
-    """The files of code that a folder or a file is."""
-    if root.is_file():
-        yield root
-    yield from sorted(path for path in root.rglob("*") if path.name.endswith(_SUFFIXES))
+def differences(found: Mapping[str, str | None], expected: Mapping[str, str | None]) -> str:
+    """Returns in words where what was found differs from what was expected."""
+    return "; ".join(
+        f"{name} is {found.get(name) or 'missing'}, expected {wanted}"
+        for name, wanted in expected.items()
+        if found.get(name) != wanted
+    )

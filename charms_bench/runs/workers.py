@@ -1,21 +1,19 @@
-"""Worker processes: tasks go out, results come back, whatever dies or hangs on the way."""
+"""Worker processes on this machine; a worker that dies or hangs costs only its task."""
 
 import multiprocessing
 import os
-import platform
 import signal
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
-
-import numpy as np
 
 from charms_bench.errors import CharmsBenchError, WorkerError
 
@@ -23,8 +21,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 TRIES = 3
-"""Workers that a task may cost before it is given up."""
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
+"""Workers that may die at one task before the task is given up."""
 
 
 def in_processes(
@@ -34,21 +31,24 @@ def in_processes(
     title: Callable[[Task], str] = str,
     limit_s: float | None = None,
     notice: Callable[[str], None] = lambda what: None,
+    environment: Mapping[str, str] = MappingProxyType({}),
 ) -> Generator[tuple[Task, Result], None, None]:
-    """Each task with its result, as they finish; close it to end the workers at once.
+    """Yields each task with its result as soon as it is finished.
 
-    A worker that dies is replaced and its task given to another.
+    Closing the generator ends the workers at once. A worker that dies is replaced, and its task
+    is given to another worker.
 
     Args:
-        work: What is done with a task; found by name in the workers, as are all its arguments.
-        tasks: What is to be done.
-        count: Processes, of one thread each.
-        title: What a task is called in messages.
-        limit_s: How long a task may take, its worker's start included.
-        notice: Told of workers that died.
+        work: A function of a task; it and the tasks are pickled.
+        tasks: What to do.
+        count: Number of processes.
+        title: Returns what messages call a task.
+        limit_s: Seconds that a task may take, including the start of its worker.
+        notice: Called with a message when a worker has died.
+        environment: Environment variables that the processes are started with, besides ours.
 
     Raises:
-        WorkerError: A task has cost `TRIES` workers, or took longer than `limit_s`.
+        WorkerError: `TRIES` workers died at a task, or it took longer than `limit_s`.
         CharmsBenchError: `work` raised it.
     """
     waiting = deque((task, 1) for task in tasks)
@@ -57,7 +57,7 @@ def in_processes(
     try:
         while waiting or busy:
             while waiting and len(busy) < count:
-                worker = idle.pop() if idle else _start(work)
+                worker = idle.pop() if idle else _start(work, environment)
                 task, tries = waiting.popleft()
                 busy[worker.connection] = _Busy(worker, task, tries, time.monotonic())
                 worker.send(task)
@@ -90,11 +90,11 @@ class _Worker:
     connection: Connection
 
     def send(self, task: object) -> None:
-        with suppress(OSError):  # a dead one is found out by its silence
+        with suppress(OSError):  # a dead worker is noticed when its connection ends
             self.connection.send(task)
 
     def death(self) -> str:
-        """How the process ended, in words."""
+        """Waits for the process to end and returns in words how it did."""
         self.end()
         code = self.process.exitcode or 0
         if code == -signal.SIGKILL:
@@ -104,7 +104,7 @@ class _Worker:
         return f"ended with exit code {code}"
 
     def end(self) -> None:
-        """Waits for its end; an idle one ends when nobody is there to send it anything."""
+        """Waits for the process to end; an idle worker ends when its connection closes."""
         self.connection.close()
         self.process.join()
 
@@ -120,10 +120,10 @@ class _Busy(Generic[Task]):
 def _answered(
     busy: dict[Connection, _Busy[Task]], limit_s: float | None, title: Callable[[Task], str]
 ) -> list[Any]:
-    """Waits for the connections of workers that are done, or dead.
+    """Waits until workers answer or die, and returns their connections.
 
     Raises:
-        WorkerError: One is not within its time.
+        WorkerError: The longest-running task has used up its time.
     """
     longest = min(busy.values(), key=lambda each: each.since_s)
     left = None if limit_s is None else max(0.0, longest.since_s + limit_s - time.monotonic())
@@ -133,20 +133,26 @@ def _answered(
     return ready
 
 
-def _start(work: Callable[[Any], Any]) -> _Worker:
-    os.environ |= dict.fromkeys(THREADS, "1")
+def _start(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(work, theirs))
-    process.start()
-    theirs.close()  # so that ours ends when the worker does
+    before = {name: os.environ.get(name) for name in environment}
+    os.environ |= environment  # a process takes its environment from ours when it is started
+    try:
+        process.start()
+    finally:
+        for name, value in before.items():
+            del os.environ[name]
+            os.environ |= {} if value is None else {name: value}
+    theirs.close()  # so that our end reports the death of the worker
     return _Worker(process, ours)
 
 
 def _serve(work: Callable[[Any], Any], connection: Connection) -> None:
-    """A worker's life, which ends when the parent says so and not by a signal to all alike."""
+    """Answers tasks until the parent closes the connection."""
     start_worker()
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a signal to the group is for the parent
     while True:
         try:
             task = connection.recv()
@@ -156,13 +162,13 @@ def _serve(work: Callable[[Any], Any], connection: Connection) -> None:
             result = work(task)
         except CharmsBenchError as error:
             result = error
-        except Exception:  # not every exception can be sent
+        except Exception:  # not every exception can be pickled
             result = RuntimeError(f"in a worker process:\n{traceback.format_exc()}")
         connection.send(result)
 
 
 def start_worker() -> None:
-    """Leaves Ctrl-C to the parent, and ends the worker when the parent is gone."""
+    """Leaves Ctrl-C to the parent, and ends this process when the parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def follow() -> None:
@@ -172,16 +178,3 @@ def start_worker() -> None:
             os._exit(1)
 
     threading.Thread(target=follow, daemon=True).start()
-
-
-def use_exact_maths() -> None:
-    """Has NumPy in processes started from now on compute as the compiled engine does.
-
-    Its vectorised tan, arcsin, arctan, exp and power differ from the C library's in the last bit,
-    and where there is AVX-512 its OpenBLAS rounds a dot product once instead of twice; so would
-    highway-env's vehicles differ from the compiled ones.
-    """
-    extensions = np.show_config(mode="dicts")["SIMD Extensions"]
-    os.environ["NPY_DISABLE_CPU_FEATURES"] = " ".join(extensions.get("found", ()))
-    if platform.machine() in ("x86_64", "AMD64"):
-        os.environ["OPENBLAS_CORETYPE"] = "Nehalem"  # which has no fused multiply-add

@@ -9,11 +9,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
-from charms_bench.runs.workers import in_processes, use_exact_maths
+from charms_bench.runs.workers import in_processes
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.scene import SceneSettings
 
@@ -123,7 +124,7 @@ def verify(
     """Compares the engines over some episodes of each case, from the seed on.
 
     highway-env runs with NumPy's vectorised approximations switched off, see
-    `workers.use_exact_maths`. `progress` is told of every few episodes compared.
+    `exact_maths.worker_environment`. `progress` is told of every few episodes compared.
     """
     results = [Comparison(case) for case in cases]
     chunks = [
@@ -131,9 +132,11 @@ def verify(
         for index, case in enumerate(cases)
         for start in range(0, episodes, _CHUNK)
     ]
-    use_exact_maths()
+    environment = worker_environment("highway-env")
     count = min(workers or os.cpu_count() or 1, len(chunks))
-    for chunk, found in in_processes(_compare, chunks, count, _Chunk.title):
+    for chunk, found in in_processes(
+        _compare, chunks, count, _Chunk.title, environment=environment
+    ):
         results[chunk.index] += found
         progress(chunk.episodes)
     return results

@@ -12,8 +12,9 @@ import pytest
 from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, find_cells, replay
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.finished import FinishedRun, open_finished
-from charms_bench.runs.folder import KINDS, in_parquet
+from charms_bench.runs.folder import KINDS
 from charms_bench.runs.runner import run
+from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
 
 SMALL = {

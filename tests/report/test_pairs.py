@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
 from charms_bench.report.pairs import COMPARED, differences, guessed, write_pairs
 from charms_bench.runs.cells import CellRows

@@ -7,7 +7,8 @@ import polars as pl
 import pytest
 from scipy import stats
 
-from charms_bench.engine.following import BIN, BINS, COUNT_SCHEMA
+from charms_bench.engine.following import BIN, BINS
+from charms_bench.engine.rows import COUNT_SCHEMA
 from charms_bench.people.reference import Reference
 from charms_bench.report.realism import SCHEMA, build_realism, distances, write_realism
 from charms_bench.report.realism_figures import draw_realism

@@ -4,7 +4,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from charms_bench.engine.recording import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.report.tables import build_table, render_markdown, render_terminal, write_tables
 from charms_bench.runs.cells import CellRows

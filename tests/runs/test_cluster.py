@@ -20,8 +20,8 @@ from dask_cluster import PATIENCE_S, DaskCluster, wait_until
 
 from charms_bench.errors import ClusterError, InputError
 from charms_bench.runs.cluster import on_cluster
-from charms_bench.runs.cluster_worker import differences
-from charms_bench.runs.folder import Shard
+from charms_bench.runs.keys import differences
+from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
 
 SHARDS = 8
@@ -119,11 +119,10 @@ def test_an_address_that_is_none_says_how_one_looks(address: str) -> None:
 
 
 def test_tls_without_a_certificate_says_where_dask_looks_for_one() -> None:
-    shards = on_cluster("tls://127.0.0.1:8786")(
-        Suite.model_validate({"suite": "x", "episodes": 1, "egos": [{"agent": "idm_mobil"}],
-                              "traffics": [{"traffic": "idm_mobil"}]}),
-        {}, [Shard(0, 0, 1, "")], str, 1.0,
-    )  # fmt: skip
+    agent = {"egos": [{"agent": "idm_mobil"}], "traffics": [{"traffic": "idm_mobil"}]}
+    suite = Suite.model_validate({"suite": "x", "episodes": 1, **agent})
+    simulate_all = on_cluster("tls://127.0.0.1:8786")
+    shards = simulate_all(list(plan(suite, "batched").values()), 1.0, print)
     with pytest.raises(ClusterError, match=r"needs a certificate.*distributed\.comm\.tls\.ca-file"):
         next(shards)
 
@@ -212,7 +211,7 @@ def test_a_cluster_that_is_gone_is_said_to_be_and_the_run_goes_on_later(
     code, said = finished(run)
     expected = {"workers": "has had no workers for 1 s", "scheduler": "the scheduler is gone"}
     assert (code, expected[gone] in said, "Traceback" in said) == (2, True, False)
-    assert f"finished shards are in {output}; the same command goes on" in said
+    assert f"finished shards are in {output}; the same command continues" in said
     assert finished(start(suite_file, output)) == (0, "")
     assert files(output) == at_home
 

@@ -1,6 +1,7 @@
 """Runs: the same rows whatever the workers, the order or the interruptions."""
 
 import hashlib
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,9 @@ import pytest
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.runs import runner
 from charms_bench.runs.finished import open_finished
+from charms_bench.runs.folder import KINDS
 from charms_bench.runs.runner import plan, run
+from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
@@ -143,15 +146,48 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path) -> Non
 @pytest.mark.parametrize("content", ["", "[]", '{"suite": '])
 def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) -> None:
     (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(RunFolderError, match=r"manifest\.json: (is no JSON|expected a JSON)"):
+    with pytest.raises(RunFolderError, match=r"manifest\.json: (is not JSON|expected a JSON)"):
         run(suite(), tmp_path, workers=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"), [({}, "has no format"), ({"format": 3}, "has format 3")]
+)
+def test_a_folder_of_another_format_is_refused_and_left_alone(
+    tmp_path: Path, change: dict[str, object], found: str
+) -> None:
+    manifest = tmp_path / "manifest.json"
+    manifest.write_text(json.dumps({**change, "charms_bench": "0.1.0", "suite": {}}))
+    expected = rf"manifest\.json: {found}, expected format 2; run the suite again into another"
+    for use in (open_finished, lambda path: run(suite(), path, workers=1)):
+        with pytest.raises(RunFolderError, match=expected):
+            use(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} <= {"manifest.json", ".lock"}
+
+
+def test_the_manifest_begins_with_its_format(tmp_path: Path) -> None:
+    folder = run(suite(episodes=2), tmp_path, workers=1).folder
+    assert next(iter(folder.manifest().items())) == ("format", 2)
+
+
+def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_refused(tmp_path: Path) -> None:
+    finished = run(suite(episodes=2), tmp_path, workers=1)
+    shard = finished.shards[0]
+    files = {kind: finished.folder.read(kind, [shard]) for kind in KINDS}
+    later = {kind: rows.with_columns(jerk=0.0) for kind, rows in files.items()}
+    finished.folder.write(shard, {kind: in_parquet(rows) for kind, rows in later.items()})
+    assert finished.cells()[0].steps.equals(files["steps"])
+    fewer = files | {"steps": files["steps"].drop("lane", "speed")}
+    finished.folder.write(shard, {kind: in_parquet(rows) for kind, rows in fewer.items()})
+    with pytest.raises(RunFolderError, match="the columns speed, lane are missing or have other"):
+        finished.cells()
 
 
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
     finished = run(suite(episodes=2), tmp_path, workers=1)
     path = next((tmp_path / "steps").iterdir())
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=rf"{path.name}: has changed since.*sha256; run the"):
+    with pytest.raises(RunFolderError, match=rf"{path.name}: does not match.*sha256; run the"):
         finished.cells()
     path.unlink()
     with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
@@ -174,13 +210,15 @@ def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Pa
 
 
 def test_evaluation_seeds_stay_below_those_of_trainings() -> None:
-    with pytest.raises(SuiteError, match="reach those of trainings, which start at 1000000000"):
+    with pytest.raises(
+        SuiteError, match="expected seeds below 1000000000, where the seeds of trainings"
+    ):
         plan(suite(seed=999_999_990), "batched")
 
 
 def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
     def keys(**changes: object) -> set[str]:
-        return {shard.key for shard in plan(suite(**changes), "batched")[0]}
+        return {shard.key for shard in plan(suite(**changes), "batched")}
 
     eager = [{"agent": {"name": "stackelberg", "options": {"gain": 0.05}}}]
     calm = [{"agent": {"name": "stackelberg", "options": {"gain": 0.2}}}]

@@ -40,7 +40,7 @@ traffics: [{traffic: idm_mobil}]
 """
 SMALL_SHARDS = """\
 import signal
-from charms_bench import runner
+from charms_bench.runs import runner
 from charms_bench.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever who starts this has ignored
 runner.SHARD_EPISODES["batched"] = 5
@@ -139,7 +139,7 @@ def assert_noticed(folder: RunFolder, shard: Shard, path: Path, position: int, m
     path.write_bytes(whole[:position] + bytes([whole[position] ^ mask]) + whole[position + 1 :])
     assert not folder.is_whole(shard), f"{path.name}: byte {position}"
     if path.parent.name in KINDS:
-        with pytest.raises(RunFolderError, match="has changed since it was written"):
+        with pytest.raises(RunFolderError, match="does not match its checksum in"):
             folder.read(path.parent.name, [shard])
     path.write_bytes(whole)
 

@@ -1,0 +1,183 @@
+"""Simulates one shard, a fixed number of episodes of one cell; this is what workers run.
+
+Rows depend on this module and on what it imports, and a shard's key is a hash of all that code.
+So this module imports nothing that does not decide rows.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from charms_bench.engine import EngineName
+from charms_bench.engine.exact_maths import check_exact_maths
+from charms_bench.engine.recording import Recording
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import RunFolderError
+from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, plugins
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs.keys import code_sha256, differences, harness_sha256, library_versions
+from charms_bench.world.scene import SceneSettings
+
+ShardFiles = Mapping[str, bytes]
+"""The Parquet files of a shard by kind of rows, one for each kind in `engine.rows.SCHEMAS`."""
+
+
+@dataclass(frozen=True)
+class Software:
+    """Everything installed that decides the rows of a cell."""
+
+    code_sha256: str
+    """Hash of this package's modules that decide rows."""
+    versions: Mapping[str, str]
+    """Versions of libraries."""
+    agents: Mapping[str, Mapping[str, str]]
+    """See `identify_agents`."""
+
+    def differences(self, expected: "Software") -> str:
+        """Returns in words what differs from the expected software; empty if nothing does."""
+        return differences(self._flat(), expected._flat())
+
+    def _flat(self) -> dict[str, str]:
+        agents = {
+            f"{field} of {agent}": value
+            for agent, identity in self.agents.items()
+            for field, value in identity.items()
+        }
+        return {"code of charms-bench": self.code_sha256, **self.versions, **agents}
+
+
+@dataclass(frozen=True, eq=False)
+class ShardTask:
+    """A shard to simulate: all that decides its rows."""
+
+    title: str
+    """What messages call it; the only field that decides no row."""
+    engine: EngineName
+    scene: SceneSettings
+    ego: AgentSpec
+    traffic: TrafficSpec
+    network: Path | None
+    """The ONNX file of an ego that the suite gives by path."""
+    first_seed: int
+    """Seed of the first episode; the next episodes have the next seeds."""
+    episodes: int
+    software: Software
+    """What was installed when the run began."""
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that its rows depend on."""
+        inputs = {
+            "engine": self.engine,
+            "scene": self.scene.model_dump(mode="json"),
+            "ego": self.ego.key,
+            "traffic": self.traffic.model_dump(mode="json"),
+            "first_seed": self.first_seed,
+            "episodes": self.episodes,
+            "software": asdict(self.software),
+        }
+        return sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
+def simulate(task: ShardTask) -> ShardFiles:
+    """Simulates a shard and returns its rows as Parquet files.
+
+    Raises:
+        RunFolderError: The installed software is no longer that of the task.
+        CharmsBenchError: An agent cannot be made, or fails.
+    """
+    check_exact_maths(task.engine)
+    if changed := installed(task.ego, task.traffic, task.network).differences(task.software):
+        raise RunFolderError(
+            f"{task.title}: changed since the run began: {changed}; run the suite again"
+        )
+    traffic = task.traffic.make()
+    agents = {name: _agent(AgentSpec(name=name)) for name in traffic.agents}
+    agents[task.ego.key] = _agent(task.ego, task.network)
+    ego, count, first = task.ego.key, task.episodes, task.first_seed
+    simulation = Simulation(task.scene, count, ego, traffic, agents, task.engine)
+    simulation.reset(np.arange(first, first + count, dtype=np.uint64))
+    recording = Recording(simulation)
+    while simulation.scene.active.any():
+        simulation.step()
+        recording.note()
+    return {
+        "steps": in_parquet(recording.steps()),
+        "counts": in_parquet(recording.counts()),
+        "episodes": in_parquet(recording.episodes()),
+    }
+
+
+def in_parquet(rows: pl.DataFrame) -> bytes:
+    """Returns rows as a Parquet file."""
+    file = BytesIO()
+    rows.write_parquet(file)
+    return file.getvalue()
+
+
+def installed(ego: AgentSpec, traffic: TrafficSpec, network: Path | None) -> Software:
+    """Returns what is installed here and decides the rows of a cell."""
+    agents = identify_agents(ego, traffic, network)
+    return Software(harness_sha256(), library_versions(), agents)
+
+
+def identify_agents(
+    ego: AgentSpec, traffic: TrafficSpec, network: Path | None = None
+) -> dict[str, dict[str, str]]:
+    """Returns what tells each agent of a cell, and its traffic plugin, from other versions.
+
+    Args:
+        ego: The ego's agent.
+        traffic: The traffic around it.
+        network: The ONNX file of an ego given by path.
+
+    Returns:
+        By `AgentSpec.key`, the hash of a policy's weights and the plugin's distribution, version
+        and hash of its code.
+    """
+    found = {ego.key: _identify(ego, network)}
+    for name in traffic.make().agents:
+        spec = AgentSpec(name=name)
+        found[spec.key] = _identify(spec)
+    traffics = plugins(TRAFFIC)
+    if traffic.name in traffics:
+        found[f"traffic {traffic.name}"] = _origin(traffics[traffic.name])
+    return found
+
+
+def _identify(spec: AgentSpec, network: Path | None = None) -> dict[str, str]:
+    agent = _agent(spec, network)
+    weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
+    return weights if spec.name is None else weights | _origin(find(AGENTS, spec.name))
+
+
+def _origin(plugin: Plugin) -> dict[str, str]:
+    return {
+        "distribution": plugin.distribution,
+        "version": plugin.version,
+        "code_sha256": code_sha256(plugin.entry_point.module),
+    }
+
+
+def _agent(spec: AgentSpec, network: Path | None = None) -> Agent:
+    return _cached_agent(spec.model_dump_json(), network)
+
+
+@lru_cache
+def _cached_agent(spec_json: str, network: Path | None) -> Agent:
+    spec = AgentSpec.model_validate_json(spec_json)
+    return spec.make(Path()) if network is None else OnnxPolicy(network, spec.decision_hz)
+
+
+def forget_agents() -> None:
+    """Has agents made again, because the file of a network may have changed since."""
+    _cached_agent.cache_clear()

@@ -1,0 +1,109 @@
+"""Keys of shards: they follow the code that decides rows, and nothing else."""
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from charms_bench.runs.keys import SOURCES, harness_sha256, imported_modules, row_modules
+
+HARNESS = SOURCES / "charms_bench"
+UNRELATED = ("report", "cli", "statistics", "metrics", "episodes", "people", "envs", "testing")
+SIMULATES = """\
+import sys
+from pathlib import Path
+from charms_bench.engine.exact_maths import worker_environment
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.runs import shard
+from charms_bench.world.scene import SceneSettings
+for name in ("stackelberg", "charms", "imitation"):
+    agent, traffic = AgentSpec(name=name), TrafficSpec(name="pch")
+    inputs = SceneSettings(duration_s=1.0), agent, traffic, None
+    task = shard.ShardTask("a", "batched", *inputs, 0, 2, shard.installed(*inputs[1:]))
+    shard.simulate(task)
+import charms_bench.engine.highway_env
+print(*(name for name in sys.modules if name.partition(".")[0] == "charms_bench"))
+"""
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the package."""
+    folder = tmp_path_factory.mktemp("sources")
+    shutil.copytree(HARNESS, folder / "charms_bench", ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def hashed_with_a_change(sources: Path, path: Path) -> str:
+    """The hash while a comment is appended to a file."""
+    before = path.read_bytes()
+    path.write_bytes(before + b"#\n")
+    try:
+        return harness_sha256.__wrapped__(sources)
+    finally:
+        path.write_bytes(before)
+
+
+def test_changing_any_module_that_decides_rows_changes_the_key(copied: Path) -> None:
+    unchanged = harness_sha256.__wrapped__(copied)
+    assert unchanged == harness_sha256()
+    hashes = {hashed_with_a_change(copied, path) for path in row_modules(copied).values()}
+    assert len(hashes | {unchanged}) == len(row_modules(copied)) + 1
+
+
+def test_changing_what_only_presents_rows_does_not_change_the_key(copied: Path) -> None:
+    rooms = (copied / "charms_bench" / room for room in UNRELATED)
+    paths = [path for room in rooms for path in room.rglob("*.py")]
+    runs = copied / "charms_bench" / "runs"
+    paths += [runs / f"{name}.py" for name in ("suite", "folder", "document", "runner", "pairing")]
+    assert len(paths) > 50
+    assert {hashed_with_a_change(copied, path) for path in paths} == {harness_sha256()}
+
+
+def test_the_modules_that_decide_rows_are_those_of_a_simulation() -> None:
+    names = set(row_modules())
+    assert names >= {
+        "charms_bench.engine.kernels",
+        "charms_bench.engine.batched",
+        "charms_bench.engine.highway_env",
+        "charms_bench.engine.recording",
+        "charms_bench.engine.exact_maths",
+        "charms_bench.plugins.onnx_policy",
+        "charms_bench.runs.shard",
+        "charms_bench.world.scene",
+    }
+    assert not {name for name in names if name.split(".")[1:2] and name.split(".")[1] in UNRELATED}
+    assert not names & {f"charms_bench.runs.{name}" for name in ("suite", "folder", "document")}
+
+
+def test_a_worker_imports_no_other_module_of_the_package() -> None:
+    """With the project's plugins, whose own imports the key has to cover as well."""
+    ran = subprocess.run([sys.executable, "-c", SIMULATES], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert set(ran.stdout.split()) <= set(row_modules())
+
+
+@pytest.mark.parametrize("name", row_modules())
+def test_every_import_in_a_row_module_is_one_that_can_be_followed(name: str) -> None:
+    lazy_names = set(__import__("charms_bench").__all__) - {"__version__"}
+    for node in ast.walk(ast.parse(row_modules()[name].read_bytes())):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "a relative import"
+            if node.module == "charms_bench":
+                assert not lazy_names & {alias.name for alias in node.names}, "a lazy public name"
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("import charms_bench.a, json", {"charms_bench.a"}),
+        ("def f():\n    from charms_bench.a import b", {"charms_bench.a", "charms_bench.a.b"}),
+        ("if TYPE_CHECKING:\n    import charms_bench.a", set()),
+        ("if TYPE_CHECKING:\n    x\nelse:\n    import charms_bench.b", {"charms_bench.b"}),
+    ],
+)  # fmt: skip
+def test_imports_are_found_wherever_they_stand(source: str, expected: set[str]) -> None:
+    assert set(imported_modules(ast.parse(source))) == expected
