@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,8 +26,8 @@ def _one_worker_is_this_process() -> Iterator[None]:
 
     in_processes = runner.in_processes
 
-    def here(work: partial, tasks: list[Any], count: int, *others: Any) -> Iterator[Any]:
-        if count != 1 or "highway-env" in work.args:
+    def here(work: Callable[..., Any], tasks: list[Any], count: int, *others: Any) -> Iterator[Any]:
+        if count != 1 or any(task.engine == "highway-env" for task in tasks):
             yield from in_processes(work, tasks, count, *others)
             return
         for task in tasks:

@@ -49,7 +49,7 @@ def complaint(tmp_path: Path, text: str) -> str:
         ("lanes: 3", "lanes: &a 3\n  density: *a", "suite.yaml:6: aliases (*name) are not"),
         ("lanes: 3", "lanes: !!python/name:os.system 3", "suite.yaml:5: tags (!name) are not"),
         ("lanes: 3", "duration_s: 0.1", "duration_s is shorter than one decision"),
-        ("lanes: 3", "decision_hz: 4", "simulation_hz 15 is no multiple of decision_hz 4"),
+        ("lanes: 3", "decision_hz: 4", "simulation_hz 15 is not a multiple of decision_hz 4"),
     ],
 )
 def test_a_mistake_is_named_with_its_line_and_field(
