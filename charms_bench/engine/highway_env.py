@@ -24,7 +24,7 @@ from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
 
 class HighwayEnvEngine:
-    """highway-env itself behind the interface of `charms_bench.engine`."""
+    """highway-env itself, behind the interface of `charms_bench.engine`."""
 
     def __init__(
         self, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
@@ -32,7 +32,7 @@ class HighwayEnvEngine:
         self.scene = Scene.empty(settings, scenes)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self.roads: list[Road] = [None] * scenes
-        """highway-env's roads, to be looked at or drawn."""
+        """highway-env's roads, for inspection or drawing."""
         self._settings = settings
         self._models = models
         self._classes = {
@@ -71,12 +71,12 @@ class HighwayEnvEngine:
                     self._ask(model, row, places)
                 self._act(row, places)
             self.roads[row].step(dt)
-            self.scene.timer_s[row] += dt  # where a vehicle keeps no timer of its own
+            self.scene.timer_s[row] += dt  # for vehicles that keep no timer of their own
             self._copy_state(row)
         kernels.locate(self.scene, active)
 
     def _ask(self, model: DriverModel, row: int, places: Ints) -> None:
-        """Tells the vehicles of a driver model what it returns for them."""
+        """Asks a driver model, and passes its answers to its vehicles."""
         answers = model.drive(self.scene, (np.full(places.size, row), places))
         for place, *answer in zip(places, *answers, strict=True):
             vehicle = self.roads[row].vehicles[place]
@@ -90,21 +90,13 @@ class HighwayEnvEngine:
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
     def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
-        """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]."""
+        """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]"""
         settings, profile = self._settings, self._settings.profile
-        network = RoadNetwork()
+        network, width = RoadNetwork(), profile.lane_width_m
         for lane in range(settings.lanes):
-            y = lane * profile.lane_width_m
-            network.add_lane(
-                "0",
-                "1",
-                StraightLane(
-                    np.array([0.0, y]),
-                    np.array([profile.road_length_m, y]),
-                    width=profile.lane_width_m,
-                    speed_limit=profile.speed_limit_mps,
-                ),
-            )
+            ends = np.array([[0.0, lane * width], [profile.road_length_m, lane * width]])
+            straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
+            network.add_lane("0", "1", straight)
         road = Road(network=network, np_random=rng)
         spacing = 1 / settings.density
         for place in range(settings.vehicles):
@@ -139,7 +131,7 @@ class HighwayEnvEngine:
             self.scene.temperament[row, place] = rng.random()
 
     def _copy_state(self, row: int) -> None:
-        """Copies what highway-env's vehicles hold into the arrays."""
+        """Copies the state of highway-env's vehicles into the arrays."""
         scene = self.scene
         for place, vehicle in enumerate(self.roads[row].vehicles):
             scene.x[row, place], scene.y[row, place] = vehicle.position
@@ -158,11 +150,11 @@ class HighwayEnvEngine:
 
 
 class _SpawningVehicle(Vehicle):  # type: ignore[misc]  # highway-env is untyped
-    """Only draws an initial state."""
+    """Draws an initial state and does nothing else."""
 
 
 class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
-    """Meta-actions whose lane commands count from the current lane, within a speed range."""
+    """Obeys meta-actions; lane commands count from the current lane, speeds have a range."""
 
     target_lane_index: tuple[str, str, int]
     target_speed: float
@@ -175,7 +167,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped 
             self.target_lane_index = self.lane_index
             super().act(action)
             if self.target_lane_index == self.lane_index and not self._is_edge(action):
-                self.target_lane_index = start  # out of reach: the command has no effect
+                self.target_lane_index = start  # out of reach, so the command has no effect
             return
         super().act(action)
         if action in ("FASTER", "SLOWER"):
@@ -188,7 +180,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped 
 
 
 class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
-    """Carries out what a driver model returned."""
+    """Carries out the answers of a driver model."""
 
     target_lane_index: tuple[str, str, int]
 
@@ -213,7 +205,7 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
 
 
 def _reference_class(model: DriverModel, profile: Profile) -> Any:
-    """The class that a driver model names as its reference, or the one that asks the model."""
+    """The class that a driver model names as its reference, or the class that obeys its answers."""
     if not model.highway_env_class:
         return _with_constants(_ModelledVehicle, profile)
     module, name = model.highway_env_class.split(":")

@@ -1,4 +1,4 @@
-"""B episodes at once: agents decide, an engine moves, and what ends an episode is noted."""
+"""B episodes at once: agents decide, an engine moves the vehicles, and each ending is noted."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,24 +17,24 @@ from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 ENDINGS = ("running", "time", "rear_end", "side", "off_road")
-"""How an episode can stand or have ended; `Simulation.ending` holds indices."""
+"""The states of an episode; `Simulation.ending` holds indices."""
 RUNNING, TIME, REAR_END, SIDE, OFF_ROAD = range(len(ENDINGS))
 
 
 class Simulation:
-    """B scenes that go on together until each has ended.
+    """B scenes that advance together until each has ended.
 
     Args:
         settings: What the scenes have in common.
         scenes: B.
-        ego: The name of the ego's agent; None: the ego is driven by the actions given to `step`.
-        traffic: Who drives the others.
-        agents: Every agent named by `ego` and by `traffic`, by name.
+        ego: The name of the ego's agent. If None, the actions given to `step` drive the ego.
+        traffic: Assigns a driver to each of the other vehicles.
+        agents: All agents that `ego` and `traffic` name, by name.
         engine: `batched` or `highway-env`.
 
     Raises:
-        InputError: A policy's rate does not fit the simulation rate, or it names an observation
-            that does not exist.
+        InputError: A policy's rate does not fit the simulation rate, or its observation does not
+            exist.
     """
 
     def __init__(
@@ -52,12 +52,12 @@ class Simulation:
         self.steps = np.zeros(scenes, dtype=np.int64)
         """[B] decisions made."""
         self.ending = np.zeros(scenes, dtype=np.int64)
-        """[B] index into `ENDINGS`; a collision is noted in the simulation step in which it
-        happens, everything else at the end of a decision interval."""
+        """[B] index into `ENDINGS`. A collision is noted in the simulation step of its occurrence,
+        every other ending after the decision interval."""
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
-        """[B, N] whether there is one: not before the first, and never under a driver model."""
+        """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
         self._frames = np.zeros(scenes, dtype=np.int64)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
@@ -82,24 +82,24 @@ class Simulation:
 
     @property
     def drivers(self) -> NDArray[np.str_]:
-        """[B, N] the name of each vehicle's agent, empty for an ego driven from outside."""
+        """[B, N] the name of each vehicle's agent; empty for an ego driven from outside."""
         drivers: NDArray[np.str_] = np.array(self._names)[self.engine.drivers]
         return drivers
 
     @property
     def ego_vehicles(self) -> Vehicles:
-        """The egos of all scenes (B,)."""
+        """The egos (B,) of all scenes."""
         return np.arange(self.seeds.size), self.scene.ego
 
     def reset(self, seeds: NDArray[np.uint64], rows: Ints | None = None) -> None:
-        """Starts an episode in each of the scenes `rows`, by default all."""
+        """Starts an episode in each of the scenes `rows`; by default, in all scenes."""
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
         index = {name: k for k, name in enumerate(self._names)}
         traffic = np.empty((rows.size, others), dtype=np.int64)
         for r, seed in enumerate(seeds):
-            # A stream of its own: who drives does not change where vehicles start.
+            # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
             assigned = self._traffic.assign(rng, 1, others)[0]
             traffic[r] = [index[str(name)] for name in assigned]
@@ -112,7 +112,7 @@ class Simulation:
         """Advances every running episode by one decision interval.
 
         Args:
-            ego_actions: (B,) meta-actions of egos that are driven from outside.
+            ego_actions: (B,) meta-actions for egos driven from outside.
         """
         for frame in range(self.settings.simulation_hz // self.settings.decision_hz):
             self.advance(ego_actions if frame == 0 else None)
@@ -124,7 +124,7 @@ class Simulation:
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
             self._command((rows, self.scene.ego[rows]), ego_actions[rows])
-        decisions = []  # all before any is carried out: they see the same scene
+        decisions = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
             now = active & (self._frames % _period(policy, self.settings) == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
@@ -137,7 +137,7 @@ class Simulation:
         self._note_collisions()
 
     def finish_step(self) -> None:
-        """Ends the decision interval: counts it and ends the episodes that are over."""
+        """Counts the decision interval and ends the episodes that are over."""
         scene = self.scene
         self.steps[scene.active] += 1
         running = scene.active & (self.ending == RUNNING)
@@ -157,31 +157,26 @@ class Simulation:
             actions = np.asarray(policy.decide(observations))
         except Exception as error:
             raise self.blame(name, vehicles, _raised(error)) from error
-        if actions.shape != (vehicles[0].size,) or not np.issubdtype(actions.dtype, np.integer):
-            raise self.blame(
-                name,
-                vehicles,
-                f"decide returned {actions.dtype} of shape {actions.shape}; "
-                f"expected integers of shape {(vehicles[0].size,)}",
-            )
+        shape = vehicles[0].shape
+        if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
+            what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
+            raise self.blame(name, vehicles, f"decide returned {what}")
         wrong = (actions < 0) | (actions >= len(ACTIONS))
         if wrong.any():
-            raise self.blame(
-                name,
-                (vehicles[0][wrong], vehicles[1][wrong]),
-                f"decide returned action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}",
-            )
+            what = f"action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
+            concerned = (vehicles[0][wrong], vehicles[1][wrong])
+            raise self.blame(name, concerned, f"decide returned {what}")
         return actions
 
     def blame(self, name: str, vehicles: Vehicles, what: str) -> AgentError:
-        """The error of an agent, with the first episode and step concerned."""
+        """An agent's error, with the first episode and step in which it occurred."""
         row = int(vehicles[0][0])
         return AgentError(
             f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
         )
 
     def _note_collisions(self) -> None:
-        """Notes how the egos that have just collided did so, before the wreck moves on."""
+        """Notes how egos have just collided, before the wrecks move on."""
         scene = self.scene
         running = scene.active & (self.ending == RUNNING)
         for b in np.nonzero(running & scene.crashed[self.ego_vehicles])[0]:
@@ -190,16 +185,17 @@ class Simulation:
 
 
 def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
-    """The vehicle that the ego overlaps most, and whether it is a rear-end collision.
+    """The vehicle that the ego has hit, and whether this is a rear-end collision.
 
     Args:
         x: (N,) centres along the road, m.
         y: (N,) centres across the road, m.
         ego: The ego's place.
-        c: Of the scene.
+        c: The scene's constants.
 
     Returns:
-        The other vehicle's place, and whether the two overlap less along the road than across it.
+        The place of the vehicle that overlaps the ego most, and whether the two overlap less along
+        the road than across it.
     """
     along = c.length - np.abs(x - x[ego])
     across = c.width - np.abs(y - y[ego])
@@ -222,18 +218,18 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
     steps = settings.simulation_hz / policy.decision_hz if policy.decision_hz > 0 else 0.5
     if steps != round(steps):
         raise InputError(
-            f"agent '{name}' decides {policy.decision_hz} times a second, of which "
-            f"simulation_hz {settings.simulation_hz} is no multiple"
+            f"agent '{name}' decides {policy.decision_hz} times per second; simulation_hz "
+            f"{settings.simulation_hz} is not a multiple of this rate"
         )
     return policy
 
 
 class _CheckedModel(DriverModel):
-    """Passes on what a driver model answers, once it is known to be usable."""
+    """Checks what a driver model returns, and passes it on."""
 
     def __init__(self, name: str, model: DriverModel, simulation: Simulation) -> None:
         self._name, self._model, self._simulation = name, model, simulation
-        self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # of the model
+        self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:
@@ -241,36 +237,30 @@ class _CheckedModel(DriverModel):
             acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
         except Exception as error:
             raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
-        shape = vehicles[0].shape
+        shape, lanes = vehicles[0].shape, scene.constants.lanes
+        what = ""
         if acceleration.shape != shape or target_lane.shape != shape:
-            raise self._simulation.blame(
-                self._name,
-                vehicles,
-                f"drive returned shapes {acceleration.shape} and {target_lane.shape}; "
-                f"expected {shape} twice",
-            )
-        if not np.issubdtype(target_lane.dtype, np.integer):
-            raise self._simulation.blame(
-                self._name, vehicles, f"drive returned lanes of {target_lane.dtype}, not integers"
-            )
+            what = f"shapes {acceleration.shape} and {target_lane.shape}; expected {shape} twice"
+        elif not np.issubdtype(target_lane.dtype, np.integer):
+            what = f"lanes of {target_lane.dtype}; expected integers"
+        if what:
+            raise self._simulation.blame(self._name, vehicles, f"drive returned {what}")
         self._refuse(vehicles, ~np.isfinite(acceleration), acceleration, "a finite acceleration")
-        off = (target_lane < 0) | (target_lane >= scene.constants.lanes)
-        self._refuse(vehicles, off, target_lane, f"a lane from 0 to {scene.constants.lanes - 1}")
+        off = (target_lane < 0) | (target_lane >= lanes)
+        self._refuse(vehicles, off, target_lane, f"a lane from 0 to {lanes - 1}")
         return acceleration, target_lane
 
     def _refuse(
         self, vehicles: Vehicles, wrong: Bools, values: NDArray[Any], expected: str
     ) -> None:
         if wrong.any():
-            raise self._simulation.blame(
-                self._name,
-                (vehicles[0][wrong], vehicles[1][wrong]),
-                f"drive returned {values[wrong][0]}; expected {expected}",
-            )
+            what = f"drive returned {values[wrong][0]}; expected {expected}"
+            concerned = (vehicles[0][wrong], vehicles[1][wrong])
+            raise self._simulation.blame(self._name, concerned, what)
 
 
 def _raised(error: Exception) -> str:
-    """What an agent's exception says, and where it was raised."""
+    """The text of an agent's exception, and where it was raised."""
     trace = error.__traceback__
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next

@@ -1,1 +1,1 @@
-"""Who drives: the contracts, the registry of entry points, ONNX policies, the scaffold."""
+"""Agents and traffics: the contracts, the registry, ONNX policies and the scaffold."""

@@ -1,8 +1,8 @@
-"""The plugin contract of an agent: something that drives vehicles, many at once.
+"""The plugin contract of an agent, which drives many vehicles at once.
 
-An agent is a `Policy` or a `DriverModel`, registered in the entry-point group
-`charms_bench.agents` under the name by which suites call it. It keeps no state between calls:
-the same vehicles may be split over several calls, or several runs, at any time.
+An agent is a `Policy` or a `DriverModel`. It is registered in the entry-point group
+`charms_bench.agents`, under the name that suites use. It keeps no state between calls, because its
+vehicles may be split over several calls, or over several runs, at any time.
 """
 
 from abc import ABC, abstractmethod
@@ -14,21 +14,21 @@ from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 
 class Policy(ABC):
-    """Chooses meta-actions from observations, a few times a second."""
+    """Chooses meta-actions from observations, a few times per second."""
 
     observation: ObservationLike = "neighbours"
-    """The observation it sees."""
+    """The observation that the policy receives."""
 
     decision_hz: float = 3.0
-    """Decisions a second; the suite's simulation rate must be a multiple."""
+    """Decisions per second; the suite's simulation rate must be a multiple of this rate."""
 
     @abstractmethod
     def decide(self, observations: Observations) -> Actions:
         """The action of each vehicle.
 
         Args:
-            observations: (M, 7, 5) for `neighbours`, (M, 5, 5) for highway-env's `Kinematics` as
-                it is by default, float32; see `charms_bench.world.observations`.
+            observations: (M, 7, 5) for `neighbours`, (M, 5, 5) for highway-env's `Kinematics` with
+                its default options; float32. See `charms_bench.world.observations`.
 
         Returns:
             (M,) integers 0..4, indices into `ACTIONS`.
@@ -36,34 +36,34 @@ class Policy(ABC):
 
     @property
     def weights_sha256(self) -> str:
-        """The hash of the weights it decides by; empty for a policy without any."""
+        """The hash of the policy's weights; empty for a policy without weights."""
         return ""
 
 
 class DriverModel(ABC):
-    """Chooses acceleration and lane of its vehicles at every simulation step."""
+    """Chooses the acceleration and the lane of its vehicles at every simulation step."""
 
     highway_env_class: ClassVar[str] = ""
     """The highway-env vehicle class that is this model's reference, as `module:Class`.
 
-    The engine `highway-env` then uses that class instead of this model's `drive`.
+    If it is given, the engine `highway-env` uses that class instead of this model's `drive`.
     """
 
     @abstractmethod
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         """The acceleration and the target lane of each vehicle.
 
-        The scene is as the last simulation step left it, but for the target lanes of vehicles
-        whose agents act before this one in the same step: policies, then the ego's driver model,
-        then those of the traffic in the order in which the traffic plugin lists them.
+        The scene is as the last simulation step left it, except for the target lanes of vehicles
+        whose agents act earlier in the same step. Policies act first, then the ego's driver model,
+        then the driver models of the traffic, in the order in which the traffic plugin lists them.
 
         Args:
-            scene: All scenes; of its arrays only `timer_s` of the model's vehicles may be written.
-            vehicles: M vehicles, by scene and within a scene in the order of spawning.
+            scene: All scenes. The model may only write to `timer_s` of its own vehicles.
+            vehicles: M vehicles, sorted by scene and then by the order of spawning.
 
         Returns:
-            Accelerations (M,) in m/s2 and target lanes (M,), integers from 0 to lanes - 1. What
-            is returned for a crashed vehicle is ignored.
+            Accelerations (M,) in m/s2 and target lanes (M,), integers from 0 to lanes - 1. Answers
+            for crashed vehicles are ignored.
         """
 
 

@@ -1,8 +1,8 @@
-"""What an ONNX file would have onnxruntime do, found out before onnxruntime sees it.
+"""Checks what an ONNX file contains before onnxruntime loads it.
 
-The format is Protocol Buffers: a message is fields, each a number, a kind and a value, and a value
-may be a message again. Only what is asked about is looked at, at the numbers that `onnx.proto`
-gives them. https://protobuf.dev/programming-guides/encoding/
+The format is Protocol Buffers: a message is a sequence of fields; each has a number, a kind and a
+value, and a value can be a message itself. Only the fields that matter here are read, by their
+numbers in `onnx.proto`. https://protobuf.dev/programming-guides/encoding/
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _ARITHMETIC = (
     "Trilu Unsqueeze Where Xor"
 )
 OPERATORS = frozenset(_ARITHMETIC.split())
-"""What a policy may be made of: arithmetic, without loops, chance, texts or anybody's own code."""
+"""The operators that a policy may have: no loops, random numbers, texts or custom code."""
 
 _GRAPH, _FUNCTIONS = 7, 25  # of a model
 _NODE, _INITIALIZER, _SPARSE_INITIALIZER = 1, 5, 15  # of a graph
@@ -32,17 +32,17 @@ _STRING = 8
 
 
 def problem_of(data: bytes) -> str:
-    """Why a file is not to be loaded; empty where nothing speaks against it."""
+    """Why a file must not be loaded; empty if the file passes all checks."""
     try:
         return next(_problems(memoryview(data)), "")
     except (IndexError, ValueError):
-        return "is no ONNX file, or is damaged"
+        return "is not an ONNX file, or is damaged"
 
 
 def _problems(model: memoryview) -> Iterator[str]:
     for number, graph in _fields(model):
         if number == _FUNCTIONS:
-            yield "has functions of its own; save it with all of them inlined"
+            yield "has functions; save it with all functions inlined"
         if number != _GRAPH:
             continue
         for kind, value in _fields(_message(graph)):
@@ -60,7 +60,7 @@ def _problems_of_node(node: memoryview) -> Iterator[str]:
     for name in (_text(value) for number, value in parts if number == _OPERATOR):
         if name not in OPERATORS or any(domain not in ("", "ai.onnx") for domain in domains):
             full = ".".join(filter(None, (*domains, name)))
-            yield f"has the operator '{full[:80]}'; a policy is made of ONNX's arithmetic"
+            yield f"has the operator '{full[:80]}'; a policy may only have ONNX's arithmetic"
     for number, attribute in parts:
         if number != _ATTRIBUTE:
             continue
@@ -87,7 +87,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
     """The number and value of each field.
 
     Raises:
-        ValueError, IndexError: It is no message.
+        ValueError, IndexError: It is not a message.
     """
     at = 0
     while at < len(message):
@@ -110,7 +110,7 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, and where it ends."""
+    """A number with seven bits per byte, and where it ends."""
     value = 0
     for shift in range(0, 70, 7):
         byte = message[at]
@@ -122,9 +122,9 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
 
 
 def _message(value: int | memoryview) -> memoryview:
-    """A field's value where a message belongs."""
+    """The value of a field that must be a message."""
     if isinstance(value, int):
-        raise ValueError("a number where a message belongs")
+        raise ValueError("a number, expected a message")
     return value
 
 

@@ -1,4 +1,4 @@
-"""A network in an ONNX file as a policy."""
+"""A policy that is a network in an ONNX file."""
 
 from functools import cache
 from hashlib import sha256
@@ -17,24 +17,24 @@ from charms_bench.world.scene import Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
 MEMORY_LIMIT_BYTES = 2 * 2**30
-"""Of all networks of a process, together with what they compute."""
+"""Memory of all networks of a process, including their intermediate results."""
 
 
 class OnnxPolicy(Policy):
-    """Takes the action of the highest value.
+    """Chooses the action with the highest value.
 
-    Nothing but arithmetic runs, in bounded memory; see `onnx_file.OPERATORS`.
-
-    The model is one file with one input, `(batch, rows, columns)` of its observation or
-    `(batch, rows * columns)`, and one output `(batch, 5)`, both float32, and runs on one thread.
-    Its observation is the one that the file's metadata name, or `neighbours`.
+    The network can only do arithmetic, in bounded memory and on one thread; see
+    `onnx_file.OPERATORS`. The file has one input, `(batch, rows, columns)` of the observation or
+    `(batch, rows * columns)`, and one output `(batch, 5)`, both float32. The file's metadata name
+    the observation; the default is `neighbours`.
 
     Args:
         path: The `.onnx` file.
-        decision_hz: Decisions a second; by default those in the file's metadata, or 3.
+        decision_hz: Decisions per second; by default the rate in the file's metadata, or 3.
 
     Raises:
-        ModelError: The file is missing, too large, broken, of another shape or not just arithmetic.
+        ModelError: The file is missing, too large or broken, its inputs or outputs have other
+            shapes, or it has operators that are not arithmetic.
     """
 
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
@@ -44,7 +44,9 @@ class OnnxPolicy(Policy):
         self._session = _session(self.path, data)
         self.observation = _observation(self.path, self._session)
         self._input, self._shape = _input(self.path, self._session, self.observation.shape)
-        self.decision_hz = decision_hz or _decision_hz(self.path, self._session)
+        self.decision_hz = (
+            _decision_hz(self.path, self._session) if decision_hz is None else decision_hz
+        )
         self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
 
     @property
@@ -59,7 +61,7 @@ class OnnxPolicy(Policy):
         """The network's output (M, 5) for observations (M, rows, columns).
 
         Raises:
-            ModelError: It cannot be computed, has another shape, or some of it is no number.
+            ModelError: It cannot be computed, has another shape, or contains NaN.
         """
         inputs = observations.reshape(-1, *self._shape)
         values: np.ndarray[Any, np.dtype[np.float32]]
@@ -69,9 +71,11 @@ class OnnxPolicy(Policy):
             raise ModelError(f"{self.path}: cannot be computed: {_reason(error)}") from error
         expected = (len(observations), len(ACTIONS))
         if values.shape != expected:
-            raise ModelError(f"{self.path}: gives values {values.shape}; expected {expected}")
+            raise ModelError(
+                f"{self.path}: returns values of shape {values.shape}; expected {expected}"
+            )
         if np.isnan(values).any():
-            raise ModelError(f"{self.path}: gives values that are no numbers")
+            raise ModelError(f"{self.path}: returns values that are NaN")
         return values
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -96,16 +100,16 @@ def _session(path: Path, data: bytes) -> Any:
     options.add_session_config_entry("session.use_env_allocators", "1")
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # what is wrong with the model is said in the exception
+    options.log_severity_level = 4  # the exception says what is wrong
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors share no public base
-        raise ModelError(f"{path}: is no model onnxruntime can load: {_reason(error)}") from error
+        raise ModelError(f"{path}: cannot be loaded by onnxruntime: {_reason(error)}") from error
 
 
 @cache
 def _bound_memory() -> None:
-    """Gives this process's networks one place to take their memory from."""
+    """Makes all networks of this process share one memory arena of limited size."""
     import onnxruntime
 
     kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
@@ -115,32 +119,32 @@ def _bound_memory() -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What an error of onnxruntime's says, without where in its sources it arose."""
+    """The message of onnxruntime's error, without its source location."""
     text = str(error).splitlines()[0]
     if "BFCArena" in text:
-        return f"it takes more than {MEMORY_LIMIT_BYTES:,} bytes of memory"
+        return f"it needs more than {MEMORY_LIMIT_BYTES:,} bytes of memory"
     return text.rpartition("Status Message: ")[2][:300]
 
 
 def _decision_hz(path: Path, session: Any) -> float:
-    """Decisions a second by the file's metadata."""
+    """Decisions per second, from the file's metadata."""
     said = session.get_modelmeta().custom_metadata_map.get("decision_hz", "3")
     try:
         hz = float(said)
     except ValueError:
         hz = 0.0
     if not 0 < hz <= 1000:
-        raise ModelError(f"{path}: its metadata say decision_hz '{said}'; expected a positive rate")
+        raise ModelError(f"{path}: metadata: decision_hz is '{said}'; expected a positive rate")
     return hz
 
 
 def _observation(path: Path, session: Any) -> Observation:
-    """What the network sees, by the file's metadata."""
+    """The network's observation, from the file's metadata."""
     said = session.get_modelmeta().custom_metadata_map.get("observation", "neighbours")
     try:
         return observation_described(said)
     except InputError as error:
-        raise ModelError(f"{path}: its metadata: {error}") from error
+        raise ModelError(f"{path}: metadata: {error}") from error
 
 
 def _input(path: Path, session: Any, shape: tuple[int, int]) -> tuple[str, tuple[int, ...]]:

@@ -1,7 +1,7 @@
-"""Entry points -> plugins, by name.
+"""Finds plugins by name among the installed entry points.
 
-Listing reads metadata only. A plugin is imported when it is asked for, so a broken one is nobody
-else's trouble.
+Listing reads metadata only. A plugin is imported when it is asked for, so a broken plugin does not
+affect the others.
 """
 
 import re
@@ -32,7 +32,7 @@ _ROLES = {
 
 @dataclass(frozen=True)
 class Plugin:
-    """What an entry point says of itself."""
+    """An installed plugin, which is not imported yet."""
 
     name: str
     role: str
@@ -43,7 +43,7 @@ class Plugin:
 
 
 def plugins(group: str) -> dict[str, Plugin]:
-    """The installed plugins of an entry-point group, by name and in its order.
+    """The installed plugins of an entry-point group by name, sorted by name.
 
     Raises:
         RegistryError: Two distributions claim one name.
@@ -71,7 +71,7 @@ def find(group: str, name: str) -> Plugin:
     """The plugin of that name.
 
     Raises:
-        RegistryError: There is none; names those there are.
+        RegistryError: It is not installed.
     """
     installed = plugins(group)
     if name in installed:
@@ -83,8 +83,8 @@ def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
     """The agent of that name, made with `options`.
 
     Raises:
-        RegistryError: It is not installed, cannot be imported, does not take the options, or is
-            no agent.
+        RegistryError: It is not installed, cannot be imported, does not accept the options, or is
+            not an agent.
     """
     agent = _make(find(AGENTS, name), options or {})
     if not isinstance(agent, (Policy, DriverModel)):
@@ -95,7 +95,7 @@ def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
 
 
 def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
-    """The traffic of that name; an agent's name is the traffic in which it drives everybody.
+    """The traffic of that name; an agent's name is the traffic in which it drives all vehicles.
 
     Raises:
         RegistryError: As for `make_agent`.
@@ -114,7 +114,7 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
 
 
 def load(group: str, name: str) -> Any:
-    """What the entry point of that name stands for.
+    """The object that the entry point of that name refers to.
 
     Raises:
         RegistryError: It is not installed or cannot be imported.
@@ -133,7 +133,7 @@ def _load(plugin: Plugin) -> Any:
 
 
 def _remedy(plugin: Plugin, error: ImportError) -> str:
-    """Which extra of its distribution brings the missing library, if one does."""
+    """How to install the missing library, if an extra of the plugin's distribution has it."""
     library = (error.name or "").partition(".")[0].replace("_", "-")
     distribution = plugin.entry_point.dist
     for requirement in (distribution.requires or []) if distribution and library else []:

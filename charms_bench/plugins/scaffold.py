@@ -1,4 +1,4 @@
-"""The distribution of a new agent, from templates: what a plugin author starts from."""
+"""Creates the distribution of a new agent from templates, as a start for plugin authors."""
 
 import re
 from importlib.util import find_spec
@@ -11,20 +11,20 @@ from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
 TEMPLATES = Path(__file__).with_name("templates")
 _NAME = re.compile(r"[a-z](?:[a-z0-9_]{0,48}[a-z0-9])?")
-"""What can be an agent, a module and a distribution."""
+"""A name that is valid for an agent, a module and a distribution."""
 _OF_PYTEST = ("tests", "conftest")
-"""Files of which pytest, which runs the tests that come with an agent, thinks otherwise."""
+"""Names with a special meaning to pytest, which runs the new agent's tests."""
 
 
 def new_agent(name: str, folder: Path) -> tuple[Path, ...]:
-    """Writes the distribution of an agent that drives at once; returns its files.
+    """Writes the distribution of an agent that can drive; returns its files.
 
     Args:
-        name: The agent's, its module's and its distribution's.
-        folder: Where to; it is made, or is there and empty.
+        name: The name of the agent, its module and its distribution.
+        folder: The folder to write to; it does not exist yet, or is empty.
 
     Raises:
-        InputError: The name is none or is taken, or the folder is not empty or cannot be written.
+        InputError: The name is invalid or taken, or the folder is not empty or cannot be written.
     """
     _check_name(name)
     words = {"name": name, "policy": "".join(map(str.capitalize, name.split("_"))) + "Policy"}
@@ -37,7 +37,7 @@ def new_agent(name: str, folder: Path) -> tuple[Path, ...]:
     }
     try:
         if folder.exists() and any(folder.iterdir()):
-            raise InputError(f"{folder}: is not empty; give another with --folder")
+            raise InputError(f"{folder}: is not empty; give another folder with --folder")
         (folder / "tests").mkdir(parents=True, exist_ok=True)
         for path, template in files.items():
             text = (TEMPLATES / f"{template}.tmpl").read_text(encoding="utf-8")
@@ -51,18 +51,17 @@ def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or iskeyword(name):
         raise InputError(
             f"'{name}' cannot be the name of a module; expected up to 50 lower-case letters, "
-            "digits and _, the first a letter and the last no _"
+            "digits and underscores, starting with a letter and not ending with an underscore"
         )
     if name in _OF_PYTEST:
-        raise InputError(f"'{name}' is something else to pytest; choose another name")
+        raise InputError(f"'{name}' has a special meaning to pytest; choose another name")
     for group in (AGENTS, TRAFFIC):
         if taken := plugins(group).get(name):
             raise InputError(
-                f"there is the {taken.role} '{name}' already, of {taken.distribution}; choose "
-                "another name"
+                f"{taken.distribution} already has the {taken.role} '{name}'; choose another name"
             )
     module = find_spec(name)
-    if module is not None and module.origin is not None:  # none: just a folder of that name
+    if module is not None and module.origin is not None:  # None: only a folder of that name
         raise InputError(
-            f"there is a module '{name}' already, {module.origin}; choose another name"
+            f"a module named '{name}' already exists, {module.origin}; choose another name"
         )

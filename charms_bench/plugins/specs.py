@@ -1,4 +1,4 @@
-"""Agents and traffics as suites name them."""
+"""Agents and traffics as a suite describes them."""
 
 import json
 from pathlib import Path
@@ -13,18 +13,23 @@ from charms_bench.plugins.traffic import Mixture, Traffic
 from charms_bench.world.fields import FilePath, FrozenModel, Name
 
 
-class AgentSpec(FrozenModel):
-    """An agent by its name, or a network by the path of its ONNX file."""
+class _Spec(FrozenModel):
+    """A plugin by its name; a plain string is the name."""
 
     name: Name | None = None
     options: dict[str, Any] = Field(default={})
-    onnx: FilePath | None = None
-    decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
 
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, value: object) -> object:
         return {"name": value} if isinstance(value, str) else value
+
+
+class AgentSpec(_Spec):
+    """An agent by its name, or a network by the path of its ONNX file."""
+
+    onnx: FilePath | None = None
+    decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "AgentSpec":
@@ -38,7 +43,7 @@ class AgentSpec(FrozenModel):
 
     @property
     def key(self) -> str:
-        """Tells agents apart: the plain name of one without options."""
+        """Identifies the agent: its name if it has no options, else all of this as JSON."""
         if self.name is not None and not self.options:
             return self.name
         return json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
@@ -50,17 +55,10 @@ class AgentSpec(FrozenModel):
         return OnnxPolicy(folder / self.onnx, self.decision_hz)
 
 
-class TrafficSpec(FrozenModel):
-    """A traffic or an agent by its name, or shares of agents."""
+class TrafficSpec(_Spec):
+    """A traffic or an agent by its name, or a mixture of agents with shares."""
 
-    name: Name | None = None
-    options: dict[str, Any] = Field(default={})
     mixture: dict[Name, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_name(cls, value: object) -> object:
-        return {"name": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "TrafficSpec":

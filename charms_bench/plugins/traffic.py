@@ -1,7 +1,7 @@
-"""The plugin contract of a traffic: who drives each of the vehicles around the ego.
+"""The plugin contract of a traffic, which assigns an agent to each vehicle around the ego.
 
-Registered in the entry-point group `charms_bench.traffic`. Every agent's name is also the name of
-a traffic in which that agent drives every vehicle.
+A traffic is registered in the entry-point group `charms_bench.traffic`. Every agent's name is also
+the name of a traffic in which that agent drives every vehicle.
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ class Traffic(ABC):
     """Assigns an agent to every vehicle of the traffic."""
 
     agents: tuple[str, ...]
-    """Names of all agents that `assign` may return, in the order in which they act."""
+    """The names of all agents that `assign` may return, in the order in which they act."""
 
     @abstractmethod
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
@@ -35,13 +35,13 @@ class OneAgent(Traffic):
 
 
 class Mixture(Traffic):
-    """Every vehicle's agent is drawn independently with fixed probabilities.
+    """Draws the agent of every vehicle independently, with fixed probabilities.
 
     Args:
-        shares: Probability of each agent by name; they sum to 1.
+        shares: The probability of each agent, by name; they sum to 1.
 
     Raises:
-        InputError: The shares are no probability distribution.
+        InputError: A share is negative, or the shares do not sum to 1.
     """
 
     def __init__(self, shares: Mapping[str, float]) -> None:

@@ -1,11 +1,11 @@
-"""Field types of validated models: what a suite or an option may hold."""
+"""Field types of validated models, such as suites."""
 
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-# Within these, no quantity of a simulation leaves what floating-point numbers hold.
+# Within these bounds, no quantity of a simulation overflows.
 Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
 NonNegative = Annotated[float, Field(ge=0, le=1e9)]
 Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -18,7 +18,7 @@ class FrozenModel(BaseModel):
 
 
 def _printable(text: str) -> str:
-    """Refuses what would move a terminal's cursor or turn the direction of writing."""
+    """Refuses characters that move a terminal's cursor or change the writing direction."""
     if not text.isprintable():
         raise ValueError("expected characters that can be printed, on one line")
     return text

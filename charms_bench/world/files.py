@@ -1,4 +1,4 @@
-"""Files: regular ones of a known size are read, and written ones appear whole or not at all."""
+"""Reads regular files of limited size; writes files so that they appear complete or not at all."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ def size_of(path: Path) -> int:
     """The size of a regular file, bytes.
 
     Raises:
-        OSError: There is none, or it is a folder, a pipe or a device, which may never end.
+        OSError: The file does not exist, or is a folder, a pipe or a device.
     """
     try:
         found = path.stat()
@@ -30,7 +30,7 @@ def read_limited(path: Path, limit: int) -> bytes:
     """The content of a regular file.
 
     Raises:
-        OSError: It cannot be read, or holds more than `limit` bytes, whatever its announced size.
+        OSError: The file cannot be read, or has more than `limit` bytes, whatever size it reports.
     """
     if size_of(path) <= limit:
         with path.open("rb") as file:
@@ -41,7 +41,7 @@ def read_limited(path: Path, limit: int) -> bytes:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a file beside `path` and then puts it in its place.
+    """Lets `write` fill a temporary file and then moves it to `path`.
 
     Raises:
         RunFolderError: The folder cannot be written to.
@@ -59,5 +59,5 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Puts a file in its place, whole; see `write_atomically`."""
+    """Writes a file atomically; see `write_atomically`."""
     write_atomically(path, lambda partial: partial.write_bytes(data))

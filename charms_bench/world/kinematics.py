@@ -1,7 +1,7 @@
-"""highway-env's own observation, `Kinematics`, of many vehicles at once.
+"""highway-env's own observation, `Kinematics`, for many vehicles at once.
 
-A row a vehicle: first the one that looks, then the others within 200 m, nearest along the road
-first. [`KinematicObservation`, highway-env 1.12]
+It has one row per vehicle: first the observing vehicle, then the vehicles within 200 m, sorted by
+their distance along the road [`KinematicObservation`, highway-env 1.12].
 """
 
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
+from charms_bench.errors import suggestion
 from charms_bench.world.compiled import compiled
 from charms_bench.world.fields import Finite, FrozenModel
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
@@ -23,25 +24,25 @@ FEATURES: dict[str, Callable[[Scene, Vehicles], Floats]] = {
     "heading": lambda scene, seen: scene.heading[seen],
     "cos_h": lambda scene, seen: scene.direction_x[seen],
     "sin_h": lambda scene, seen: scene.direction_y[seen],
-    "cos_d": lambda scene, seen: np.zeros(seen[1].shape),  # where a route leads: nobody has one
+    "cos_d": lambda scene, seen: np.zeros(seen[1].shape),  # vehicles here have no route
     "sin_d": lambda scene, seen: np.zeros(seen[1].shape),
     "long_off": lambda scene, seen: scene.x[seen],
     "lat_off": lambda scene, seen: scene.y[seen] - scene.lane[seen] * scene.constants.lane_width,
     "ang_off": lambda scene, seen: (scene.heading[seen] + np.pi) % (2 * np.pi) - np.pi,
 }
-"""What can stand in a row [`Vehicle.to_dict`]."""
+"""The features that a row can have [`Vehicle.to_dict`]."""
 RELATIVE = ("x", "y", "vx", "vy")
 SPEED_MPS = 40.0
-"""What ranges follow from, whatever the profile's fastest speed is [Vehicle.MAX_SPEED]."""
+"""The default ranges depend on this speed, not on the profile's [Vehicle.MAX_SPEED]."""
 LANE_WIDTH_M = 4.0
-"""Likewise [AbstractLane.DEFAULT_WIDTH]."""
+"""The default ranges depend on this width, likewise [AbstractLane.DEFAULT_WIDTH]."""
 PERCEPTION_M = 5.0 * SPEED_MPS
 """[PERCEPTION_DISTANCE]"""
 
 
 def _known(feature: str) -> str:
     if feature not in FEATURES:
-        raise ValueError(f"no feature '{feature}'; there are: {', '.join(FEATURES)}")
+        raise ValueError(f"no feature named '{feature}'. {suggestion(feature, FEATURES)}")
     return feature
 
 
@@ -49,44 +50,44 @@ Feature = Annotated[str, AfterValidator(_known)]
 
 
 class Kinematics(FrozenModel):
-    """highway-env's `Kinematics`; its options, by their names there and with their defaults.
+    """highway-env's `Kinematics`; the options have highway-env's names and defaults.
 
-    `order: shuffled` draws at random and is none of them: a policy decides the same again.
+    `order: shuffled` is not available: it is random, and policies must be deterministic.
     """
 
     name: ClassVar[str] = "Kinematics"
 
     vehicles_count: Annotated[int, Field(ge=2, le=501)] = 5
-    """Rows."""
+    """Number of rows."""
     features: Annotated[tuple[Feature, ...], Field(strict=False, min_length=1)] = (
         "presence",
         *RELATIVE,
     )
-    """Columns."""
+    """The columns."""
     features_range: dict[Feature, Annotated[tuple[Finite, Finite], Field(strict=False)]] | None = (
         None
     )
-    """What is mapped to [-1, 1], and from where; by default x from 200 m either way, y from a lane
-    width either way for every lane, vx and vy from 80 m/s either way."""
+    """The features that are mapped to [-1, 1], and their ranges. By default, x has ±200 m, y has
+    ± one lane width times the number of lanes, and vx and vy have ±80 m/s."""
     absolute: bool = False
-    """Whether x, y, vx and vy of the others are as on the road, not relative to the first row's."""
+    """Whether x, y, vx and vy are absolute; otherwise they are relative to the first row."""
     order: Literal["sorted"] = "sorted"
     normalize: bool = True
     """Whether `features_range` applies."""
     clip: bool = True
-    """Whether what it applies to is clipped to [-1, 1]."""
+    """Whether the features that `features_range` maps are clipped to [-1, 1]."""
     see_behind: bool = False
-    """Whether to look further back than two vehicle lengths."""
+    """Whether to include vehicles more than two vehicle lengths behind."""
     observe_intentions: bool = False
-    """Whether cos_d and sin_d hold a direction: not where nobody plans a route, as here."""
+    """Accepted for compatibility: vehicles here plan no route, so cos_d and sin_d are 0."""
     include_obstacles: bool = True
-    """Of which there are none."""
+    """Accepted for compatibility: there are no obstacles."""
 
     @field_validator("features")
     @classmethod
     def _no_feature_twice(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(value)) < len(value):
-            raise ValueError("a feature stands here twice")
+            raise ValueError("a feature is listed twice")
         return value
 
     @field_validator("features_range")
@@ -96,16 +97,16 @@ class Kinematics(FrozenModel):
     ) -> dict[str, tuple[float, float]] | None:
         for feature, (low, high) in (value or {}).items():
             if low >= high:
-                raise ValueError(f"the range of {feature} is not from low to high")
+                raise ValueError(f"the range of {feature} is {low} to {high}; expected low < high")
         return value
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The rows and columns that one vehicle sees."""
+        """The rows and columns of one vehicle's observation."""
         return self.vehicles_count, len(self.features)
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """What M vehicles see, (M, rows, columns)."""
+        """The observations of M vehicles, (M, rows, columns)."""
         rows, places = vehicles
         nearest = np.full((rows.size, self.vehicles_count), -1)
         back_m = np.inf if self.see_behind else 2 * scene.constants.length
@@ -117,7 +118,7 @@ class Kinematics(FrozenModel):
         return observations
 
     def _column(self, feature: str, scene: Scene, seen: Vehicles) -> Floats:
-        """A feature of the vehicles that M others see, (M, rows)."""
+        """A feature of the vehicles `seen`, (M, rows)."""
         values = FEATURES[feature](scene, seen)
         if feature in RELATIVE and not self.absolute:
             values[:, 1:] -= values[:, :1]
@@ -125,7 +126,7 @@ class Kinematics(FrozenModel):
         if limits is None or not self.normalize:
             return values
         low, high = limits
-        values = -1 + (values - low) * 2 / (high - low)  # [`utils.lmap`], in its order
+        values = -1 + (values - low) * 2 / (high - low)  # in the order of `utils.lmap`
         return values.clip(-1.0, 1.0) if self.clip else values
 
     def _ranges(self, lanes: int) -> dict[str, tuple[float, float]]:
@@ -140,10 +141,11 @@ class Kinematics(FrozenModel):
 def _find_nearest(
     x: Floats, y: Floats, rows: Ints, places: Ints, back_m: float, nearest: Ints
 ) -> None:
-    """Writes for M vehicles whom they see, (M, rows): itself, then the nearest along the road.
+    """Writes the places of the vehicles in the rows of M vehicles' observations, (M, rows).
 
-    Of two that are equally far, first the one that was spawned first. Places that nobody takes
-    are left. [`Road.close_objects_to`]
+    The first is the vehicle itself, then follow the nearest along the road; of two at the same
+    distance, the one spawned first comes first. Entries without a vehicle stay as they are
+    [`Road.close_objects_to`].
     """
     distances = np.empty(nearest.shape[1])
     for m in range(rows.size):

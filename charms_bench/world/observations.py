@@ -1,11 +1,12 @@
-"""What a policy sees.
+"""The observations of policies.
 
-`neighbours`: (7, 5) float32, a row a vehicle: presence, x, y, vx, vy. Row 0 is the vehicle
+`neighbours` is (7, 5) float32, one row per vehicle: presence, x, y, vx, vy. Row 0 is the vehicle
 itself: 1, 1, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its nearest neighbours within
-99 m, relative to it, x / 165 m, y / 12 m, velocity / 66 m/s, clipped to [-1, 1]; a row without a
-neighbour is all zeros. Neighbours follow highway-env's rule, see `Scene.leader`.
+99 m, relative to it: x / 165 m, y / 12 m, velocity / 66 m/s, clipped to [-1, 1]. A row without a
+neighbour is all zeros. Neighbours follow highway-env's rule; see `Scene.leader`.
 
-`Kinematics`: highway-env's own, with its options; see `charms_bench.world.kinematics`.
+`Kinematics` is highway-env's own observation, with its options; see
+`charms_bench.world.kinematics`.
 """
 
 import json
@@ -23,18 +24,18 @@ from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 
 
 class Observation(Protocol):
-    """What policies see; `charms_bench.world.observations` lists those that have a name."""
+    """What a policy observes. `OBSERVATIONS` lists the observations that have a name."""
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The rows and columns that one vehicle sees."""
+        """The rows and columns of one vehicle's observation."""
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """What M vehicles see, (M, rows, columns)."""
+        """The observations of M vehicles, (M, rows, columns)."""
 
 
 ObservationLike = str | Mapping[str, Any] | Observation
-"""An observation by its name, with options as `{type: name, option: value}`, or itself."""
+"""An observation, its name, or its name and options: `{type: name, option: value}`."""
 
 EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
 """The rows of `neighbours`."""
@@ -51,11 +52,11 @@ class Neighbours(FrozenModel):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The rows and columns that one vehicle sees."""
+        """The rows and columns of one vehicle's observation."""
         return 7, 5
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """What M vehicles see, (M, 7, 5)."""
+        """The observations of M vehicles, (M, 7, 5)."""
         observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
         _fill(scene, vehicles[0], vehicles[1], observations)
         return observations
@@ -68,16 +69,16 @@ OBSERVATIONS = {kind.name: kind for kind in (Neighbours, Kinematics)}
 
 
 def observation_of(like: ObservationLike) -> Observation:
-    """The observation that is meant.
+    """The observation itself, made from its name and options if need be.
 
     Raises:
-        InputError: There is none of that name, or its options cannot be.
+        InputError: The name is unknown, or the options are wrong.
     """
     return like if callable(like) else named_observation(like)
 
 
 def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
-    """The observation of a name, or of `{type: name, option: value}`; raises likewise."""
+    """The observation of a name, or of `{type: name, option: value}`; see `observation_of`."""
     options = dict(like) if isinstance(like, Mapping) else {"type": like}
     name = str(options.pop("type", None))[:80]
     if name not in OBSERVATIONS:
@@ -90,7 +91,7 @@ def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
 
 
 def described(observation: Neighbours | Kinematics) -> str:
-    """What the metadata of an ONNX file say of what its network sees."""
+    """An observation as text, for the metadata of an ONNX file."""
     if isinstance(observation, Kinematics):
         return json.dumps({"type": observation.name, **observation.model_dump(mode="json")})
     return (
@@ -100,17 +101,17 @@ def described(observation: Neighbours | Kinematics) -> str:
 
 
 def observation_described(text: str) -> Neighbours | Kinematics:
-    """The observation of which a file's metadata say so.
+    """The observation that a text from `described` describes.
 
     Raises:
-        InputError: They say nothing that is known.
+        InputError: The text describes no known observation.
     """
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:
         return named_observation(json.loads(text))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"observation: is no JSON: {error}") from error
+        raise InputError(f"observation: is not JSON: {error}") from error
 
 
 @compiled

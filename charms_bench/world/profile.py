@@ -33,7 +33,7 @@ class IdmMobilConstants(FrozenModel):
     politeness: NonNegative = 0.0
     """Weight of the followers' accelerations in MOBIL's incentive [POLITENESS]."""
     lane_change_gain_mps2: Finite = 0.2
-    """Acceleration to be gained by a lane change [LANE_CHANGE_MIN_ACC_GAIN]."""
+    """Acceleration that a lane change must gain [LANE_CHANGE_MIN_ACC_GAIN]."""
     imposed_braking_mps2: Positive = 2.0
     """Braking that may be imposed on the new follower [LANE_CHANGE_MAX_BRAKING_IMPOSED]."""
     lane_change_period_s: Positive = 1.0
@@ -41,7 +41,7 @@ class IdmMobilConstants(FrozenModel):
 
 
 class Profile(FrozenModel):
-    """Constants that hold for every vehicle and every scene of a suite."""
+    """The constants of every vehicle and every scene of a suite."""
 
     name: str
     lane_width_m: Positive = 4.0
@@ -62,9 +62,9 @@ class Profile(FrozenModel):
     steering_limit_rad: Positive = 1.0471975511965976
     """[MAX_STEERING_ANGLE], pi / 3."""
     lane_command_from: Literal["current_lane", "target_lane"]
-    """The lane from which LANE_LEFT and LANE_RIGHT count."""
+    """The lane that LANE_LEFT and LANE_RIGHT refer to."""
     target_speed_step_mps: Positive = 5.0
-    """What FASTER and SLOWER change the target speed by, without `target_speeds_mps`."""
+    """FASTER and SLOWER change the target speed by this, unless `target_speeds_mps` is given."""
     target_speed_min_mps: Finite
     target_speed_max_mps: Positive
     target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
@@ -75,7 +75,7 @@ class Profile(FrozenModel):
     ego_speed_mps: Positive
     """Initial speed of the ego."""
     ego_spacing: Positive | None = None
-    """Spacing ahead of which the ego spawns; none: that of the traffic, 1 / density."""
+    """Spacing at which the ego spawns; by default that of the traffic, 1 / density."""
     offroad_terminal: bool
     """Whether the episode ends when the ego leaves the road."""
     idm_mobil: IdmMobilConstants = IdmMobilConstants()
@@ -94,7 +94,7 @@ class Profile(FrozenModel):
         if len(self.target_speeds_mps) == 1:
             raise ValueError("target_speeds_mps needs none or at least two speeds")
         if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
-            raise ValueError("target_speeds_mps do not grow")
+            raise ValueError("target_speeds_mps are not in increasing order")
         return self
 
 
@@ -134,7 +134,7 @@ class Constants(NamedTuple):
 
 
 def constants(profile: Profile, lanes: int, simulation_hz: int) -> Constants:
-    """The constants of a road of some lanes, simulated at a rate, by a profile."""
+    """The constants of a scene, from its profile, number of lanes and simulation rate."""
     return Constants(
         lanes=lanes,
         lane_width=profile.lane_width_m,

@@ -123,7 +123,7 @@ def test_an_agent_decides_at_its_own_rate() -> None:
 
 
 def test_a_rate_that_does_not_fit_the_simulation_is_refused() -> None:
-    with pytest.raises(InputError, match=r"'ego' decides 4\.0 times a second, of which"):
+    with pytest.raises(InputError, match=r"'ego' decides 4\.0 times per second; simulation_hz 15"):
         simulate(Always(hz=4.0), SceneSettings())
 
 

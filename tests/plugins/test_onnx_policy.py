@@ -59,7 +59,7 @@ def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None
 @pytest.mark.parametrize("said", ["often", "0", "-1", "nan", "inf"])
 def test_a_file_that_says_no_rate_is_refused(network_file: NetworkFile, said: str) -> None:
     path = with_metadata(network_file(), decision_hz=said)
-    with pytest.raises(ModelError, match=f"its metadata say decision_hz '{said}'"):
+    with pytest.raises(ModelError, match=f"metadata: decision_hz is '{said}'"):
         OnnxPolicy(path)
 
 
@@ -80,7 +80,7 @@ def test_it_sees_what_the_file_says(network_file: NetworkFile) -> None:
     [
         ("tomorrow", "no observation named 'tomorrow'"),
         ('{"type": "Kinematics", "see": 1}', "observation Kinematics: see: unknown key"),
-        ('{"type": "Kin', "observation: is no JSON"),
+        ('{"type": "Kin', "observation: is not JSON"),
         ('{"type": "Kinematics"}', r"expected one float32 input \(batch, 25\) or \(batch, 5, 5\)"),
     ],
 )

@@ -52,7 +52,7 @@ def test_a_name_of_several_words_becomes_a_class(tmp_path: Path) -> None:
 
 def test_an_empty_folder_is_filled_and_any_other_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="is not empty; give another with --folder"):
+    with pytest.raises(InputError, match="is not empty; give another folder with --folder"):
         new_agent("tailgater", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(InputError, match=r"notes\.txt: cannot be written: Not a directory"):
@@ -69,10 +69,10 @@ def test_what_is_no_module_name_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("outside_policy", "there is the agent 'outside_policy' already, of outside-plugin"),
-        ("outside_traffic", "there is the traffic 'outside_traffic' already, of outside-plugin"),
-        ("numpy", "there is a module 'numpy' already"),
-        ("random", "there is a module 'random' already"),
+        ("outside_policy", "outside-plugin already has the agent 'outside_policy'"),
+        ("outside_traffic", "outside-plugin already has the traffic 'outside_traffic'"),
+        ("numpy", "a module named 'numpy' already exists"),
+        ("random", "a module named 'random' already exists"),
     ],
 )
 def test_what_is_taken_is_refused(tmp_path: Path, name: str, message: str) -> None:
