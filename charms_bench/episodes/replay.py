@@ -83,7 +83,7 @@ class Replay:
         """Returns the frame at the end of a decision interval; intervals are counted from 1."""
         return step * self.settings.simulation_hz // self.settings.decision_hz
 
-    def animate(self, path: Path, caption: str | None = None) -> None:
+    def animate(self, path: str | Path, caption: str | None = None) -> None:
         """Writes the episode as an animated GIF that plays in real time.
 
         Args:
@@ -95,7 +95,7 @@ class Replay:
         """
         from charms_bench.episodes.animation import animate
 
-        animate(self, path, self.what_happened() if caption is None else caption)
+        animate(self, Path(path), self.what_happened() if caption is None else caption)
 
     def what_happened(self) -> str:
         """Returns one sentence about the most critical event of the episode."""
