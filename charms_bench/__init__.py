@@ -1,39 +1,48 @@
-"""A benchmark harness for driving behaviour on highway-env's motorway, compiled."""
+"""A benchmark harness for driving behaviour on highway-env's motorway, compiled.
+
+All public names are here; each is imported when it is first used, so `import charms_bench` is fast.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from charms_bench.plugins.agent import DriverModel, Policy
-    from charms_bench.plugins.traffic import Traffic
-    from charms_bench.world.actions import ACTIONS
-    from charms_bench.world.kinematics import Kinematics
-    from charms_bench.world.scene import Scene, SceneSettings
+    from charms_bench.errors import CharmsBenchError as CharmsBenchError
+    from charms_bench.plugins.agent import DriverModel as DriverModel
+    from charms_bench.plugins.agent import Policy as Policy
+    from charms_bench.plugins.traffic import Mixture as Mixture
+    from charms_bench.plugins.traffic import Traffic as Traffic
+    from charms_bench.world.actions import ACTIONS as ACTIONS
+    from charms_bench.world.actions import FASTER as FASTER
+    from charms_bench.world.actions import IDLE as IDLE
+    from charms_bench.world.actions import LANE_LEFT as LANE_LEFT
+    from charms_bench.world.actions import LANE_RIGHT as LANE_RIGHT
+    from charms_bench.world.actions import SLOWER as SLOWER
+    from charms_bench.world.compiled import compiled as compiled
+    from charms_bench.world.kinematics import Kinematics as Kinematics
+    from charms_bench.world.scene import Scene as Scene
+    from charms_bench.world.scene import SceneSettings as SceneSettings
 
 __version__ = "0.1.0"
-_PUBLIC = {
-    "ACTIONS": "world.actions",
-    "DriverModel": "plugins.agent",
-    "Kinematics": "world.kinematics",
-    "Policy": "plugins.agent",
-    "Scene": "world.scene",
-    "SceneSettings": "world.scene",
-    "Traffic": "plugins.traffic",
+_NAMES = {
+    "errors": "CharmsBenchError",
+    "plugins.agent": "DriverModel Policy",
+    "plugins.traffic": "Mixture Traffic",
+    "world.actions": "ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT SLOWER",
+    "world.compiled": "compiled",
+    "world.kinematics": "Kinematics",
+    "world.scene": "Scene SceneSettings",
 }
-__all__ = [
-    "ACTIONS",
-    "DriverModel",
-    "Kinematics",
-    "Policy",
-    "Scene",
-    "SceneSettings",
-    "Traffic",
-    "__version__",
-]
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
+__all__ = ["__version__", *_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
-    """Imports public names when they are asked for: the command line answers sooner."""
-    if name in _PUBLIC:
-        return getattr(import_module(f"charms_bench.{_PUBLIC[name]}"), name)
+    """Imports a public name when it is first used."""
+    if name in _MODULE_OF:
+        return getattr(import_module(f"charms_bench.{_MODULE_OF[name]}"), name)
     raise AttributeError(f"module 'charms_bench' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
