@@ -1,4 +1,4 @@
-"""Gymnasium environments: importing this room registers `charms_bench/Ego-v0`.
+"""Gymnasium environments. Importing this package registers `charms_bench/Ego-v0`.
 
     import gymnasium
     import charms_bench.envs
@@ -6,7 +6,7 @@
     gymnasium.make("charms_bench/Ego-v0", traffic="pch", density=1.5)
     gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
 
-`charms_bench.envs:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
+With the name `charms_bench.envs:charms_bench/Ego-v0`, Gymnasium imports the package itself.
 """
 
 import gymnasium

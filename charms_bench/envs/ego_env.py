@@ -1,14 +1,4 @@
-"""The Gymnasium environment `charms_bench/Ego-v0`, registered when this module is imported.
-
-    import gymnasium
-    import charms_bench.envs
-
-    gymnasium.make("charms_bench/Ego-v0", traffic="pch", density=1.5)
-    gymnasium.make_vec("charms_bench/Ego-v0", num_envs=100, traffic={"idm_mobil": 1.0})
-
-`charms_bench.envs:charms_bench/Ego-v0` needs no import: Gymnasium then does that itself.
-What both take beside a traffic, a reward and an observation are the keys of a suite's `scene`.
-"""
+"""The environment `charms_bench/Ego-v0`, alone and as a vector environment."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -30,26 +20,26 @@ from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
 
 TrafficLike = str | Mapping[str, float] | Traffic
-"""A traffic or an agent by its name, shares of agents, or a traffic."""
+"""A traffic, the name of a traffic or of an agent, or shares of agents."""
 
 
 class EgoEnv(gymnasium.Env[Observations, np.int64]):
-    """One episode after another; the ego is driven by whoever calls `step`.
+    """One episode after another; the actions given to `step` drive the ego.
 
-    The same episodes as a suite's: `reset(seed=k)` starts the one with seed k. Without a seed, one
-    is drawn from those that no suite evaluates on. An episode terminates when the ego crashes or
+    The episodes are those of a suite: `reset(seed=k)` starts the episode with seed k. Without a
+    seed, one is drawn that no suite evaluates on. An episode terminates when the ego collides or
     leaves the road, and is truncated when its time is over.
 
     Args:
-        traffic: Who drives the others.
-        reward: What a decision is worth; by default highway-env's, see `HighwayReward`.
-        observation: What the ego sees, see `charms_bench.world.observations`.
-        scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all else that a suite's
-            `scene` says, with its defaults.
+        traffic: Assigns a driver to each of the other vehicles.
+        reward: The reward of a decision; by default highway-env's, see `HighwayReward`.
+        observation: The ego's observation; see `charms_bench.world.observations`.
+        scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
+            `scene`, with the same defaults.
 
     Raises:
-        InputError: The traffic is not installed, or the scene or the observation cannot be.
-        TypeError: It is asked to be drawn; Stable-Baselines3 then asks again without.
+        InputError: The traffic is not installed, or the scene or the observation is wrong.
+        TypeError: A render mode is given; Stable-Baselines3 then tries again without one.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
@@ -62,7 +52,7 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         **scene: Any,
     ) -> None:
         if "render_mode" in scene:
-            raise TypeError("episodes are not drawn: render_mode; `charms-bench replay` draws them")
+            raise TypeError("render_mode is not supported; `charms-bench replay` draws episodes")
         settings = _settings(scene)
         self._observation = observation_of(observation)
         self.observation_space, self.action_space = spaces_of(settings, self._observation)
@@ -72,10 +62,10 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Starts an episode; its seed is in the info."""
+        """Starts an episode; the info contains its seed."""
         super().reset(seed=seed)
         if options:
-            raise InputError(f"reset knows no options, got {', '.join(options)}")
+            raise InputError(f"reset takes no options, got {', '.join(options)}")
         if seed is None:
             seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
         self.simulation.reset(np.array([seed], dtype=np.uint64))
@@ -87,8 +77,8 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         """Carries out the ego's action for one decision interval.
 
         Returns:
-            Observation, reward, terminated, truncated, and the info, which says of an
-            episode that is over what its `ending` was, one of `engine.simulation.ENDINGS`.
+            Observation, reward, terminated, truncated, and the info. The info of the last step
+            contains the `ending`, one of `engine.simulation.ENDINGS`.
         """
         if action not in self.action_space:
             raise InputError(f"no action {action}; expected 0 to 4: {', '.join(ACTIONS)}")
@@ -114,7 +104,7 @@ def ego_vector_env(
     observation: ObservationLike = "neighbours",
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
-    """Many such episodes side by side, simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
+    """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
     plugin, agents = _drivers(traffic)
     return HighwayVectorEnv(
         _settings(scene),
@@ -136,7 +126,7 @@ def _settings(scene: dict[str, Any]) -> SceneSettings:
 
 
 def _drivers(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
-    """A traffic, and its agents by name."""
+    """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)
     elif not isinstance(traffic, Traffic):

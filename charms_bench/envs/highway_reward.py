@@ -1,4 +1,4 @@
-"""highway-env's own reward, for whoever brings no other."""
+"""highway-env's own reward, which is the default."""
 
 import numpy as np
 
@@ -22,9 +22,9 @@ def highway_reward(
     Args:
         forward: (...) speed along the road, m/s; the others have its shape.
         target_lane: 0 is the leftmost.
-        crashed: Whether it has collided.
-        off_road: Whether it has left the road.
-        lanes: Of the road.
+        crashed: Whether the vehicle has collided.
+        off_road: Whether the vehicle has left the road.
+        lanes: The road's number of lanes.
     """
     fast = ((forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)).clip(0.0, 1.0)
     right = target_lane / (lanes - 1)
@@ -35,13 +35,13 @@ def highway_reward(
 
 
 class HighwayReward:
-    """`highway_reward` of the egos of a simulation."""
+    """`highway_reward` for the egos of a simulation."""
 
     def prepare(self, simulation: Simulation, actions: Actions) -> None:
-        """Nothing has to be remembered of the scene before."""
+        """Remembers nothing; the reward depends on the scene after the decision only."""
 
     def __call__(self, simulation: Simulation, prepared: None) -> Floats:
-        """The rewards (B,) of the scene as the decisions have left it."""
+        """The rewards (B,) of the scene after the decisions."""
         scene, egos = simulation.scene, simulation.ego_vehicles
         return highway_reward(
             forward=scene.speed[egos] * np.cos(scene.heading[egos]),

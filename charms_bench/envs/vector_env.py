@@ -1,4 +1,4 @@
-"""Episodes as a `gymnasium.vector.VectorEnv`: the ego is driven by whoever calls `step`."""
+"""Episodes as a `gymnasium.vector.VectorEnv`: the actions given to `step` drive the egos."""
 
 from collections.abc import Mapping
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
@@ -21,17 +21,17 @@ C = TypeVar("C")
 
 
 class Reward(Protocol[C]):
-    """What a decision was worth. Keeps nothing between decisions: that is what C is for."""
+    """The reward of a decision. It keeps no state; what it needs from before is of type C."""
 
     def prepare(self, simulation: Simulation, actions: Actions) -> C:
-        """What has to be remembered of the scene before the egos' actions (B,) are carried out."""
+        """What to remember of the scene before the egos' actions (B,) are carried out."""
 
     def __call__(self, simulation: Simulation, prepared: C) -> Floats:
-        """The rewards (B,) once the decision interval is over, before ended episodes restart."""
+        """The rewards (B,) after the decision interval, before ended episodes restart."""
 
 
 class EpisodesState(NamedTuple):
-    """Where every running episode is. An episode follows from its seed and the ego's actions."""
+    """The state of every running episode, which its seed and the ego's actions determine."""
 
     next_seed: int
     seeds: NDArray[np.uint64]
@@ -39,17 +39,17 @@ class EpisodesState(NamedTuple):
     steps: Ints
     """[B] decisions made."""
     actions: NDArray[np.int8]
-    """[B, decisions] the ego's actions; the first `steps` of a row count."""
+    """[B, decisions] the ego's actions; only the first `steps` of each row are meaningful."""
 
 
 def spaces_of(
     settings: SceneSettings, observation: Observation = neighbours
 ) -> tuple[spaces.Space[Any], spaces.Discrete]:
-    """The observations and the actions of an ego, as Gymnasium describes them.
+    """Gymnasium's spaces of the ego's observations and actions.
 
-    Of `neighbours`, all that it sees of others is clipped to [-1, 1]; its own place across the road
-    and its own velocity are given bounds of twice what they reach while it drives. Any other
-    observation has no bounds, as in highway-env.
+    In `neighbours`, the rows of other vehicles are clipped to [-1, 1]. The bounds of the ego's
+    position across the road and of its velocity are twice the values that occur while it drives.
+    Other observations have no bounds, as in highway-env.
     """
     actions = spaces.Discrete(len(ACTIONS))
     if observation != neighbours:
@@ -64,19 +64,19 @@ def spaces_of(
 
 
 class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
-    """B episodes side by side; one that ends starts anew within the same step.
+    """B episodes side by side; when one ends, the next starts within the same step.
 
-    An episode terminates when the ego crashes or leaves the road, and is truncated when its time
+    An episode terminates when the ego collides or leaves the road, and is truncated when its time
     is over. The k-th episode to start has the seed `first_seed + k`.
 
     Args:
         settings: What the scenes have in common.
         scenes: B.
-        traffic: Who drives the others.
-        agents: Every agent named by `traffic`, by name.
-        reward: What a decision is worth.
-        first_seed: The first episode's seed, unless `reset` is given another.
-        observation: What the egos see.
+        traffic: Assigns a driver to each of the other vehicles.
+        agents: All agents that `traffic` names, by name.
+        reward: The reward of a decision.
+        first_seed: The first episode's seed, unless a seed is given to `reset`.
+        observation: The egos' observation.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
@@ -111,12 +111,12 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         """Starts an episode in every scene.
 
         Args:
-            seed: The first episode's; None goes on with the next unused one.
-            options: None are known.
+            seed: The first episode's seed; None continues with the next unused seed.
+            options: Not supported.
         """
         super().reset(seed=seed)
         if options:
-            raise InputError(f"reset knows no options, got {', '.join(options)}")
+            raise InputError(f"reset takes no options, got {', '.join(options)}")
         if seed is not None:
             self._next_seed = seed
         self._start(np.arange(self.num_envs))
@@ -127,8 +127,8 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
 
         Returns:
             Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
-            infos, which hold `final_obs` and `final_info` of the episodes that ended: their
-            `ending` (index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and
+            infos. These have the `final_obs` and the `final_info` of the episodes that ended:
+            `ending` (an index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and
             `seed`.
         """
         simulation = self.simulation
@@ -151,7 +151,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         return observations, rewards, terminations, truncations, infos
 
     def state(self) -> EpisodesState:
-        """Where every episode is, for `restore`."""
+        """The state of every episode, for `restore`."""
         simulation = self.simulation
         return EpisodesState(
             self._next_seed,
@@ -161,14 +161,14 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         )
 
     def restore(self, state: EpisodesState) -> Observations:
-        """Plays every episode again up to where `state` says it was; returns what the egos see."""
+        """Simulates every episode again up to `state`; returns the egos' observations."""
         simulation = self.simulation
         simulation.scene.active[:] = False
         self._next_seed = state.next_seed
         self._actions[:] = state.actions
         self._returns[:] = 0
         everyone = np.arange(self.num_envs)
-        # The longest episode first, so that all arrive together.
+        # The longest episode starts first, so that all arrive together.
         for left in range(int(state.steps.max()), -1, -1):
             rows = np.nonzero(state.steps == left)[0]
             if rows.size:
@@ -193,7 +193,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
 
     def _final(self, ended: Bools, observations: Observations) -> dict[str, Any]:
-        """What gymnasium says of episodes that ended in this step."""
+        """Gymnasium's infos about the episodes that ended in this step."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for row in np.nonzero(ended)[0]:
             final_obs[row] = observations[row].copy()
@@ -203,13 +203,11 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             "episode_return": self._returns,
             "seed": self.simulation.seeds,
         }
-        final_info: dict[str, Any] = {}
-        for name, of_all in values.items():
-            final_info[name] = np.where(ended, of_all, np.zeros_like(of_all))
-            final_info[f"_{name}"] = ended.copy()
+        final_info = {name: np.where(ended, every, 0) for name, every in values.items()}
+        masks = {f"_{name}": ended.copy() for name in values}
         return {
             "final_obs": final_obs,
             "_final_obs": ended.copy(),
-            "final_info": final_info,
+            "final_info": final_info | masks,
             "_final_info": ended.copy(),
         }

@@ -1,1 +1,1 @@
-"""How certain a value is: intervals, paired comparison, divergences, corrections."""
+"""Intervals, paired comparisons, corrections for multiple tests, and divergences."""

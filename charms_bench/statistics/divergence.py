@@ -1,6 +1,6 @@
-"""How far one distribution is from another, both given as counts in the same bins.
+"""Divergences between two distributions, both given as counts in the same bins.
 
-Every function takes reference counts [K] and other counts [..., K], and returns [...] with NaN
+Every function takes reference counts [K] and other counts [..., K]. It returns [...], with NaN
 where nothing was counted.
 """
 
@@ -10,16 +10,16 @@ from scipy.special import rel_entr
 from charms_bench.world.scene import Floats
 
 PSEUDO_COUNT = 0.5
-"""Added to each bin before KL, which an empty bin would make infinite; Krichevsky & Trofimov 1981
+"""Added to each bin before KL, because an empty bin makes KL infinite; Krichevsky & Trofimov 1981
 (IEEE Transactions on Information Theory 27)."""
 
 
 def kl_divergence(reference: Floats, other: Floats) -> Floats:
     """KL(reference || other) of the smoothed shares, in nats.
 
-    With human driving as the reference it is large where people do what the other traffic does
-    not: a traffic that shows one kind of driving well is not rewarded for leaving out the rest.
-    What is left out weighs the more, the more was counted, as smoothing then hides less.
+    With human driving as the reference, it is large if people do things that the other traffic
+    never does, so a traffic that reproduces only one kind of driving scores badly. With more
+    counts, missing kinds of driving weigh more, because smoothing hides less.
     """
     p, q = (_shares(counts + PSEUDO_COUNT) for counts in (reference, other))
     return _defined(rel_entr(p, q).sum(axis=-1), reference, other)
@@ -28,7 +28,7 @@ def kl_divergence(reference: Floats, other: Floats) -> Floats:
 def js_divergence(reference: Floats, other: Floats) -> Floats:
     """The Jensen-Shannon divergence in bits: 0 for the same shares, 1 where no bin is shared.
 
-    Lin 1991 (IEEE Transactions on Information Theory 37). Not smoothed, as it is always finite.
+    Lin 1991 (IEEE Transactions on Information Theory 37). The shares are not smoothed, because this divergence is always finite.
     """
     p, q = _shares(reference), _shares(other)
     middle = (p + q) / 2
@@ -37,9 +37,10 @@ def js_divergence(reference: Floats, other: Floats) -> Floats:
 
 
 def wasserstein(reference: Floats, other: Floats, width: float) -> Floats:
-    """How far, on average, the one has to be moved to become the other, in units of `width`.
+    """The first Wasserstein distance, in the unit of `width`.
 
-    The first Wasserstein distance; all that is in a bin of that width lies at one place.
+    It is the average distance by which one distribution has to be moved to become the other. All
+    values in a bin of that width count as equal.
     """
     between = _shares(reference).cumsum(axis=-1) - _shares(other).cumsum(axis=-1)
     return _defined(width * np.abs(between).sum(axis=-1), reference, other)

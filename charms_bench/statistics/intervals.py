@@ -1,8 +1,8 @@
-"""How sure a metric's value is: 95 % intervals.
+"""95 % intervals of metrics.
 
-Steps of an episode depend on one another, episodes do not. So intervals come from resampled
-episodes (a cluster bootstrap, Davison & Hinkley 1997, section 3.8; percentiles), or, for what
-happens at most once an episode, from Wilson (1927) and Garwood (1936).
+The steps of an episode depend on each other, but episodes are independent. So intervals come from
+resampled episodes (a cluster bootstrap with percentiles, Davison & Hinkley 1997, section 3.8). For
+events that happen at most once per episode, they come from Wilson (1927) and Garwood (1936).
 """
 
 from collections.abc import Sequence
@@ -23,30 +23,30 @@ NO_BOUNDS: Bounds = (np.nan, np.nan)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A metric's value over some episodes; NaN stands for what is not defined."""
+    """A metric's value over some episodes; NaN where it is not defined."""
 
     value: float
     low: float
     high: float
     n: int
-    """What it rests on; `Metric.rests_on` says what that counts."""
+    """The size of the sample; `Metric.rests_on` says what it counts."""
 
 
 def wilson(successes: int, trials: int) -> Bounds:
-    """The interval of a share, Wilson 1927."""
+    """The interval of a share (Wilson 1927)."""
     interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
 
 
 def garwood(events: int) -> Bounds:
-    """The exact interval of the expected number of events of a Poisson process, Garwood 1936."""
+    """The exact interval of the mean of a Poisson distribution (Garwood 1936)."""
     tail = (1 - CONFIDENCE) / 2
     low = stats.chi2.ppf(tail, 2 * events) / 2 if events else 0.0
     return float(low), float(stats.chi2.isf(tail, 2 * (events + 1)) / 2)
 
 
 def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES) -> Floats:
-    """How often each episode is in each resample, [resamples, episodes]."""
+    """How often each resample contains each episode, [resamples, episodes]."""
     drawn = rng.integers(max(episodes, 1), size=(resamples, episodes))
     drawn += np.arange(resamples)[:, None] * episodes
     counts = np.bincount(drawn.ravel(), minlength=resamples * episodes)
@@ -56,11 +56,11 @@ def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES
 def estimate(
     metrics: Sequence[Metric], sums: Sequence[Floats], rng: np.random.Generator
 ) -> list[Estimate]:
-    """Each metric's value and interval; all share one set of resamples.
+    """The value and the interval of each metric; all metrics share one set of resamples.
 
     Args:
-        metrics: What is estimated.
-        sums: Their sums [E, k], a row an episode (`metrics.sums_by_episode`).
+        metrics: The metrics.
+        sums: Their sums [E, k], one row per episode (`metrics.sums_by_episode`).
         rng: Draws the resamples.
     """
     weights = resample(rng, len(sums[0]))
@@ -94,7 +94,7 @@ def _estimate(metric: Metric, sums: Floats, resampled: Floats) -> Estimate:
 
 
 def _percentiles(values: Floats) -> Bounds:
-    """The interval of resampled values; none where they do not vary."""
+    """The interval of resampled values; there is none if the values do not vary."""
     values = values[~np.isnan(values)]
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(values, [tail, 1 - tail]) if values.size else NO_BOUNDS

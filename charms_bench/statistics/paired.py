@@ -1,12 +1,13 @@
-"""How far two agents are apart over the same episodes: differences, intervals, p-values.
+"""Compares two agents over the same episodes: differences, intervals and p-values.
 
-A seed is the same episode to both agents, so episodes are pairs, and what makes an episode hard
-does not blur the difference. Shares of episodes get McNemar's exact test (McNemar 1947) and the
-score interval of Tango (1998, Statistics in Medicine 17). Everything else is a function of sums
-over episodes: the standard error of its difference follows from the sums by linearisation, and
-resampled episodes say how heavy the tails of the difference over its standard error are (the
-symmetric bootstrap-t, Hall 1988, Annals of Statistics 16). That is Student's t with the degrees
-of freedom whose 95 % point the resamples have, which serves the interval and the p-value alike.
+A seed gives both agents the same episode, so episodes are pairs, and the difficulty of an episode
+does not blur the difference. Shares of episodes use McNemar's exact test (McNemar 1947) and the
+score interval of Tango (1998, Statistics in Medicine 17). Every other metric is a function of sums
+over episodes. The standard error of its difference follows from the sums by linearisation.
+Resampled episodes give the tails of the difference divided by its standard error (the symmetric
+bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are described by Student's t with the
+degrees of freedom at which its 95 % point equals that of the resamples; the interval and the
+p-value both use it.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,23 +23,23 @@ from charms_bench.world.scene import Floats
 POWER = 0.8
 UPPER = (1 + CONFIDENCE) / 2
 FEWEST_DEGREES = 1.0
-"""Heavier tails than Student's t has with these leave no interval to speak of."""
+"""If the tails are heavier than with these degrees of freedom, no interval is given."""
 MANY_DEGREES = 1e6
 STEP = 1e-6
-"""Of numerical gradients, relative: the cube root of a double's precision, about."""
+"""Relative step of numerical gradients: about the cube root of a double's precision."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """First less second; NaN stands for what is not defined."""
+    """The first agent's value minus the second's; NaN where it is not defined."""
 
     value: float
     low: float
     high: float
     p: float
-    """Two-sided, not corrected for the number of tests; 1 where there is nothing to test."""
+    """Two-sided, not corrected for the number of tests; 1 if there is nothing to test."""
     detectable: float
-    """The smallest true difference that as many episodes show in 80 % of cases, at a two-sided
+    """The smallest true difference that this many episodes detect in 80 % of cases at a two-sided
     level of 5 %: the standard error times the sum of the 97.5 % and 80 % points."""
 
 
@@ -48,10 +49,10 @@ def differences(
     """The difference of two agents in each metric.
 
     Args:
-        metrics: What is compared.
-        first: The first agent's sums [E, k], a row an episode (`metrics.sums_by_episode`).
-        second: The second's, of the same episodes.
-        weights: [R, E], resampled episodes (`stats.resample`).
+        metrics: The metrics.
+        first: The first agent's sums [E, k], one row per episode (`metrics.sums_by_episode`).
+        second: The second agent's sums, of the same episodes.
+        weights: [R, E], resampled episodes (`intervals.resample`).
     """
     return [
         _of_shares(ours, theirs)
@@ -67,8 +68,8 @@ def _of_shares(ours: Floats, theirs: Floats) -> Difference:
     only_second = int((events[1] & ~events[0]).sum())
     if not n:
         return Difference(np.nan, *NO_BOUNDS, 1.0, np.nan)
-    # Half an episode in each cell of the table (Agresti & Min 2005, Statistics in Medicine 24):
-    # without, agents that never differ would seem to be told apart by anything.
+    # Half an episode is added to each cell of the table (Agresti & Min 2005, Statistics in Medicine
+    # 24). Otherwise, the smallest difference would seem detectable if the agents never differ.
     unlike = (only_first + only_second + 1) / (n + 2)
     error = np.sqrt((unlike - ((only_first - only_second) / (n + 2)) ** 2) / (n + 2))
     return Difference(
@@ -80,16 +81,16 @@ def _of_shares(ours: Floats, theirs: Floats) -> Difference:
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """The exact p-value that a pair is as likely to differ in one way as in the other."""
+    """The exact p-value of the hypothesis that both kinds of unlike pairs are equally likely."""
     unlike = only_first + only_second
     return float(stats.binomtest(only_first, unlike).pvalue) if unlike else 1.0
 
 
 def tango(only_first: int, only_second: int, pairs: int) -> Bounds:
-    """The score interval of a paired difference of shares, Tango 1998."""
+    """The score interval of a paired difference of shares (Tango 1998)."""
 
     def excess(difference: float, side: float) -> float:
-        """How far the score is beyond the 95 % point; eqs. 2 and 3."""
+        """The score minus the 95 % point; eqs. 2 and 3."""
         b = (2 * pairs - only_first + only_second) * difference - only_first - only_second
         c = -only_second * difference * (1 - difference)
         share = (np.sqrt(max(b * b - 8 * pairs * c, 0.0)) - b) / (4 * pairs)
@@ -98,7 +99,7 @@ def tango(only_first: int, only_second: int, pairs: int) -> Bounds:
         return float(score - side * stats.norm.ppf(UPPER) * np.sqrt(variance))
 
     value = (only_first - only_second) / pairs
-    # At the value itself the score is 0 whatever the data, and so may the variance be.
+    # At the value itself, the score is 0 for all data, and the variance may be 0 too.
     low = optimize.brentq(excess, -1.0, value - 1e-12, (1.0,)) if value > -1 else -1.0
     high = optimize.brentq(excess, value + 1e-12, 1.0, (-1.0,)) if value < 1 else 1.0
     return float(low), float(high)
@@ -117,7 +118,7 @@ def _of_sums(
     unlike = int((ours != theirs).any(axis=1).sum())
     if np.isnan(found):
         return Difference(np.nan, *NO_BOUNDS, 1.0, np.nan)
-    # As for McNemar: at best all the episodes that differ do so in one direction.
+    # As for McNemar: at best, all episodes that differ do so in the same direction.
     least = 2.0 ** (1 - unlike) if unlike else 1.0
     products = (sums[:, :, None] * sums[:, None, :]).reshape(n, -1)
     error = float(_error(difference, totals, products.sum(axis=0), n))
@@ -144,14 +145,14 @@ def _error(
 ) -> Floats:
     """The standard error of a function of totals [..., k], from the totals of products [..., k²].
 
-    An episode moves the function by its gradient times the episode's sums; the variance of the
-    function is that of these moves, times the number of episodes.
+    An episode changes the function by its gradient times the episode's sums. The variance of the
+    function is the variance of these changes times the number of episodes.
     """
     gradient = np.empty_like(totals)
     for j in range(totals.shape[-1]):
         step = np.zeros_like(totals)
         step[..., j] = STEP * np.where(totals[..., j] == 0, 1.0, np.abs(totals[..., j]))
-        # Nothing was counted: a step back would lead to less than that.
+        # Where nothing was counted, a step back would lead to negative totals.
         back = np.where(totals == 0, 0.0, step)
         rise = difference(totals + step) - difference(totals - back)
         gradient[..., j] = rise / (step + back)[..., j]
@@ -166,11 +167,11 @@ def _error(
 def _degrees(deviations: Floats, errors: Floats) -> float:
     """The degrees of freedom at which Student's t has the 95 % point of the resamples.
 
-    Below `FEWEST_DEGREES` where that point is further out than t's with so few.
+    The result is 0 if that point is beyond the point of t with `FEWEST_DEGREES`.
     """
     defined = ~np.isnan(deviations) & ~np.isnan(errors)
     deviations, errors = np.abs(deviations[defined]), errors[defined]
-    # A resample without any of the episodes that differ: nothing is known of its error.
+    # A resample without any episode that differs has an unknown error.
     ratio = np.where(deviations > 0, np.inf, 0.0)
     np.divide(deviations, errors, out=ratio, where=errors > 0)
     point = float(np.quantile(ratio, CONFIDENCE, method="higher")) if ratio.size else np.inf
@@ -186,7 +187,7 @@ def _degrees(deviations: Floats, errors: Floats) -> float:
 
 
 def holm(p: Floats) -> Floats:
-    """P-values corrected for their number, Holm 1979."""
+    """P-values corrected for their number (Holm 1979)."""
     order = np.argsort(p)
     scaled = np.maximum.accumulate(p[order] * np.arange(p.size, 0, -1))
     corrected = np.empty_like(p)
