@@ -1,1 +1,1 @@
-"""CHARMS: its policies, its traffic and how they were trained."""
+"""CHARMS: its policies, its traffic and their training."""

@@ -1,4 +1,4 @@
-"""The agents of the paper that are networks, from the files in this package."""
+"""The paper's agents that are networks; the network files are in this package."""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,7 +8,7 @@ from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 
 SVOS = ("competitive", "egoistic", "prosocial", "altruistic")
-"""Social value orientations, by how much they care for others."""
+"""Social value orientations, from the least to the most weight on other drivers."""
 STYLES = {
     "charms" if (priority, svo) == ("efficient", "egoistic") else f"charms-{priority}-{svo}": (
         priority,
@@ -17,20 +17,20 @@ STYLES = {
     for priority in ("efficient", "safe")
     for svo in SVOS
 }
-"""What each agent of CHARMS puts first, and its orientation; `charms` is the paper's row."""
+"""Priority and orientation of each agent of CHARMS; `charms` is the agent in the paper's table."""
 
 
 def packaged(network: str) -> OnnxPolicy:
-    """The network of that name.
+    """The policy of a network in this package.
 
     Raises:
-        ModelError: It is not in this installation, or cannot be used.
+        ModelError: The network is not in this installation, or cannot be used.
     """
     file = files("charms_agents") / "policies" / f"{network}.onnx"
     if not file.is_file():
         raise ModelError(
             f"the network '{network}' is not in this installation of charms-bench; "
-            "suites/train.yaml trains it, and {onnx: path} drives with the file"
+            "suites/train.yaml trains it, and {onnx: path} uses the trained file"
         )
     return OnnxPolicy(str(file))
 

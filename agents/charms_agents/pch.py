@@ -1,4 +1,4 @@
-"""Traffic of all eight styles, by Poisson cognitive hierarchy."""
+"""Traffic of all eight styles, mixed by a Poisson cognitive hierarchy (PCH)."""
 
 import math
 from numbers import Real
@@ -9,15 +9,15 @@ from charms_bench.plugins.traffic import Mixture
 
 
 class Pch(Mixture):
-    """Every vehicle's style is drawn independently, eq. 12 of the paper.
+    """Draws the style of each vehicle independently, eq. 12 of the paper.
 
     Args:
-        tau: Mean of the Poisson distribution along competitive, egoistic, prosocial, altruistic;
-            what it gives beyond altruistic is altruistic.
-        beta: Probability of efficient rather than safe.
+        tau: Mean of the Poisson distribution over competitive, egoistic, prosocial and altruistic
+            (0 to 3). Altruistic also takes the probability of all higher values.
+        beta: Probability of an efficient style; otherwise the style is safe.
 
     Raises:
-        InputError: `tau` is negative or not finite, or `beta` is no probability.
+        InputError: `tau` is negative or not finite, or `beta` is not a probability.
     """
 
     def __init__(self, tau: float = 1.5, beta: float = 0.5) -> None:

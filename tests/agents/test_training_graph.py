@@ -245,7 +245,11 @@ def test_recordings_of_no_use_are_named_before_anything_is_trained(
     ("before", "after", "message"),
     [
         ("{fine_tunes: kind}", "{fine_tunes: kin}", "fine_tunes: no stage named 'kin' under"),
-        ("    imitation: {}", "    kind: {}", "human.stages.kind: another stage is called 'kind'"),
+        (
+            "    imitation: {}",
+            "    kind: {}",
+            "kind: another stage is also named 'kind'",
+        ),
         (
             "{like: level_1, svo",
             "{like: level_2, svo",

@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +19,6 @@ import polars as pl
 from pydantic import Field
 
 from charms_agents.human.labels import Labels, lateral_intents, longitudinal_intents, soft_labels
-from charms_bench import __version__
 from charms_bench.errors import DataError
 from charms_bench.people.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.people.situations import LANES, situations
@@ -135,7 +135,7 @@ def fingerprint(trios: Sequence[Trio], settings: SampleSettings) -> str:
     Raises:
         DataError: A file cannot be read.
     """
-    digest = hashlib.sha256(f"{__version__} {settings.model_dump_json()}".encode())
+    digest = hashlib.sha256(f"{version('charms-bench')} {settings.model_dump_json()}".encode())
     for trio in trios:
         for path in trio.paths:
             try:

@@ -1,4 +1,4 @@
-"""A trained network -> one ONNX file that `OnnxPolicy` runs, once it is found to act the same."""
+"""Exports a trained network to an ONNX file, and checks that the file acts the same."""
 
 from pathlib import Path
 
@@ -17,9 +17,9 @@ from charms_bench.world.observations import Neighbours, described, neighbours
 from charms_bench.world.scene import Observations
 
 OPSET, IR_VERSION = 17, 8
-"""Old ones: every onnxruntime the base install allows reads them."""
+"""Old versions, which every onnxruntime that the base install allows can read."""
 TIE = 1e-4
-"""Two actions whose values differ by less are as good as each other to float32."""
+"""Two actions whose values differ by less are equally good to float32's precision."""
 
 
 def export(
@@ -29,21 +29,22 @@ def export(
     observations: Observations,
     observation: Neighbours | Kinematics = neighbours,
 ) -> dict[str, int]:
-    """Writes a network, provided that the file acts as it does.
+    """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
     Args:
         network: Linear layers with ReLU or tanh between them.
         path: The file.
-        facts: What its metadata say beside observation and actions.
-        observations: (M, rows, columns), on which the actions of both are compared.
-        observation: What they are of.
+        facts: Further metadata, beside the observation and the actions.
+        observations: (M, rows, columns) on which the file's actions are compared with the
+            network's.
+        observation: The kind of these observations.
 
     Returns:
-        How many observations were compared, and in how many of them the two chose different
-        actions whose values are equal to float32's precision.
+        observations, the number compared; ties, the number in which the file chose a different
+        action of equal value to float32's precision.
 
     Raises:
-        ModelError: They chose differently where it matters; nothing is written.
+        ModelError: The file chose a worse action than the network; nothing is written.
         RunFolderError: The file cannot be written.
     """
     data = _serialised(network, {"observation": described(observation), **facts}, observation.shape)

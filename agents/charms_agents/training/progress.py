@@ -1,4 +1,4 @@
-"""One view of all stages under way."""
+"""Shows the progress of all stages that are being trained."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -15,12 +15,12 @@ from rich.progress import (
 )
 
 Tell = Callable[[str, int, int, str], None]
-"""Told of a stage, what is done of how much, and in words how it goes."""
+"""Takes a stage's name, the steps done, the steps in total, and the last results in words."""
 
 
 @contextmanager
 def progress(console: Console) -> Iterator[Tell]:
-    """A bar a stage on a terminal; a line at every tenth of a stage elsewhere."""
+    """Draws one bar per stage on a terminal; elsewhere, prints a line per tenth of a stage."""
     if not console.is_interactive:
         yield _lines()
         return

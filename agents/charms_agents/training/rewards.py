@@ -1,7 +1,7 @@
 """The rewards of the paper, eqs. 4 to 8.
 
-Numbers count the paper's numbered equations from its first. Distances are longitudinal and centre
-to centre, speeds are those along the road.
+Equations are numbered as in the paper. Distances are longitudinal and centre to centre. Speeds are
+along the road.
 """
 
 import math
@@ -23,24 +23,24 @@ SVO_ANGLES_RAD: dict[Svo, float] = {
     "prosocial": math.pi / 4,
     "altruistic": math.pi / 2,
 }
-"""Social value orientation (SVO) as an angle: what one gives oneself and others."""
+"""Social value orientations (SVO) as angles; they weigh the own reward against that of others."""
 
 SAFE_TTC_S = 3.0
-"""The horizon of r_s, eq. 4, by default: a collision further off in time is none."""
+"""Default horizon of r_s, eq. 4: a later collision does not count."""
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 23.0, 33.0
 FAILURE = -10.0
 """The reward of the decision in which the ego crashes or leaves the road."""
 INCREASE_LIMIT_MPS2 = 3.0
-"""What one vehicle can count for in r_o, eq. 7."""
+"""The most that one vehicle can add to r_o, eq. 7."""
 
 IDM_SPEED_MPS, IDM_ACCELERATION, IDM_DECELERATION = 33.0, 3.0, 5.0
 IDM_JAM_DISTANCE_M, IDM_HEADWAY_S, IDM_EXPONENT = 10.0, 1.0, 4.0
 MINIMAL_GAP_M = 1.0
-"""Below this, far inside a collision, IDM's answer no longer depends on the gap."""
+"""IDM uses at least this gap; smaller ones are deep inside a collision."""
 
 
 class Weights(FrozenModel):
-    """How much safety, efficiency and comfort count: a, b and c of eqs. 6 and 8."""
+    """Weights of safety, efficiency and comfort: a, b and c of eqs. 6 and 8."""
 
     safety: Annotated[float, Field(ge=0, le=100)]
     efficiency: Annotated[float, Field(ge=0, le=100)]
@@ -48,39 +48,39 @@ class Weights(FrozenModel):
 
     @property
     def largest(self) -> float:
-        """The largest own reward: each of its parts is 1 at most."""
+        """The largest own reward; each of its parts is at most 1."""
         return self.safety + self.efficiency + self.comfort
 
 
 class Prepared(NamedTuple):
-    """The scenes before a decision."""
+    """What a reward needs to know of the scenes before a decision."""
 
     consistent: Bools
-    """[B] whether the action is the previous one."""
+    """(B,) whether the action equals the previous one."""
     lane: Ints
-    """[B] the egos' lanes."""
+    """(B,) lane of the ego."""
     target_lane: Ints
-    """[B] where they are heading."""
+    """(B,) target lane of the ego."""
     followers: Ints
-    """[B, L] who is behind the ego on each lane, -1 for nobody."""
+    """(B, L) the follower of the ego on each lane; -1 without one."""
     expected: Floats
-    """[B, L] the followers' expected accelerations, m/s2."""
+    """(B, L) the followers' expected accelerations, m/s2."""
 
 
 class StyleReward:
     """R_2, eq. 8: E (a r_s + b r_e + c r_c) + O r_o with E = cos phi and O = sin phi.
 
-    The own reward is divided by its largest value, and r_o mapped from [-6, 6] to [0, 1], so that
-    both have one range. An egoist's is R_1, eq. 6. A crash, or leaving the road, is worth
-    `FAILURE` instead.
+    The own reward is divided by its largest value, and r_o is mapped from [-6, 6] to [0, 1], so
+    both have the same range. For an egoist R_2 is R_1, eq. 6. If the ego crashes or leaves the
+    road, the reward is `FAILURE`.
 
     Args:
         weights: a, b and c.
-        angle_rad: phi, such as one of `SVO_ANGLES_RAD`.
+        angle_rad: phi, for example from `SVO_ANGLES_RAD`.
         safety_horizon_s: See `safety`.
         safe_headway_m: See `safety`.
-        lane_change_cost: What a decision for another target lane costs, as `lane_change_reward` of
-            highway-env's reward with the opposite sign.
+        lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
+            `lane_change_reward` with the opposite sign.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class StyleReward:
         self._own, self._others = math.cos(angle_rad), math.sin(angle_rad)
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
-        """The scenes before the egos' actions (B,) are carried out."""
+        """Observes the scenes before the egos' actions (B,) are executed."""
         scene = simulation.scene
         rows, ego = simulation.ego_vehicles
         followers = scene.followers[rows, ego]
@@ -128,12 +128,12 @@ class StyleReward:
 
 
 def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
-    """r_s (B,), eq. 4: in [0, 1], 1 while no collision is less than `horizon_s` away.
+    """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `horizon_s` away.
 
-    Time to collision with the leader in the lane; during a lane change, half with the leader and
-    half with the follower in the target lane. Nobody, or nobody nearing: infinite. With a
-    `headway_m`, which eq. 4 does not have, each counts by its distance as a share of that, at most
-    1.
+    It is the time to collision with the leader in the ego's lane, as a share of `horizon_s`. During
+    a lane change it is the mean of the shares for the leader and the follower in the target lane.
+    A missing or departing vehicle counts as safe. If `headway_m` is given, which eq. 4 does not
+    have, each share is multiplied by the distance as a share of `headway_m`, at most 1.
     """
     result = np.empty(scene.ego.size)
     _safety(scene, horizon_s, headway_m, result)
@@ -141,7 +141,7 @@ def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) 
 
 
 def efficiency(scene: Scene) -> Floats:
-    """r_e (B,), eq. 5: the forward speed within [23, 33] m/s, as a share."""
+    """r_e (B,), eq. 5: the forward speed, mapped from [23, 33] m/s to [0, 1]."""
     egos = np.arange(scene.ego.size), scene.ego
     forward = scene.speed[egos] * np.cos(scene.heading[egos])
     share = (forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)
@@ -149,13 +149,13 @@ def efficiency(scene: Scene) -> Floats:
 
 
 def others(scene: Scene, prepared: Prepared) -> Floats:
-    """r_o (B,), eq. 7: the gain of those behind in the lane and in the target lane, in [-6, 6].
+    """r_o (B,), eq. 7: gain in acceleration of the followers in both lanes, from -6 to 6 m/s2.
 
-    Compares what the two followers expected before the decision with what the same two expect
-    after the decision interval. The expected acceleration is that of IDM with the ego where it is
-    heading: in its target lane, even while it still moves there. So a lane change counts once,
-    when it is decided, and for its whole effect. Without a target lane other than the ego's there
-    is one follower only.
+    The followers are the vehicles behind the ego in its lane and in its target lane; without a
+    lane change there is only one. Their expected accelerations before the decision are compared
+    with those after the decision interval. The expected acceleration is IDM's, with the ego in its
+    target lane even while it still moves there. So the whole effect of a lane change counts once,
+    when it is decided.
     """
     result = np.empty(scene.ego.size)
     _others(scene, prepared.lane, prepared.followers, prepared.expected, result)
@@ -163,7 +163,7 @@ def others(scene: Scene, prepared: Prepared) -> Floats:
 
 
 def expect(scene: Scene, followers: Ints, expected: Floats) -> None:
-    """Fills the expected accelerations [B, L] of who follows the ego on each lane."""
+    """Fills `expected` (B, L), the expected accelerations of the followers on each lane."""
     _expect(scene, followers, expected)
 
 
@@ -176,9 +176,9 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 def _safe(
     scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, headway_m: float
 ) -> float:
-    """Time to collision over `horizon_s`, times distance over `headway_m`; each within [0, 1].
+    """Time to collision over `horizon_s`, times distance over `headway_m`; each from 0 to 1.
 
-    -1 is no vehicle.
+    -1 means that there is no vehicle.
     """
     if behind < 0 or ahead < 0:
         return 1.0
@@ -208,7 +208,7 @@ def _safety(scene: Scene, horizon_s: float, headway_m: float, result: Floats) ->
 
 @compiled
 def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
-    """IDM acceleration of vehicle i on a lane, the ego being where it is heading, m/s2."""
+    """IDM acceleration of vehicle i on a lane, with the ego in its target lane, m/s2."""
     ego = scene.ego[b]
     leader = scene.leaders[b, i, lane]
     if scene.target_lane[b, ego] == lane:

@@ -1,8 +1,7 @@
-"""A Stable-Baselines3 checkpoint -> ONNX, without running anything that is in it.
+"""Exports a Stable-Baselines3 checkpoint to ONNX, without running any code from it.
 
-Of the zip only `policy.pth` is read, and of that only tensors, and from the JSON of `data` the
-activation's name as text: what Stable-Baselines3 pickles into that may run any code when it is
-loaded, and is never touched.
+Two members of the zip are read: the tensors in `policy.pth`, and the activation's name as text in
+the JSON of `data`. The pickles in `data` could run any code and are never loaded.
 """
 
 import json
@@ -29,15 +28,15 @@ from charms_bench.world.scene import Observations
 
 WEIGHTS, DATA = "policy.pth", "data"
 FILE_LIMIT_BYTES = 256 * 2**20
-"""Of the zip, which holds the weights and what their optimiser knows of each."""
+"""Largest zip; it holds the weights and the state of their optimiser."""
 LIMITS_BYTES = {WEIGHTS: 64 * 2**20, DATA: 8 * 2**20}
 PICKLE_LIMIT_BYTES = 2**20
-"""Of the part of `policy.pth` that says which tensors there are."""
+"""Largest pickle in `policy.pth`; it describes the tensors."""
 MEMBERS_LIMIT = 1000
 RATIO_LIMIT = 100
-"""Deflate makes zeros about 1000 times smaller, and weights hardly smaller at all."""
+"""Largest compression; deflate shrinks zeros about 1000 times, but weights hardly at all."""
 CHECKED_SEEDS = range(4)
-"""Of the example scenes whose observations the two networks are compared on."""
+"""Seeds of the example scenes on whose observations the two networks are compared."""
 _Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
 _POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
 _LOGITS = re.compile(r"action_net\.(weight|bias)")
@@ -45,22 +44,22 @@ _VALUES = re.compile(r"(mlp_extractor\.value_net\.\d{1,3}|value_net)\.(weight|bi
 _OF_TENSORS = re.compile(
     r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage"
 )
-"""What the pickle of a `state_dict` names."""
+"""The names that the pickle of a `state_dict` may refer to."""
 _MEMBER = b"PK\x01\x02"
-"""With what a zip's entry of a member begins."""
+"""The first bytes of a member's entry in a zip."""
 KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
-"""The activations that can be exported, by torch's name."""
+"""The activations that can be exported, by their torch name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
 
 class Checkpoint(NamedTuple):
-    """What is read of a zip."""
+    """The parts of a zip that are read."""
 
     sha256: str
     weights: bytes
     """`policy.pth`."""
     data: bytes
-    """`data`; empty where there is none."""
+    """`data`; empty if the zip has none."""
 
 
 def export_zip(
@@ -69,26 +68,26 @@ def export_zip(
     facts: dict[str, str],
     observation: Neighbours | Kinematics = neighbours,
 ) -> dict[str, Any]:
-    """Writes the network by which a DQN or a PPO decides as an ONNX file.
+    """Writes the network that decides for a DQN, PPO or A2C as an ONNX file.
 
-    Of a DQN that is its Q-network; of a PPO, or an A2C, the policy's layers up to its logits, of
-    which the largest is the action it is most likely to take. Where `data` cannot be read, the
-    activation is assumed to be Stable-Baselines3's default, ReLU for a DQN and tanh for a PPO.
-    The statistics of a `VecNormalize` are in no checkpoint.
+    For a DQN this is the Q-network. For a PPO or A2C it is the policy up to its logits; the largest
+    logit belongs to the most probable action. If `data` cannot be read, the activation is assumed
+    to be Stable-Baselines3's default: ReLU for a DQN, tanh for a PPO. A checkpoint does not hold
+    the statistics of a `VecNormalize`, so they are not exported.
 
     Args:
         checkpoint: The zip that Stable-Baselines3 saved.
         output: The `.onnx` file.
-        facts: What its metadata say beside what this function finds out.
-        observation: What it was trained on.
+        facts: Further metadata, beside what this function finds.
+        observation: The observation that the network was trained on.
 
     Returns:
-        sizes (numbers in, of each hidden layer, out), activation, sha256 of the checkpoint,
-        observations and ties of the check, as `export` returns them.
+        sizes (inputs, neurons of each hidden layer, outputs), activation, sha256 of the
+        checkpoint, and observations and ties from `export`.
 
     Raises:
-        ModelError: The checkpoint is no zip of a DQN or PPO with an MLP that fits; nothing is
-            written.
+        ModelError: The checkpoint is not a zip of a DQN, PPO or A2C with a suitable MLP; nothing
+            is written.
         RunFolderError: The output cannot be written.
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
@@ -115,25 +114,29 @@ def export_zip(
 
 
 def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
-    """What everybody in the example scenes of a seed sees."""
+    """The observations of all vehicles in the example scenes of a seed."""
     scene = example_scene(seed)
     return observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
 
 
 def _read(path: Path) -> Checkpoint:
-    """The hash of a checkpoint, and what is read of it."""
+    """Reads a checkpoint.
+
+    Raises:
+        ModelError: The file cannot be read, or is not a zip with weights of a plausible size.
+    """
     try:
         content = read_limited(path, FILE_LIMIT_BYTES)
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
     if not is_zipfile(BytesIO(content)):
-        raise ModelError(f"{path}: is no zip; expected what Stable-Baselines3 saves")
+        raise ModelError(f"{path}: not a zip; expected a file that Stable-Baselines3 saved")
     try:
         members = _members(f"{path}: ", content)
         for name, limit in LIMITS_BYTES.items():
             read = [info for info in members if info.filename == name]
             if len(read) > 1:
-                raise ModelError(f"{path}: {name} is in it {len(read)} times")
+                raise ModelError(f"{path}: holds {name} {len(read)} times")
             _check_size(path, name, read, limit)
         names = [info.filename for info in members]
         if WEIGHTS not in names:
@@ -144,12 +147,12 @@ def _read(path: Path) -> Checkpoint:
             return Checkpoint(sha256(content).hexdigest(), archive.read(WEIGHTS), data)
     except ModelError:
         raise
-    except Exception as error:  # whatever zipfile and its decompressors find wrong with it
+    except Exception as error:  # zipfile and its decompressors raise many kinds
         raise ModelError(f"{path}: {WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
 
 
 def _members(place: str, content: bytes) -> list[ZipInfo]:
-    """What a zip holds, once it is found not to hold very many things."""
+    """The members of a zip; refuses a zip with very many."""
     if content.count(_MEMBER) > MEMBERS_LIMIT:
         raise ModelError(f"{place}more than {MEMBERS_LIMIT:,} members; a policy has a few dozen")
     with ZipFile(BytesIO(content)) as archive:
@@ -157,35 +160,35 @@ def _members(place: str, content: bytes) -> list[ZipInfo]:
 
 
 def _check_size(path: Path, name: str, members: list[ZipInfo], limit: int) -> None:
-    """Refuses members, of a zip called `name` or one of that name, that would unpack to too much.
+    """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much.
 
     Raises:
-        ModelError: They would.
+        ModelError: The unpacked size or the compression is above its limit.
     """
     unpacked = sum(info.file_size for info in members)
     if unpacked > limit:
         raise ModelError(
-            f"{path}: {name} unpacks to {unpacked:,} bytes; a policy's may have {limit:,} at most"
+            f"{path}: {name} unpacks to {unpacked:,} bytes; expected {limit:,} at most"
         )
     for info in members:
         if info.file_size > RATIO_LIMIT * max(info.compress_size, 1):
             place = name if info.filename == name else f"{name}: {info.filename}"
             raise ModelError(
                 f"{path}: {place} unpacks to more than {RATIO_LIMIT} times its size; "
-                "what Stable-Baselines3 saves does not"
+                "files of Stable-Baselines3 do not"
             )
 
 
 def _activation(path: Path, data: bytes, usual: str) -> str | None:
-    """The activation between layers, as torch calls it; none where `data` cannot be read.
+    """The torch name of the activation between layers; None if `data` cannot be read.
 
     Args:
         path: The checkpoint.
-        data: Its `data`, of which only text is looked at.
-        usual: What it is where nothing is said.
+        data: The member `data`; only its text is used.
+        usual: The activation if `data` does not name one.
 
     Raises:
-        ModelError: It is one that cannot be exported.
+        ModelError: The activation cannot be exported.
     """
     try:
         said = json.loads(data)["policy_kwargs"].get("activation_fn")
@@ -204,11 +207,10 @@ def _activation(path: Path, data: bytes, usual: str) -> str | None:
 def _deciding(
     path: Path, tensors: dict[str, torch.Tensor]
 ) -> tuple[dict[int, dict[str, torch.Tensor]], str]:
-    """The layers of the network that decides, by their places, and its usual activation."""
+    """The layers of the deciding network by position, and its default activation."""
     if any("features_extractor." in name for name in tensors):
         raise ModelError(
-            f"{path}: looks at its observations through a features extractor with weights, as "
-            "CnnPolicy does; expected MlpPolicy"
+            f"{path}: has a features extractor with weights, like CnnPolicy; expected MlpPolicy"
         )
     if q_network := _matching(_Q_LAYER, tensors):
         return q_network, "ReLU"
@@ -219,7 +221,7 @@ def _deciding(
     if not logits or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
         raise ModelError(
-            f"{path}: has neither the Q-network of a DQN nor just the policy and the values of a "
+            f"{path}: expected the Q-network of a DQN, or only the policy and value networks of a "
             f"PPO; {WEIGHTS} holds: {found}"
         )
     policy[max(policy, default=-2) + 2] = logits
@@ -229,7 +231,7 @@ def _deciding(
 def _matching(
     pattern: re.Pattern[str], tensors: dict[str, torch.Tensor]
 ) -> dict[int, dict[str, torch.Tensor]]:
-    """Weight and bias of the layers whose names match, by their places."""
+    """Weight and bias of the layers whose names match, by position."""
     found: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in tensors.items():
         if match := pattern.fullmatch(name):
@@ -242,30 +244,30 @@ def _layers(
     network: dict[int, dict[str, torch.Tensor]],
     observation: Neighbours | Kinematics,
 ) -> Layers:
-    """The layers as arrays, once they are found to make a network."""
-    # Linear layers at 0, 2, 4, ..., activations between them.
+    """The layers as arrays; refuses layers that do not fit together."""
+    # Linear layers are at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
         set(parts) != {"weight", "bias"} for parts in network.values()
     ):
         raise ModelError(
-            f"{path}: its network is not made of linear layers with activations between them; "
-            f"it has weights at {sorted(network)}"
+            f"{path}: expected linear layers with an activation between each two; "
+            f"found weights at positions {sorted(network)}"
         )
     layers: Layers = []
     rows, columns = observation.shape
     width = rows * columns
     source = (
-        f"the observation '{observation.name}' of {rows} rows of {columns}; say with --observation "
-        "what it was trained on"
+        f"the observation '{observation.name}' of {rows} rows of {columns}; name the observation "
+        "that it was trained on with --observation"
     )
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]
         _check_layer(path, index, weight, bias, width, source)
-        source = "as the layer before gives"
+        source = "the outputs of the layer before"
         layers.append((weight.detach().resolve_neg().numpy(), bias.detach().resolve_neg().numpy()))
         width = weight.shape[0]
     if width != len(ACTIONS):
-        raise ModelError(f"{path}: values {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
+        raise ModelError(f"{path}: has {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
     if not all(np.isfinite(array).all() for layer in layers for array in layer):
         raise ModelError(f"{path}: some of its weights are not finite")
     return layers
@@ -285,15 +287,15 @@ def _check_layer(
         raise ModelError(
             f"{path}: layer {index} takes {weight.shape[1]} numbers; expected {width}, {source}"
         )
-    # A view can repeat a few stored numbers without end.
+    # A view can repeat a few stored numbers any number of times.
     if weight.numel() * weight.element_size() > weight.untyped_storage().nbytes():
         raise ModelError(f"{path}: layer {index} repeats stored numbers")
 
 
 def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
-    """The tensors of a `policy.pth`; nothing but tensors is ever made."""
+    """The tensors of a `policy.pth`; no other objects are ever made."""
     if not is_zipfile(BytesIO(weights)):
-        raise ModelError(f"{path}: {WEIGHTS} is not in torch's format of 2020 and later")
+        raise ModelError(f"{path}: {WEIGHTS} is not in the format of torch 1.6 and later")
     try:
         members = _members(f"{path}: {WEIGHTS}: ", weights)
         _check_size(path, WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
@@ -304,31 +306,32 @@ def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
         loaded = torch.load(BytesIO(weights), weights_only=True, map_location="cpu")
     except ModelError:
         raise
-    except Exception as error:  # whatever torch finds wrong with it
+    except Exception as error:  # torch raises many kinds
         reason = str(error).strip().partition("\n")[0]
         raise ModelError(
-            f"{path}: {WEIGHTS} holds something other than tensors, which is not loaded, or is "
-            f"damaged: {type(error).__name__}: {reason[:200]}"
+            f"{path}: {WEIGHTS} is damaged, or holds something other than tensors, which is not "
+            f"loaded: {type(error).__name__}: {reason[:200]}"
         ) from error
     if not isinstance(loaded, dict) or not all(
         isinstance(name, str) and isinstance(tensor, torch.Tensor)
         for name, tensor in loaded.items()
     ):
-        raise ModelError(f"{path}: {WEIGHTS} holds no tensors by name")
+        raise ModelError(f"{path}: {WEIGHTS} does not hold named tensors")
     return loaded
 
 
 def _check_pickle(path: Path, info: ZipInfo, archive: ZipFile) -> None:
-    """Refuses a pickle that names anything but tensors.
+    """Refuses a pickle that refers to anything but tensors.
 
-    torch would make no other object either, but an array of any size.
+    torch would not make other objects either, but it would make a bytearray of any size.
 
     Raises:
-        ModelError: It does.
-        ValueError: It is no pickle.
+        ModelError: The pickle refers to something else, or is too large.
+        ValueError: The member is not a pickle.
     """
     if info.file_size > PICKLE_LIMIT_BYTES:
-        raise ModelError(f"{path}: {WEIGHTS}: {info.filename[:40]} is too large to be true")
+        what = f"{WEIGHTS}: {info.filename[:40]}"
+        raise ModelError(f"{path}: {what} is larger than {PICKLE_LIMIT_BYTES:,} bytes")
     for opcode, argument, _ in pickletools.genops(archive.read(info)):
         names = "GLOBAL" in opcode.name or opcode.name.startswith(("EXT", "INST"))
         if names and not _OF_TENSORS.fullmatch(str(argument)):

@@ -1,4 +1,4 @@
-"""Training suites: what is trained, from YAML."""
+"""Training suites: which networks are trained, and how, from YAML."""
 
 import math
 from graphlib import CycleError, TopologicalSorter
@@ -18,71 +18,71 @@ from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, 
 from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
-"""Evaluations draw their scenes from seeds below 10^9, trainings from here on: none meet."""
+"""Trainings use seeds from here on; evaluations use seeds below 10^9, so none coincide."""
 EPISODES_OF_A_SEED = 2**32
-"""The k-th training episode's seed: FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED + k."""
+"""The seed of training episode k is FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED + k."""
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Width = Annotated[int, Field(ge=1, le=4096)]
-"""Neurons of a layer."""
+"""Number of neurons in a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Hyperparameters(FrozenModel):
-    """Of Double DQN; steps are decisions of one ego."""
+    """Hyperparameters of Double DQN; a step is one decision of one ego."""
 
     learning_rate: Positive = 1e-4
     batch_size: Annotated[int, Field(ge=1, le=100_000)] = 32
     discount: Share = 0.99
     replay_buffer: Annotated[int, Field(ge=1, le=10_000_000)] = 50_000
-    """Decisions kept."""
+    """Number of steps that are kept."""
     learning_starts: Annotated[int, Field(ge=0, le=10**9)] = 10_000
-    """Steps before the first gradient step, in which all actions are random."""
+    """Steps before the first gradient step; their actions are random."""
     steps_per_gradient_step: Count = 2
     target_update_steps: Count = 500
     """Steps between two copies of the network to the target network."""
     exploration_initial: Share = 1.0
     exploration_final: Share = 0.05
     exploration_share: Share = 0.1
-    """Share of all steps in which exploration falls from initial to final."""
+    """Share of all steps over which exploration falls from initial to final."""
     max_gradient_norm: Positive = 10.0
     hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] = (256, 256)
     scenes: Annotated[int, Field(ge=1, le=1000)] = 10
-    """Episodes played side by side."""
+    """Number of episodes simulated at the same time."""
     return_steps: Count = 1
-    """Rewards that a target adds up before it looks at a value."""
+    """Number of rewards in a target before the value (n-step returns)."""
     target_update_rate: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """Share of the way that the target network goes in an update; 1 is a copy."""
+    """Weight of the network in an update of the target network; 1 copies it."""
     learning_rate_decay: Share = 0.0
-    """Share of all steps, the last ones, in which the learning rate falls to 0."""
+    """Share of all steps, at the end, over which the learning rate falls to 0."""
     standardised: bool = False
-    """Whether the network takes observations in units of order 1."""
+    """Whether the network takes standardised observations, of order 1."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "Hyperparameters":
-        """Counts are in steps, and `scenes` steps are taken at once."""
+        """Checks the counts: they are in steps, and `scenes` steps are taken at once."""
         if self.scenes % self.steps_per_gradient_step:
             raise ValueError(
-                f"scenes {self.scenes} is no multiple of "
+                f"scenes {self.scenes} is not a multiple of "
                 f"steps_per_gradient_step {self.steps_per_gradient_step}"
             )
         for name in ("replay_buffer", "target_update_steps"):
             if getattr(self, name) % self.scenes:
                 raise ValueError(
-                    f"{name} {getattr(self, name)} is no multiple of scenes {self.scenes}"
+                    f"{name} {getattr(self, name)} is not a multiple of scenes {self.scenes}"
                 )
         return self
 
     def learning_rate_at(self, remaining: float) -> float:
-        """The learning rate when this share of all steps remains."""
+        """The learning rate when the share `remaining` of all steps remains."""
         if not self.learning_rate_decay:
             return self.learning_rate
         return self.learning_rate * min(remaining / self.learning_rate_decay, 1.0)
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """All of them, for JSON; an option that the paper does not have only where it is used."""
+        """The hyperparameters, ready for JSON; unused options that the paper lacks are left out."""
         unused = {name for name in OPTIONS if getattr(self, name) == OPTIONS[name]}
         return self.model_dump(mode="json", exclude=unused)
 
@@ -91,46 +91,46 @@ OPTIONS = {
     name: Hyperparameters.model_fields[name].default
     for name in ("return_steps", "target_update_rate", "learning_rate_decay", "standardised")
 }
-"""What the paper's Double DQN does not have, and the value without it."""
+"""The options that the paper's Double DQN lacks, with the value that turns each off."""
 
 
 class Supervised(FrozenModel):
-    """Of learning from human driving; by default the paper's fine-tuning."""
+    """Settings of learning from human driving; the defaults are the paper's fine-tuning."""
 
     learning_rate: Positive = 1e-6
     batch_size: Annotated[int, Field(ge=1, le=100_000)] = 128
     epochs: Count = 8
     pull: NonNegative = 0.2
-    """Lambda of eq. 11: how strongly weights are pulled to where they started."""
+    """Lambda of eq. 11: how strongly the weights are pulled back to their start."""
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
-    """Least probability of an action in a label; the divergence of eq. 11 is infinite at 0."""
+    """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """All of them, for JSON."""
+        """The settings, ready for JSON."""
         return self.model_dump(mode="json")
 
 
 class Stage(FrozenModel):
-    """One network: a style, which is a choice of weights and an SVO, and where it is learnt."""
+    """A network that learns by reinforcement: its style (weights and SVO), scene and traffic."""
 
     steps: Count
     weights: Name
-    """One of the suite's `weights`."""
+    """A name in the suite's `weights`."""
     svo: Svo
     svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
-    """phi of eq. 8, instead of the one that `svo` names."""
+    """phi of eq. 8; by default, the angle of `svo`."""
     scene: SceneSettings = SceneSettings()
     traffic: TrafficSpec
-    """Who drives the others. A name is that of a stage of this file before an installed one's."""
+    """The traffic. A name means a stage of this file, or else an installed agent or traffic."""
     variant: Name | None = None
-    """One of the suite's `variants`; by default its `hyperparameters`."""
+    """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     safety_horizon_s: Positive = SAFE_TTC_S
-    """From how many seconds a time to collision is safe, in r_s."""
+    """Time to collision from which r_s counts the ego as safe."""
     safe_headway_m: NonNegative = 0.0
-    """From how many metres a headway is safe, in r_s; the paper's r_s does not look at it: 0."""
+    """Headway from which r_s counts the ego as safe; 0, as in the paper, ignores headways."""
     lane_change_cost: NonNegative = 0.0
-    """What a decision for another lane costs; nothing in the paper."""
+    """Cost of a decision to change lanes; 0 in the paper."""
 
     @property
     def angle_rad(self) -> float:
@@ -142,46 +142,46 @@ class HumanStage(FrozenModel):
     """A network that learns from human driving."""
 
     fine_tunes: Name | None = None
-    """The stage whose network it starts from; by default an untrained one, which imitates."""
+    """The stage whose network is fine-tuned; by default an untrained network imitates."""
     settings: Supervised | None = None
-    """By default those of the suite."""
+    """By default, `fine_tuning` or `imitation` of the suite."""
 
 
 class Human(FrozenModel):
-    """Recordings of human driving, and what learns from them."""
+    """Recordings of human driving, and the networks that learn from them."""
 
     recordings: FilePath
-    """Their folder; a relative path starts at the suite file's."""
+    """Folder of recordings; a relative path starts at the suite file's folder."""
     samples: SampleSettings = SampleSettings()
     fine_tuning: Supervised = Supervised()
     imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
     stages: Annotated[dict[Name, HumanStage], Field(min_length=1, max_length=100)]
 
     def settings_of(self, stage: HumanStage) -> Supervised:
-        """How a stage learns."""
+        """The settings of a stage."""
         return stage.settings or (self.fine_tuning if stage.fine_tunes else self.imitation)
 
 
 class TrainingSuite(FrozenModel):
-    """The stages of a training, by the name of the network that each of them makes."""
+    """A training: its stages, each named like the network that it makes."""
 
     pipeline: Literal["charms"]
     title: Line = ""
     seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
-    """Other hyperparameters that a stage can name."""
+    """Further hyperparameters, which stages can name."""
     curve_steps: Count = 10_000
     """Steps between two points of the learning curve."""
     checkpoint_s: Positive = 60.0
     """Seconds between two checkpoints."""
     weights: dict[Name, Weights]
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
-    """Those of reinforcement learning; `like` takes what is not given from another stage."""
+    """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
 
     def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
-        """Those that a stage names."""
+        """The hyperparameters of a stage."""
         return self.hyperparameters if stage.variant is None else self.variants[stage.variant]
 
     @property
@@ -190,10 +190,10 @@ class TrainingSuite(FrozenModel):
         return self.human.stages if self.human else {}
 
     def traffic_of(self, stage: Stage) -> Traffic:
-        """Who drives the others.
+        """The traffic of a stage.
 
         Raises:
-            InputError: The traffic is not installed, or cannot be made as the stage wants it.
+            InputError: The traffic is not installed, or does not take the options.
         """
         if stage.traffic.name in self.stages and not stage.traffic.options:
             return OneAgent(stage.traffic.name)
@@ -201,7 +201,7 @@ class TrainingSuite(FrozenModel):
 
     @property
     def needs(self) -> dict[str, tuple[str, ...]]:
-        """All stages, and those whose networks each of them needs."""
+        """All stages, with the stages whose networks each of them needs."""
         needed = {
             name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.stages)
             for name, stage in self.stages.items()
@@ -212,11 +212,11 @@ class TrainingSuite(FrozenModel):
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The stages' names, each after those it needs."""
+        """The names of all stages, each after the stages that it needs."""
         return tuple(TopologicalSorter(self.needs).static_order())
 
     def needed_for(self, name: str) -> tuple[str, ...]:
-        """A stage's name, after those of all stages it needs."""
+        """The names of a stage and of all stages that it needs, in order."""
         order, needs, needed = self.order, self.needs, {name}
         for later in reversed(order):
             if later in needed:
@@ -225,10 +225,10 @@ class TrainingSuite(FrozenModel):
 
 
 def load_training(path: Path) -> TrainingSuite:
-    """The training suite of a YAML file.
+    """Reads a training suite.
 
     Raises:
-        SuiteError: Something in it is wrong, or names what does not exist.
+        SuiteError: The file is invalid, or a name in it does not exist.
     """
     document = Document(path)
     _resolve_likeness(document)
@@ -241,7 +241,7 @@ def load_training(path: Path) -> TrainingSuite:
         scenes = suite.hyperparameters_of(stage).scenes
         for steps, where in ((stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))):
             if steps % scenes:
-                raise document.error(where, f"{steps} is no multiple of scenes {scenes}")
+                raise document.error(where, f"{steps} is not a multiple of scenes {scenes}")
         if stage.weights not in suite.weights:
             there = f"this file has: {', '.join(suite.weights) or 'none'}"
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
@@ -257,7 +257,7 @@ def load_training(path: Path) -> TrainingSuite:
     for name, human in suite.human_stages.items():
         place = ("human", "stages", name)
         if name in suite.stages:
-            raise document.error(place, f"another stage is called '{name}'")
+            raise document.error(place, f"another stage is also named '{name}'")
         if human.fine_tunes is not None and human.fine_tunes not in suite.stages:
             there = f"this file has: {', '.join(suite.stages)}"
             what = f"no stage named '{human.fine_tunes}' under stages; {there}"
@@ -265,13 +265,13 @@ def load_training(path: Path) -> TrainingSuite:
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
-        what = f"stages need each other: {' <- '.join(error.args[1])}"
+        what = f"stages depend on each other: {' <- '.join(error.args[1])}"
         raise document.error(("stages",), what) from error
     return suite
 
 
 def _resolve_likeness(document: Document) -> None:
-    """Gives every stage that is `like` another what it does not say itself."""
+    """Copies missing settings into each stage that is `like` another stage."""
     stages = document.data.get("stages")
     if not isinstance(stages, dict):
         return

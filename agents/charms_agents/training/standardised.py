@@ -1,7 +1,7 @@
-"""Observations in units in which what differs between them is of order 1.
+"""Standardised observations, in which typical differences are of order 1.
 
-A policy sees speeds over 66 m/s, so two vehicles that near each other at 5 m/s differ by 0.08,
-and a network needs long to make much of it. In standardised observations it is 0.8.
+Plain observations divide speeds by 66 m/s. Two vehicles that approach each other at 5 m/s differ
+by 0.08, and a network learns slowly from such small differences. Standardised, they differ by 0.8.
 """
 
 from copy import deepcopy
@@ -16,9 +16,9 @@ from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, X_SCALE_M, Y_S
 ROWS, COLUMNS = 7, 5
 PRESENCE, X, Y, VX, VY = range(COLUMNS)
 DISTANCE_M, LANE_M, SPEED_MPS, LATERAL_MPS = 40.0, 4.0, 6.0, 3.0
-"""What counts as 1 along the road, across it, and for the speeds along and across it."""
+"""The units: distance along and across the road, speed along and across the road."""
 EGO_Y_M, EGO_SPEED_MPS = 4.0, 28.0
-"""What counts as 0 in the ego's own row: the middle one of three lanes, a usual speed."""
+"""The zeros of the ego's own row: the middle of three lanes, a typical speed."""
 
 
 def _units() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -28,7 +28,7 @@ def _units() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     factors[:, Y] = Y_SCALE_M / LANE_M
     factors[:, VX] = SPEED_SCALE_MPS / SPEED_MPS
     factors[:, VY] = SPEED_SCALE_MPS / LATERAL_MPS
-    factors[EGO, [PRESENCE, X]] = 0.0  # which are always 1
+    factors[EGO, [PRESENCE, X]] = 0.0  # these are always 1
     offsets = np.zeros((ROWS, COLUMNS), dtype=np.float32)
     offsets[EGO, Y] = -EGO_Y_M / LANE_M
     offsets[EGO, VX] = -EGO_SPEED_MPS / SPEED_MPS
@@ -44,7 +44,7 @@ def standardise(observations: torch.Tensor) -> torch.Tensor:
 
 
 def folded(network: Sequential) -> Sequential:
-    """A network for plain observations from one for standardised ones, with the same values."""
+    """Turns a network for standardised observations into an equal one for plain observations."""
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)

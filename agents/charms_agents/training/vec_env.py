@@ -1,4 +1,4 @@
-"""Episodes as a Stable-Baselines3 `VecEnv`."""
+"""The vector environment as a Stable-Baselines3 `VecEnv`."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,14 +12,14 @@ from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.world.scene import Observations
 
 ENDED = ("ending", "steps", "episode_return", "seed")
-"""What an episode's last info says of it, under `final_info`."""
+"""Facts about an ended episode, in its last info under `final_info`."""
 
 
 class EpisodesVecEnv(VecEnv):
-    """A `HighwayVectorEnv` as Stable-Baselines3 wants it.
+    """Adapts a `HighwayVectorEnv` to Stable-Baselines3.
 
-    An ended episode's last observation is `infos[i]["terminal_observation"]`, and
-    `infos[i]["TimeLimit.truncated"]` says that it was only its time that was over.
+    The last observation of an ended episode is `infos[i]["terminal_observation"]`.
+    `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.
     """
 
     def __init__(self, episodes: HighwayVectorEnv[Any]) -> None:
@@ -56,7 +56,7 @@ class EpisodesVecEnv(VecEnv):
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        raise NotImplementedError("episodes share their attributes; set them when making them")
+        raise NotImplementedError("episodes share attributes; set them in the constructor")
 
     def env_method(
         self,
