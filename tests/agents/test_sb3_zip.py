@@ -389,7 +389,7 @@ def test_the_file_sees_what_the_command_line_says(
     [
         ("kinematics", "no observation named 'kinematics'. Known: .* Did you mean 'Kinematics'"),
         ("{type: Kinematics", "--observation {type: Kinematics: is not YAML"),
-        ("neighbours", "takes 25 numbers; expected 35, .* say with --observation what it was"),
+        ("neighbours", "takes 25 numbers; expected 35, .* name the observation"),
     ],
 )
 def test_what_it_cannot_have_been_trained_on_is_one_message(
