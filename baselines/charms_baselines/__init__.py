@@ -1,1 +1,1 @@
-"""The agents CHARMS is compared with."""
+"""The agents that CHARMS is compared with."""

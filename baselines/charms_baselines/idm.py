@@ -9,10 +9,10 @@ from charms_bench.world.scene import Scene
 
 
 class Motion(NamedTuple):
-    """What the model sees of a vehicle.
+    """The state of a vehicle that the model uses.
 
-    Numbers, because handing arrays to a compiled function for every vehicle would cost more than
-    the model itself.
+    It has numbers only, because passing arrays to a compiled function for every vehicle would take
+    longer than the model itself.
     """
 
     x: float
@@ -36,7 +36,7 @@ def motion(b: int, i: int, scene: Scene) -> Motion:
 
 @compiled
 def motion_ahead(b: int, i: int, scene: Scene) -> Motion:
-    """The motion of a leader; -1, nobody, is infinitely far ahead."""
+    """The motion of a leader; if there is none (-1), it is infinitely far ahead."""
     if i < 0:
         return Motion(math.inf, 0.0, 1.0, 0.0, 0.0)
     return motion(b, i, scene)
@@ -44,7 +44,7 @@ def motion_ahead(b: int, i: int, scene: Scene) -> Motion:
 
 @compiled
 def motion_behind(b: int, i: int, scene: Scene) -> Motion:
-    """The motion of a follower; -1, nobody, is infinitely far behind."""
+    """The motion of a follower; if there is none (-1), it is infinitely far behind."""
     if i < 0:
         return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0)
     return motion(b, i, scene)
@@ -52,14 +52,14 @@ def motion_behind(b: int, i: int, scene: Scene) -> Motion:
 
 @compiled
 def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> float:
-    """Gap wanted to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
+    """Desired gap to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
     braking = 2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2)
     return p.jam_distance_m + speed * p.time_headway_s + speed * closing_speed / braking
 
 
 @compiled
 def closing_speed(vehicle: Motion, leader: Motion) -> float:
-    """Speed at which a vehicle nears its leader, along its own heading, m/s."""
+    """Speed at which a vehicle approaches its leader, along its own heading, m/s."""
     ahead = vehicle.speed * vehicle.direction_x - leader.speed * leader.direction_x
     aside = vehicle.speed * vehicle.direction_y - leader.speed * leader.direction_y
     return ahead * vehicle.direction_x + aside * vehicle.direction_y
@@ -84,7 +84,7 @@ def interaction(vehicle: Motion, leader: Motion, p: IdmMobilParameters) -> float
 def following(vehicle: Motion, leader: Motion, exponent: float, p: IdmMobilParameters) -> float:
     """IDM acceleration behind a leader, m/s2 [`IDMVehicle.acceleration`].
 
-    Nobody accelerates by 0. `exponent` is that of the driver who does the reckoning.
+    A vehicle that does not exist accelerates by 0. `exponent` is that of the deciding driver.
     """
     if vehicle.x == -math.inf:
         return 0.0

@@ -40,7 +40,7 @@ class IdmMobil(DriverModel):
 
 @compiled
 def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_lane: Ints) -> None:
-    """[`IDMVehicle.act`]; a vehicle sees the target lanes of those that acted before it."""
+    """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
     p = scene.constants.idm_mobil
     x, y, lane_of, leaders, followers = scene.x, scene.y, scene.lane, scene.leaders, scene.followers
     crashed, timer_s, temperament = scene.crashed, scene.timer_s, scene.temperament
@@ -85,7 +85,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_
 def _someone_takes_the_gap(
     b: int, i: int, own: Motion, target: int, scene: Scene, targets: Ints, p: IdmMobilParameters
 ) -> bool:
-    """Whether another changes into the same lane close ahead [`change_lane_policy`'s abort]."""
+    """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`]."""
     x, speed, lane, order = scene.x, scene.speed, scene.lane, scene.order
     fastest = 0.0
     for j in range(order.shape[1]):
@@ -117,7 +117,7 @@ def _changes(
     exponent: float,
     p: IdmMobilParameters,
 ) -> bool:
-    """MOBIL (Kesting et al. 2007, eqs. 2 and 3) [`IDMVehicle.mobil`, and when it is asked]."""
+    """Whether MOBIL changes lanes (Kesting et al. 2007, eqs. 2 and 3) [`IDMVehicle.mobil`]."""
     if abs(own.speed) < 1:
         return False
     new_follower_after = following(new_follower, own, exponent, p)

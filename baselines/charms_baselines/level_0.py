@@ -1,4 +1,4 @@
-"""The driver that reasons about nobody."""
+"""The level-0 driver, which does not reason about other drivers."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from charms_bench.world.scene import Observations
 
 
 class Level0(Policy):
-    """Keeps speed and lane; SLOWER while a slower vehicle is within 30 m ahead in its lane."""
+    """Keeps its speed and lane, and brakes for slower vehicles within 30 m ahead in its lane."""
 
     def decide(self, observations: Observations) -> Actions:
         presence, x, _, vx, _ = observations[:, FRONT].T

@@ -1,11 +1,12 @@
-"""A Stackelberg game for the lane: the changing vehicle leads, the one behind answers.
+"""A Stackelberg game for the lane: the vehicle that changes lanes leads, the one behind answers.
 
-The leader offers to enter a side lane; the follower there answers with its best response, its own
-IDM acceleration. The leader enters where that answer costs the follower little and the lane
-promises more room and speed.
+The leader offers to enter a side lane. The follower there answers with its best response, its own
+IDM acceleration. The leader enters if the answer costs the follower little and the lane offers more
+room and speed.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,17 +18,30 @@ from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
+class _Options(NamedTuple):
+    """The options of `Stackelberg`, all positive."""
+
+    deceleration: float
+    exponent: float
+    braking: float
+    accelerating: float
+    open_distance: float
+    follower_loss: float
+    gain: float
+
+
 class Stackelberg(DriverModel):
-    """IDM along the lane, a leader-follower game across at every simulation step.
+    """IDM along the lane, and a leader-follower game across it at every simulation step.
 
     Args:
         deceleration_mps2: IDM's comfortable deceleration b.
         exponent: IDM's acceleration exponent.
         acceleration_low_mps2: Lower bound of the commanded acceleration.
-        acceleration_high_mps2: Its upper bound, and IDM's maximum acceleration a.
-        open_distance_m: A side lane is open when its follower is further away than this,
-        follower_loss_mps2: or loses at most this much acceleration in its best response.
-        gain: A lane change needs its lane's utility to be higher by this.
+        acceleration_high_mps2: Upper bound of the commanded acceleration, and IDM's maximum
+            acceleration a.
+        open_distance_m: A side lane is open if its follower is further away than this,
+        follower_loss_mps2: or if the follower's best response costs at most this acceleration.
+        gain: A lane change needs a lane whose utility is higher by this.
 
     Raises:
         InputError: A value is not positive, or not negative for `acceleration_low_mps2`.
@@ -43,38 +57,30 @@ class Stackelberg(DriverModel):
         follower_loss_mps2: float = 1.0,
         gain: float = 0.1,
     ) -> None:
-        self._options = (
-            float(deceleration_mps2),
-            float(exponent),
-            -float(acceleration_low_mps2),
-            float(acceleration_high_mps2),
-            float(open_distance_m),
-            float(follower_loss_mps2),
-            float(gain),
+        self._options = _Options(
+            deceleration=float(deceleration_mps2),
+            exponent=float(exponent),
+            braking=-float(acceleration_low_mps2),
+            accelerating=float(acceleration_high_mps2),
+            open_distance=float(open_distance_m),
+            follower_loss=float(follower_loss_mps2),
+            gain=float(gain),
         )
         if not min(self._options) > 0:
-            raise InputError(f"stackelberg: every option has a sign to keep, got {self._options}")
+            raise InputError(
+                "stackelberg: acceleration_low_mps2 must be negative and every other option "
+                f"positive, got {self._options}"
+            )
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
-        acceleration = np.empty(vehicles[0].size)
-        target_lane = np.empty(vehicles[0].size, dtype=np.int64)
-        deceleration, exponent, braking, accelerating, distance, loss, gain = self._options
+        rows, places = vehicles
+        acceleration = np.empty(rows.size)
+        target_lane = np.empty(rows.size, dtype=np.int64)
+        options = self._options
         parameters = scene.constants.idm_mobil._replace(
-            acceleration_mps2=accelerating, deceleration_mps2=deceleration
+            acceleration_mps2=options.accelerating, deceleration_mps2=options.deceleration
         )
-        _drive(
-            scene,
-            vehicles[0],
-            vehicles[1],
-            acceleration,
-            target_lane,
-            parameters,
-            exponent,
-            braking,
-            distance,
-            loss,
-            gain,
-        )
+        _drive(scene, rows, places, acceleration, target_lane, parameters, options)
         return acceleration, target_lane
 
 
@@ -86,14 +92,11 @@ def _drive(
     acceleration: Floats,
     target_lane: Ints,
     p: IdmMobilParameters,
-    exponent: float,
-    braking: float,
-    open_distance: float,
-    follower_loss: float,
-    gain: float,
+    options: _Options,
 ) -> None:
     lane_of, target_of, crashed = scene.lane, scene.target_lane, scene.crashed
     leaders, followers = scene.leaders, scene.followers
+    exponent = options.exponent
     for m in range(rows.size):
         b, i = rows[m], places[m]
         lane, target = lane_of[b, i], target_of[b, i]
@@ -103,7 +106,7 @@ def _drive(
         own = motion(b, i, scene)
         leader = motion_ahead(b, leaders[b, i, lane], scene)
         if lane == target:
-            best = _utility(own, leader) + gain
+            best = _utility(own, leader) + options.gain
             for side in (lane - 1, lane + 1):
                 if not 0 <= side < scene.constants.lanes:
                     continue
@@ -111,21 +114,21 @@ def _drive(
                 side_follower = motion_behind(b, followers[b, i, side], scene)
                 utility = _utility(own, side_leader)
                 if utility > best and (
-                    own.x - side_follower.x > open_distance
-                    or _loss(side_follower, side_leader, own, exponent, p) <= follower_loss
+                    own.x - side_follower.x > options.open_distance
+                    or _loss(side_follower, side_leader, own, exponent, p) <= options.follower_loss
                 ):
                     best, target = utility, side
         wanted = following(own, leader, exponent, p)
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, following(own, leader, exponent, p))
-        acceleration[m] = clip(wanted, -braking, p.acceleration_mps2)
+        acceleration[m] = clip(wanted, -options.braking, options.accelerating)
         target_lane[m] = target
 
 
 @compiled
 def _utility(own: Motion, leader: Motion) -> float:
-    """Room and speed ahead on a lane: gap / 200 + leader's speed / 66, and 1 when it is empty."""
+    """Room and speed ahead on a lane: gap / 200 + leader's speed / 66; 1 if the lane is empty."""
     if leader.x == math.inf:
         return 1.0
     return (leader.x - own.x) / 200 + leader.speed / 66
@@ -135,5 +138,5 @@ def _utility(own: Motion, leader: Motion) -> float:
 def _loss(
     follower: Motion, leader: Motion, entering: Motion, exponent: float, p: IdmMobilParameters
 ) -> float:
-    """Acceleration that a follower's best response to an entering vehicle costs it, m/s2."""
+    """Acceleration that a follower loses by its best response to an entering vehicle, m/s2."""
     return following(follower, leader, exponent, p) - following(follower, entering, exponent, p)

@@ -28,7 +28,8 @@ def kl_divergence(reference: Floats, other: Floats) -> Floats:
 def js_divergence(reference: Floats, other: Floats) -> Floats:
     """The Jensen-Shannon divergence in bits: 0 for the same shares, 1 where no bin is shared.
 
-    Lin 1991 (IEEE Transactions on Information Theory 37). The shares are not smoothed, because this divergence is always finite.
+    Lin 1991 (IEEE Transactions on Information Theory 37). The shares are not smoothed, because
+    this divergence is always finite.
     """
     p, q = _shares(reference), _shares(other)
     middle = (p + q) / 2

@@ -26,7 +26,7 @@ _CHUNK = 4
 
 
 class Case(FrozenModel):
-    """One ego in one traffic in one kind of scene."""
+    """An ego in a traffic in a kind of scene."""
 
     scene: SceneSettings
     ego: AgentSpec
@@ -35,7 +35,7 @@ class Case(FrozenModel):
 
     @property
     def title(self) -> str:
-        """What it is, in a line."""
+        """A description in one line."""
         scene = self.scene
         return (
             f"{self.ego.name or self.ego.onnx}, {scene.profile.name}: {scene.lanes} lanes, "
@@ -58,18 +58,18 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was compared in some episodes of a case, and what was not the same."""
+    """What was compared in some episodes of a case, and the differences found."""
 
     case: Case
     episodes: int = 0
     steps: int = 0
-    """Simulation steps, of all episodes together."""
+    """Simulation steps of all episodes."""
     lane_changes: int = 0
-    """Times a vehicle got a new target lane."""
+    """How often a vehicle got a new target lane."""
     crashed: int = 0
-    """Vehicles crashed at the end."""
+    """Vehicles that have crashed by the end."""
     largest: float = 0.0
-    """Largest difference of a continuous quantity up to the first one beyond the tolerance."""
+    """Largest difference of a continuous quantity, up to the first beyond the tolerance."""
     differences: tuple[Difference, ...] = ()
 
     def __add__(self, other: "Comparison") -> "Comparison":
@@ -92,7 +92,7 @@ class _DefaultCases(FrozenModel):
 
 
 def default_cases() -> tuple[list[Case], int]:
-    """The cases compared when no suite is named, and the episodes of each."""
+    """The cases that are compared if no suite is given, and the episodes of each."""
     cases = Document(Path(__file__).with_name("verify.yaml")).validate(_DefaultCases)
     return [
         Case(scene=scene, ego=ego, traffic=cases.traffic)
@@ -102,7 +102,7 @@ def default_cases() -> tuple[list[Case], int]:
 
 
 def cases_of(suite: Suite) -> list[Case]:
-    """A suite's cells."""
+    """The cells of a suite."""
     return [
         Case(
             scene=suite.scene,
@@ -121,10 +121,11 @@ def verify(
     workers: int | None = None,
     progress: Callable[[int], None] = lambda episodes: None,
 ) -> list[Comparison]:
-    """Compares the engines over some episodes of each case, from the seed on.
+    """Compares the engines over some episodes of each case, starting at a seed.
 
-    highway-env runs with NumPy's vectorised approximations switched off, see
-    `exact_maths.worker_environment`. `progress` is told of every few episodes compared.
+    highway-env runs without NumPy's vectorised approximations; see
+    `exact_maths.worker_environment`. `progress` is called with the number of episodes compared
+    since the last call.
     """
     results = [Comparison(case) for case in cases]
     chunks = [
@@ -199,7 +200,7 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
 def _differences(
     ours: Simulation, theirs: Simulation, frame: int
 ) -> tuple[list[Difference], float]:
-    """The first difference of every scene that still runs, which ends it, and the largest."""
+    """Ends the scenes that differ; returns the first difference of each, and the largest."""
     rows = np.nonzero(ours.scene.active)[0]
     found: dict[int, Difference] = {}
     largest = 0.0
