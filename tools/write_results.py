@@ -9,15 +9,18 @@ hold stays as it is.
 import re
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import polars as pl
-
 from charms_bench.episodes.edge_cases import edge_cases
+from charms_bench.report.markdown import markdown
+from charms_bench.report.run_tables import RunTables
 from charms_bench.report.stored import stored_tables
-from charms_bench.report.training import stored_training
+from charms_bench.report.suite_table import matrices
+from charms_bench.report.table import Row, Table
+from charms_bench.report.training_tables import stored_training
 from charms_bench.runs.finished import open_finished
+from charms_bench.runs.folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
@@ -25,46 +28,46 @@ BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results --
 
 
 @dataclass(frozen=True)
-class Column:
-    """A metric of a table."""
+class Shown:
+    """A metric of a table in the documentation."""
 
     header: str
     metric: str
     form: str = ".3f"
-    """Of a number; with `%` it is printed in percent."""
+    """As in `Column`."""
     metric_set: str = "paper-"
-    """How its label begins."""
+    """How the label of its set begins."""
     interval: bool = False
-    """Whether the 95 % interval is printed too."""
+    """Whether the 95 % interval is written too."""
 
 
-CRASHED = Column("episodes crashed", "crashed_episodes", ".1%", "standard-", interval=True)
-TRAFFIC_CRASHED = Column(
+CRASHED = Shown("episodes crashed", "crashed_episodes", ".1%", "standard-", interval=True)
+TRAFFIC_CRASHED = Shown(
     "vehicles crashed in 20 s", "traffic_crashed", ".1%", "standard-", interval=True
 )
-PER_1000KM = Column("per 1,000 km", "traffic_crashes_per_1000km", ",.0f", "standard-")
-DENSITY = Column("interaction density", "interaction_density", ".2f")
-EGO_SPEED = Column("ego's speed, m/s", "speed_mean", ".2f")
-EGO_SPEED_STD = Column("ego's speed std", "speed_std", ".2f")
-EGO_TTC = Column("ego's TTC < 3 s, closing", "ttc_below_3s_closing", ".4f")
-SPEED = Column("speed, m/s", "speed_mean", ".2f")
-HARSH = Column("harsh", "harsh_acc_rate", ".4f")
+PER_1000KM = Shown("per 1,000 km", "traffic_crashes_per_1000km", ",.0f", "standard-")
+DENSITY = Shown("interaction density", "interaction_density", ".2f")
+EGO_SPEED = Shown("ego's speed, m/s", "speed_mean", ".2f")
+EGO_SPEED_STD = Shown("ego's speed std", "speed_std", ".2f")
+EGO_TTC = Shown("ego's TTC < 3 s, closing", "ttc_below_3s_closing", ".4f")
+SPEED = Shown("speed, m/s", "speed_mean", ".2f")
+HARSH = Shown("harsh", "harsh_acc_rate", ".4f")
 
 EGO = (
     CRASHED,
-    Column("collision rate", "collision_rate", ".4f"),
-    Column("TTC < 3 s", "ttc_below_3s"),
+    Shown("collision rate", "collision_rate", ".4f"),
+    Shown("TTC < 3 s", "ttc_below_3s"),
     SPEED,
-    Column("acceleration std, m/s²", "acc_std"),
+    Shown("acceleration std, m/s²", "acc_std"),
     HARSH,
 )
 STYLES = (
     SPEED,
-    Column("speed std", "speed_std", ".2f"),
-    Column("acceleration", "acc_mean"),
-    Column("acceleration std", "acc_std"),
-    Column("headway, m", "dhw_mean", ".1f"),
-    Column("headway std", "dhw_std", ".1f"),
+    Shown("speed std", "speed_std", ".2f"),
+    Shown("acceleration", "acc_mean"),
+    Shown("acceleration std", "acc_std"),
+    Shown("headway, m", "dhw_mean", ".1f"),
+    Shown("headway std", "dhw_std", ".1f"),
     HARSH,
     CRASHED,
 )
@@ -72,85 +75,66 @@ ENVIRONMENT = (TRAFFIC_CRASHED, PER_1000KM, DENSITY, EGO_SPEED_STD, EGO_TTC)
 PCH = (TRAFFIC_CRASHED, PER_1000KM, DENSITY, EGO_SPEED, EGO_SPEED_STD)
 
 
-def table(long: pl.DataFrame, name: str, columns: Sequence[Column]) -> str:
-    """A Markdown table of a long one, a row an agent or a traffic."""
-    chosen = [
-        {
-            row[name]: row
-            for row in long.iter_rows(named=True)
-            if row["metric"] == column.metric and row["metric_set"].startswith(column.metric_set)
-        }
-        for column in columns
-    ]
-    headers = [
-        column.header + " (paper)" * any(row["paper"] is not None for row in rows.values())
-        for column, rows in zip(columns, chosen, strict=True)
-    ]
-    lines = [
-        [label, *(cell(column, rows[label]) for column, rows in zip(columns, chosen, strict=True))]
-        for label in long[name].unique(maintain_order=True)
-    ]
-    return markdown([name, *headers], lines)
-
-
-def cell(column: Column, row: dict[str, float | None]) -> str:
-    """A number, its interval if that is asked for, and the paper's in parentheses."""
-
-    def text(number: float) -> str:
-        return f"{number:{column.form}}".removesuffix("%")
-
-    if row["value"] is None:
-        return "–"
-    parts = [text(row["value"]) + " %" * column.form.endswith("%")]
-    if column.interval and row["low"] is not None and row["high"] is not None:
-        parts.append(f"[{text(row['low'])}, {text(row['high'])}]")
-    if row["paper"] is not None:
-        parts.append(f"({row['paper']:g})")
-    return " ".join(parts)
-
-
-def markdown(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A table whose first column is of names."""
-    rule = "|---|" + "---:|" * (len(header) - 1)
-    head, *rest = ("| " + " | ".join(line) + " |" for line in (header, *lines))
-    return "\n".join([head, rule, *rest]) + "\n"
-
-
-def of_suite(name: str, columns: Sequence[Column], of: str) -> Callable[[Path], str]:
-    """Writes the table of a suite, a row an agent or a traffic."""
+def of_suite(name: str, columns: Sequence[Shown], key: str) -> Callable[[Path], str]:
+    """Writes the table of a suite, an agent or a traffic per row."""
 
     def write(runs: Path) -> str:
-        return table(stored_tables(runs / name, name)[""], of, columns)
+        return markdown(shown(tables_of(runs / name).metrics, columns, key))
 
     return write
 
 
+def tables_of(run: Path) -> RunTables:
+    return stored_tables(run, RunFolder(run).suite())
+
+
+def shown(table: Table, columns: Sequence[Shown], key: str) -> Table:
+    """A suite's table with some columns under other names, labelled by one key."""
+    place = table.keys.index(key)
+    chosen = table.take([_place(table, column) for column in columns])
+    return replace(
+        chosen,
+        keys=(key,),
+        columns=tuple(
+            replace(each, name=column.header, form=column.form)
+            for each, column in zip(chosen.columns, columns, strict=True)
+        ),
+        rows=tuple(
+            Row(
+                (row.labels[place],),
+                tuple(
+                    number if column.interval else replace(number, low=None, high=None)
+                    for number, column in zip(row.numbers, columns, strict=True)
+                ),
+            )
+            for row in chosen.rows
+        ),
+    )
+
+
+def _place(table: Table, column: Shown) -> int:
+    return next(
+        i
+        for i, each in enumerate(table.columns)
+        if each.name == column.metric and each.group.startswith(column.metric_set)
+    )
+
+
 def realism(runs: Path) -> str:
     """How far each traffic is from each reference, the nearest in bold."""
-    long = stored_tables(runs / "realism", "realism")["-realism"]
-    header, columns = ["traffic"], []
-    for (reference, metric), rows in long.group_by("reference", "metric", maintain_order=True):
-        distance, _, quantity = str(metric).partition("_")
-        if distance != "js":
-            continue
-        what = {"speed": "speed", "dhw": "headway"}[quantity]
-        header.append(f"{what}, {str(reference).upper()}")
-        nearest = rows["value"].min()
-        columns.append(
-            [
-                f"{'**' * (value == nearest)}{value:.3f}{'**' * (value == nearest)} "
-                f"[{low:.3f}, {high:.3f}]"
-                for value, low, high in rows.select("value", "low", "high").iter_rows()
-            ]
-        )
-    traffics = long["traffic"].unique(maintain_order=True)
-    return markdown(header, list(zip(traffics, *columns, strict=True)))
+    table = tables_of(runs / "realism").realism
+    assert table is not None
+    what = {"speed": "speed", "dhw": "headway"}
+    chosen = table.take([i for i, each in enumerate(table.columns) if each.name.startswith("js_")])
+    headers = [f"{what[each.quantity]}, {each.group.upper()}" for each in chosen.columns]
+    columns = [replace(each, name=n) for each, n in zip(chosen.columns, headers, strict=True)]
+    return markdown(replace(chosen, columns=tuple(columns)))
 
 
 def crossplay(runs: Path) -> str:
     """The matrices, each under its title."""
-    text = (runs / "crossplay" / "tables" / "crossplay-matrix.md").read_text(encoding="utf-8")
-    return re.sub("^## (.*)$", r"**\1**", text, flags=re.MULTILINE)
+    found = matrices(tables_of(runs / "crossplay").metrics)
+    return "\n".join(f"**{matrix.title}**\n\n{markdown(matrix)}" for matrix in found)
 
 
 def edges(runs: Path) -> str:
@@ -170,18 +154,23 @@ def edges(runs: Path) -> str:
 
 
 def fine_tuning(runs: Path) -> str:
-    """What learning from people did to each style; nothing where no stage did."""
-    stages = stored_training(runs / "train")["stages"].drop_nulls("agreement")
-    if stages.is_empty():
-        return ""
-    lines = [
-        [
-            row["stage"].removeprefix("charms_").replace("_", " "),
-            *(f"{row[when]:.1%}".replace("%", " %") for when in ("agreement_before", "agreement")),
-        ]
-        for row in stages.iter_rows(named=True)
-    ]
-    return markdown(["style", "before", "after"], lines)
+    """What learning from human driving did to each style; nothing if no stage learnt from it."""
+    table = stored_training(runs / "train").stages
+    assert table is not None
+    names = {"agreement_before": "before", "agreement": "after"}
+    chosen = table.select(*names)
+    return markdown(
+        replace(
+            chosen,
+            keys=("style",),
+            columns=tuple(replace(e, name=names[e.name], form=".1%") for e in chosen.columns),
+            rows=tuple(
+                replace(row, labels=(row.labels[0].removeprefix("charms_").replace("_", " "),))
+                for row in chosen.rows
+                if row.numbers[1].value is not None
+            ),
+        )
+    )
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {

@@ -33,8 +33,9 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Say in which metrics two agents differ by more than chance, and by how much."""
-    from charms_bench.report.compare import compare as compare_cells
-    from charms_bench.report.compare import render
+    from charms_bench.report.comparison import by_pair, to_dicts
+    from charms_bench.report.comparison import compare as compare_cells
+    from charms_bench.report.terminal import grid
     from charms_bench.runs.finished import open_finished
     from charms_bench.runs.metric_sets import metric_sets as find
     from charms_bench.runs.pairing import pairs_of
@@ -42,8 +43,9 @@ def compare(
     sets = find(metric_sets or [])
     one = open_finished(first)
     pairs = pairs_of(one, None if second is None else open_finished(second), agents)
-    rows = compare_cells(pairs, sets, one.suite.scene, one.suite.seed, metrics or ())
+    table = compare_cells(pairs, sets, one.suite.scene, one.suite.seed, metrics or ())
     if as_json:
-        print(json.dumps([row.to_dict() for row in rows], indent=2, ensure_ascii=False))
+        print(json.dumps(to_dicts(table), indent=2, ensure_ascii=False))
         return
-    out.print(render(rows))
+    for part in by_pair(table):
+        out.print(grid(part, out.width, stacked=False))

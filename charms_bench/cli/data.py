@@ -26,8 +26,8 @@ def data(
     from charms_bench.people.highd import find_trios
     from charms_bench.people.survey import survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
-    from charms_bench.report.figures import check_figure
-    from charms_bench.report.recordings import draw
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.recordings import draw
 
     if figure is not None:
         check_figure(figure)

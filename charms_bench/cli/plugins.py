@@ -44,8 +44,8 @@ def traffic(
     from rich.table import Table
 
     from charms_bench.plugins.registry import make_traffic
-    from charms_bench.report.figures import check_figure
-    from charms_bench.report.shares import SAMPLED, draw, shares
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.shares import SAMPLED, draw, shares
 
     if figure is not None:
         check_figure(figure)

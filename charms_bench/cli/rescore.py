@@ -16,7 +16,9 @@ def rescore(
     as_json: Json = False,
 ) -> None:
     """Compute a run's metrics again from its rows, and write its tables again; no simulation."""
-    from charms_bench.report.tables import build_table, render_terminal, write_tables
+    from charms_bench.report.run_files import write_table
+    from charms_bench.report.suite_table import shown_metrics, suite_table
+    from charms_bench.report.terminal import grid
     from charms_bench.runs.finished import open_finished
     from charms_bench.runs.lock import locked
     from charms_bench.runs.metric_sets import metric_sets as find
@@ -25,12 +27,11 @@ def rescore(
     opened = open_finished(run)
     suite = opened.suite
     with locked(run):
-        table = build_table(opened.cells(), suite.scene, suite.seed, sets)
-        write_tables(run / "tables", suite.suite, table, sets)
+        table = suite_table(suite, opened.cells(), sets)
+        rest = write_table(run, table)
     if as_json:
-        print(json.dumps(table.to_dicts(), indent=2))
+        print(json.dumps(table.frame().to_dicts(), indent=2))
         return
-    everything = table["metric"].unique(maintain_order=True).to_list()
-    out.print(render_terminal(table, everything if metric_sets else suite.columns, out.width))
-    rest = run / "tables" / f"{suite.suite}.md"
+    shown = table if metric_sets else table.select(*shown_metrics(table, suite.columns))
+    out.print(grid(shown.without_constant_keys(), out.width))
     out.print(f"All metrics: {plain(str(rest))}", highlight=False, soft_wrap=True)

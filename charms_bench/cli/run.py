@@ -88,8 +88,9 @@ def run(
         raise InputError("--workers are processes on this machine; a cluster has its own")
 
     from charms_bench.people.reference import read_references
-    from charms_bench.report.reports import write_reports
-    from charms_bench.report.tables import render_terminal
+    from charms_bench.report.run_files import write_run
+    from charms_bench.report.suite_table import shown_metrics
+    from charms_bench.report.terminal import grid
     from charms_bench.runs import runner
     from charms_bench.runs.cluster import on_cluster
     from charms_bench.runs.lock import locked
@@ -116,13 +117,15 @@ def run(
         )
     with interruptible(f"all rows are in {folder}"), locked(folder):
         following = finished.following() if references else []
-        table, files = write_reports(loaded, folder, finished.cells(), following, references)
+        tables, files = write_run(loaded, folder, finished.cells(), following, references)
+    table = tables.metrics
     if as_json:
-        print(json.dumps(table.to_dicts(), indent=2))
+        print(json.dumps(table.frame().to_dicts(), indent=2))
     else:
         if loaded.title:
             out.print(plain(loaded.title), highlight=False)
-        out.print(render_terminal(table, loaded.columns, out.width))
+        shown = table.select(*shown_metrics(table, loaded.columns)).without_constant_keys()
+        out.print(grid(shown, out.width))
         for what, paths in files.items():
             listed = ", ".join(plain(str(path)) for path in paths)
             out.print(f"{what}: {listed}", highlight=False, soft_wrap=True)

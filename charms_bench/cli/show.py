@@ -26,7 +26,7 @@ def show(
 ) -> None:
     """Print the tables of a run, every value in its interval and drawn to scale."""
     from charms_bench.report.stored import holds
-    from charms_bench.report.training import stored_training
+    from charms_bench.report.training_tables import stored_training
     from charms_bench.runs.folder import MANIFEST
 
     if holds(run, MANIFEST):
@@ -34,41 +34,47 @@ def show(
         return
     if metrics or everything:
         raise InputError(f"{run}: is no evaluation; --metric and --all are for those")
-    tables = stored_training(run)
-    if not tables:
+    training = stored_training(run)
+    if training.stages is None and training.curves is None:
         raise RunFolderError(
             f"{run}: holds no evaluation ({MANIFEST}) and no finished training (stages.csv)"
         )
     if as_json:
-        print(json.dumps({name: table.to_dicts() for name, table in tables.items()}, indent=2))
+        found = {
+            "stages": None if training.stages is None else training.stages.records(),
+            "curves": None if training.curves is None else training.curves.to_dicts(),
+        }
+        print(
+            json.dumps({name: rows for name, rows in found.items() if rows is not None}, indent=2)
+        )
         return
-    from charms_bench.report.training import render
+    from charms_bench.report.terminal import grid
+    from charms_bench.report.training_tables import drawn_curves
 
-    out.print(render(tables, out.width))
+    if training.stages is not None:
+        out.print(grid(training.stages, out.width))
+    out.print(drawn_curves(training, out.width))
 
 
 def _show_evaluation(run: Path, metrics: list[str], everything: bool, as_json: bool) -> None:
-    from charms_bench.errors import suggestion
-    from charms_bench.report.show import chosen_metrics, render
     from charms_bench.report.stored import stored_tables
+    from charms_bench.report.suite_table import shown_metrics
+    from charms_bench.report.terminal import drawn
     from charms_bench.runs.folder import RunFolder
 
     folder = RunFolder(run)
     suite = folder.suite()
-    tables = stored_tables(run, suite.suite)
-    known = dict.fromkeys(tables[""]["metric"])
-    for name in metrics:
-        if name not in known:
-            raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
+    tables = stored_tables(run, suite)
+    table, *others = tables.each()
     if metrics:
-        tables = {"": tables[""].filter(tables[""]["metric"].is_in(metrics))}
+        table, others = table.select(*metrics), []
     if as_json:
         found = {
             "suite": suite.suite,
             "title": suite.title,
             "episodes": suite.episodes,
             "seed": suite.seed,
-            "tables": {f"{suite.suite}{end}": table.to_dicts() for end, table in tables.items()},
+            "tables": {each.name: each.frame().to_dicts() for each in (table, *others)},
         }
         print(json.dumps(found, indent=2, ensure_ascii=False))
         return
@@ -77,5 +83,7 @@ def _show_evaluation(run: Path, metrics: list[str], everything: bool, as_json: b
     cells = f"{len(suite.egos)} × {len(suite.traffics)} cells"
     facts = f"{cells} of {suite.episodes:,} episodes, seeds from {suite.seed:,}, engine {engine}"
     out.print(plain(f"{title}\n{facts}"), highlight=False, soft_wrap=True)
-    shown = metrics or ([] if everything else chosen_metrics(tables, suite.columns))
-    out.print(render(tables, shown, out.width))
+    if not metrics and not everything:
+        table = table.select(*shown_metrics(table, suite.columns))
+    for each in (table, *others):
+        out.print(drawn(each, out.width))

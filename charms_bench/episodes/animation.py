@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from charms_bench.episodes import palette
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
@@ -33,11 +34,10 @@ COLOURS = 96
 """Size of the GIF's palette, which limits the size of the file."""
 
 INK, PALE, PAPER = "#20242a", "#737b86", "#ffffff"
-ASPHALT, PAINT = "#d3d7dc", "#ffffff"
-EGO, WRECK, BRAKE, INDICATOR = "#e8590c", "#c2122d", "#e01b24", "#ffb000"
-AGENTS = (
-    "#4477aa", "#228833", "#aa3377", "#66bbdd", "#8a8a2c", "#7b5aa6", "#4d4d4d", "#bb8866"
-)  # fmt: skip
+EGO, WRECK, BRAKE, INDICATOR, ASPHALT, PAINT = (
+    palette.VEHICLES[name][0] for name in ("ego", "wreck", "brake", "indicator", "asphalt", "paint")
+)
+AGENTS = [light for light, _ in palette.AGENTS]
 """Colours of the agents in the traffic, in alphabetical order of the agents."""
 
 

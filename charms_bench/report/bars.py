@@ -1,7 +1,4 @@
-"""Numbers as characters: an interval on a scale, a curve as a line of blocks.
-
-Readable in one colour, and in a file.
-"""
+"""Numbers drawn with characters: an interval on a scale, a curve as a line of blocks."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,13 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from rich.text import Text
 
+from charms_bench.report.table import Number
+
 BLOCKS = "▁▂▃▄▅▆▇█"
-INTERVAL, VALUE, PAPER, ZERO = "━", "●", "◇", "┊"
+INTERVAL, VALUE, REFERENCE, ZERO = "━", "●", "◇", "┊"
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What the first and the last of some characters stand for."""
+    """What the first and the last of a row of characters stand for."""
 
     low: float
     high: float
@@ -23,9 +22,9 @@ class Scale:
 
     @classmethod
     def over(cls, numbers: Iterable[float | None], width: int, zero: bool = False) -> "Scale":
-        """A scale that holds all numbers, and 0 if asked to or if they are not far from it."""
-        there = [number for number in numbers if number is not None]
-        low, high = min(there, default=0.0), max(there, default=0.0)
+        """A scale that holds all numbers, and 0 if asked to or if 0 is not far from them."""
+        known = [number for number in numbers if number is not None]
+        low, high = min(known, default=0.0), max(known, default=0.0)
         if zero or 0 <= low < high / 2:
             low, high = min(low, 0.0), max(high, 0.0)
         if low == high:
@@ -33,28 +32,22 @@ class Scale:
         return cls(low, high, width)
 
     def place(self, number: float) -> int:
-        """The character, from 0, that a number is at."""
+        """The character, from 0, at which a number is drawn."""
         return round((number - self.low) / (self.high - self.low) * (self.width - 1))
 
 
-def bar(
-    scale: Scale,
-    value: float | None,
-    low: float | None,
-    high: float | None,
-    paper: float | None = None,
-) -> Text:
-    """A value in its interval, with the paper's value beside it; what there is none of is not."""
+def bar(scale: Scale, number: Number) -> Text:
+    """A value in its interval, with the reference value; what is not defined is not drawn."""
     row = [(" ", "")] * scale.width
     if scale.low < 0 < scale.high:
         row[scale.place(0.0)] = (ZERO, "dim")
-    if low is not None and high is not None:
-        for place in range(scale.place(low), scale.place(high) + 1):
+    if number.low is not None and number.high is not None:
+        for place in range(scale.place(number.low), scale.place(number.high) + 1):
             row[place] = (INTERVAL, "cyan")
-    if value is not None:
-        row[scale.place(value)] = (VALUE, "bold cyan")
-    if paper is not None and row[scale.place(paper)][0] != VALUE:
-        row[scale.place(paper)] = (PAPER, "magenta")
+    if number.value is not None:
+        row[scale.place(number.value)] = (VALUE, "bold cyan")
+    if number.reference is not None and row[scale.place(number.reference)][0] != VALUE:
+        row[scale.place(number.reference)] = (REFERENCE, "magenta")
     return Text.assemble(*row)
 
 

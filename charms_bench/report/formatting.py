@@ -55,7 +55,8 @@ def _written(number: Number, form: str) -> Written:
         value=_text(number.value, form) or NOTHING,
         low=_text(number.low, form).removesuffix(" %"),
         high=_text(number.high, form).removesuffix(" %"),
-        reference=_text(number.reference, form.removeprefix("+")),
+        # As it was reported, unless it becomes a percentage.
+        reference=_text(number.reference, form if form.endswith("%") else "g"),
         n="" if number.n is None else f"{number.n:,}",
         marked=number.marked,
     )

@@ -1,4 +1,4 @@
-"""Tables as a run folder keeps them: read again, not computed again."""
+"""Reads the tables that a run folder holds, instead of computing them again."""
 
 import re
 from collections.abc import Mapping
@@ -8,18 +8,12 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
-from charms_bench.report.pairs import SCHEMA as PAIRS_SCHEMA
-from charms_bench.report.realism import SCHEMA as REALISM_SCHEMA
-from charms_bench.report.tables import LONG_SCHEMA
+from charms_bench.report import pairs_table, realism_table, suite_table
+from charms_bench.report.run_tables import RunTables
+from charms_bench.report.table import long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
+from charms_bench.runs.suite import Suite
 from charms_bench.world.files import read_limited
-
-TABLES: dict[str, Mapping[str, pl.DataType]] = {
-    "": LONG_SCHEMA,
-    "-realism": REALISM_SCHEMA,
-    "-pairs": PAIRS_SCHEMA,
-}
-"""What is written of a suite, by the end of its name: every cell, realism, pairs of egos."""
 
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
@@ -28,7 +22,7 @@ def holds(folder: Path, name: str) -> bool:
     """Whether a run folder has a file of this name.
 
     Raises:
-        RunFolderError: One may not look into it, or no folder can be called that.
+        RunFolderError: The folder may not be read, or no folder can have its name.
     """
     try:
         return (folder / name).exists()
@@ -36,27 +30,40 @@ def holds(folder: Path, name: str) -> bool:
         raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
 
 
-def stored_tables(folder: Path, suite: str) -> dict[str, pl.DataFrame]:
-    """The tables of an evaluation, by the ends of their names (`TABLES`).
+def stored_tables(folder: Path, suite: Suite) -> RunTables:
+    """The tables of an evaluation.
 
     Args:
         folder: The run folder.
-        suite: The suite's name.
+        suite: The suite that was run.
 
     Raises:
-        RunFolderError: The first, which every run has, is missing, or one is damaged.
+        RunFolderError: The table of metrics, which every run has, is missing, or one is damaged.
     """
-    paths = {end: folder / "tables" / f"{suite}{end}.csv" for end in TABLES}
-    if not paths[""].exists():
+    tables, name = folder / "tables", suite.suite
+    metrics = tables / f"{name}.csv"
+    if not metrics.exists():
         raise RunFolderError(
-            f"{paths['']}: no such file; a run writes its tables when it is finished, and "
+            f"{metrics}: no such file; a run writes its tables when it is finished, and "
             f"`charms-bench rescore {folder}` writes them again"
         )
-    return {end: read_table(path, TABLES[end]) for end, path in paths.items() if path.exists()}
+
+    def read(path: Path, keys: tuple[str, ...], long: Mapping[str, str]) -> pl.DataFrame | None:
+        return read_table(path, long_schema(keys, long)) if path.exists() else None
+
+    pairs = read(tables / f"{name}-pairs.csv", pairs_table.KEYS, pairs_table.LONG)
+    realism = read(tables / f"{name}-realism.csv", realism_table.KEYS, realism_table.LONG)
+    return RunTables(
+        metrics=suite_table.from_frame(
+            read_table(metrics, long_schema(suite_table.KEYS, suite_table.LONG)), suite
+        ),
+        pairs=None if pairs is None else pairs_table.from_frame(pairs, suite),
+        realism=None if realism is None else realism_table.from_frame(realism, suite),
+    )
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    """A CSV file with these columns; see `read_csv`.
+    """A CSV file with exactly these columns; see `read_csv`.
 
     Raises:
         RunFolderError: It cannot be read, or has other columns.
@@ -70,16 +77,13 @@ def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
 
 
 def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.DataFrame:
-    """A CSV file that can be shown: a number that is not finite is null.
+    """A CSV file that can be shown; a number that is not finite becomes null.
 
     Raises:
         RunFolderError: It cannot be read, or has control characters in it.
     """
     try:
-        data = read_limited(path, FILE_LIMIT_BYTES)
-        table = pl.read_csv(data, schema_overrides=schema, infer_schema_length=None)
-    except OSError as error:
-        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+        table = pl.read_csv(read_file(path), schema_overrides=schema, infer_schema_length=None)
     except pl.exceptions.PolarsError as error:
         raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     words = [*table.columns, *(word for column in table.select(cs.string()) for word in column)]
@@ -87,3 +91,15 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
         raise RunFolderError(f"{path}: has control characters: {strange[0]!a}; write it again")
     numbers = cs.float()
     return table.with_columns(pl.when(numbers.is_finite()).then(numbers))
+
+
+def read_file(path: Path) -> bytes:
+    """The content of a file of a run folder.
+
+    Raises:
+        RunFolderError: It cannot be read.
+    """
+    try:
+        return read_limited(path, FILE_LIMIT_BYTES)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error

@@ -3,8 +3,10 @@
 Views: `terminal`, `bars`, `markdown`, `html.table`, and `Table.frame` for programs.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import polars as pl
@@ -22,6 +24,12 @@ _TYPES: dict[str, pl.DataType] = {
     "n": pl.Int64(),
     "marked": pl.Boolean(),
 }
+
+
+def long_schema(keys: Sequence[str], long: Mapping[str, str]) -> dict[str, pl.DataType]:
+    """The columns of a long frame with these keys and parts of numbers."""
+    types = {name: _TYPES.get(part, pl.Float64()) for name, part in long.items()}
+    return {**dict.fromkeys(keys, pl.String()), **types}
 
 
 @dataclass(frozen=True)
@@ -75,6 +83,11 @@ class Row:
     labels: tuple[str, ...]
     cells: tuple[Cell, ...]
 
+    @property
+    def numbers(self) -> list[Number]:
+        """The cells as numbers; a text counts as one that is not defined."""
+        return [cell if isinstance(cell, Number) else Number() for cell in self.cells]
+
 
 @dataclass(frozen=True)
 class Table:
@@ -122,10 +135,11 @@ class Table:
         columns: dict[tuple[str, str], None] = {}
         rows: dict[tuple[str, ...], dict[tuple[str, str], Number]] = {}
         for record in frame.iter_rows(named=True):
-            column = (record[at["group"]] if "group" in at else "", record[at["name"]])
+            group = record[at["group"]] if "group" in at else ""
+            column = (str(group or ""), str(record[at["name"]] or ""))
             columns.setdefault(column)
             number = Number(**{part: record[name] for part, name in parts.items()})
-            rows.setdefault(tuple(record[key] for key in keys), {})[column] = number
+            rows.setdefault(tuple(str(record[key] or "") for key in keys), {})[column] = number
         return cls(
             name=name,
             title=title,
@@ -175,8 +189,18 @@ class Table:
             for column, cell in ((self.columns[i], row.cells[i]) for i in places)
             if isinstance(cell, Number)
         ]
-        types = {name: _TYPES.get(part, pl.Float64()) for name, part in self.long.items()}
-        return pl.DataFrame(records, schema={**dict.fromkeys(self.keys, pl.String()), **types})
+        return pl.DataFrame(records, schema=long_schema(self.keys, self.long))
+
+    def records(self) -> list[dict[str, Any]]:
+        """A dictionary per row: its labels, and the values of its columns."""
+        return [
+            dict(zip(self.keys, row.labels, strict=True))
+            | {
+                column.name: cell.value if isinstance(cell, Number) else cell
+                for column, cell in zip(self.columns, row.cells, strict=True)
+            }
+            for row in self.rows
+        ]
 
     def select(self, *names: str) -> "Table":
         """The table with only these columns, group by group in this order.
@@ -224,6 +248,12 @@ class Table:
             places.setdefault((column.group, column.quantity), []).append(i)
         return list(places.values())
 
+    def blocks(self, most: int) -> list["Table"]:
+        """The columns in tables of about the same number of them, at most this many."""
+        count = max(1, math.ceil(len(self.columns) / most))
+        ends = [i * len(self.columns) // count for i in range(count + 1)]
+        return [self.take(range(start, end)) for start, end in pairwise(ends)]
+
     def without_constant_keys(self) -> "Table":
         """The table without keys whose labels are all the same; at least one key stays."""
         differ = [
@@ -234,9 +264,15 @@ class Table:
         return replace(self, keys=tuple(self.keys[i] for i in kept), rows=rows)
 
     def column(self, place: int) -> list[Number]:
-        """The numbers of the column at this place; a text counts as one that is not defined."""
-        cells = (row.cells[place] for row in self.rows)
-        return [cell if isinstance(cell, Number) else Number() for cell in cells]
+        """The numbers of the column at this place."""
+        return [row.numbers[place] for row in self.rows]
+
+    def places(self, *names: str) -> list[int] | None:
+        """The places of these columns, the last of each name; None if one is missing or empty."""
+        last = {column.name: i for i, column in enumerate(self.columns)}
+        found = [last[name] for name in names if name in last]
+        defined = [any(number.value is not None for number in self.column(i)) for i in found]
+        return found if len(found) == len(names) and all(defined) else None
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""

@@ -1,4 +1,4 @@
-"""Which cells of two runs are pairs: the same episodes, driven by two agents."""
+"""Finds the cells of two runs that can be compared: the same episodes, driven by two agents."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,12 +17,13 @@ def pairs_of(
     """The cells to compare, traffic by traffic.
 
     Args:
-        first: Whose agent comes first.
-        second: Whose agent comes second; none for another agent of the same run.
-        agents: Their names in tables; not needed for two runs of one ego each, or of the same.
+        first: The run of the first agent.
+        second: The run of the second agent; none for another agent of the same run.
+        agents: Their names in tables; not needed for two runs of one ego each, or of the same
+            egos.
 
     Raises:
-        InputError: The two runs are not of the same episodes, or have no such agents.
+        InputError: The two runs have different episodes, or have no such agents.
         RunFolderError: A row cannot be read.
     """
     if second is None:
@@ -48,26 +49,26 @@ def pairs_of(
 
 
 def check_same_episodes(first: FinishedRun, second: FinishedRun) -> None:
-    """Sees to it that everything but the egos is the same in two runs.
+    """Makes sure that two runs have everything but the egos in common.
 
     Raises:
-        InputError: It is not; names the first field that differs.
+        InputError: They do not; names the first field that differs.
     """
     ours, theirs = (dict(_leaves(_conditions(run))) for run in (first, second))
     for field in [*ours, *theirs]:
         if ours.get(field) != theirs.get(field):
             raise InputError(
-                f"{first.folder.path} and {second.folder.path} are not of the same episodes: "
+                f"{first.folder.path} and {second.folder.path} do not have the same episodes: "
                 f"{field} is {ours.get(field)} in the first and {theirs.get(field)} in the "
-                "second; run one of them again as the other was"
+                "second; run one of them again with the settings of the other"
             )
 
 
 def _conditions(run: FinishedRun) -> dict[str, Any]:
-    """What episodes and their rows depend on, but for the egos.
+    """What decides episodes and their rows, apart from the egos.
 
-    Metrics are computed from the rows when they are compared, so both runs get the same
-    versions of them; what a row means is the harness's version.
+    Metrics are computed from the rows when they are compared, so both runs get the same versions
+    of them; what a row means depends on the harness's version.
     """
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
@@ -85,7 +86,7 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
 
 
 def _leaves(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested dictionaries and lists, each with where it is."""
+    """The values of nested dictionaries and lists, each with its place."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _leaves(inner, f"{at}.{key}".lstrip("."))
@@ -107,7 +108,7 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
     ours = {(cell.agent, cell.traffic): cell for cell in first.cells()}
     same = first is second
     theirs = ours if same else {(cell.agent, cell.traffic): cell for cell in second.cells()}
-    # Labels of traffics may differ: `check_same_episodes` has seen that they are the same.
+    # Labels of traffics may differ: `check_same_episodes` has checked that they are the same.
     traffics = zip(first.suite.traffics, second.suite.traffics, strict=True)
     pairs = [
         (ours[one, traffic.title], theirs[other, its_twin.title])
@@ -118,7 +119,7 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
 
 
 def _told_apart(first: FinishedRun, second: FinishedRun, pair: Pair) -> Pair:
-    """The pair; agents of one name are named by their runs too."""
+    """The pair; agents with the same name get the names of their runs too."""
     one, other = pair
     if one.agent != other.agent:
         return pair

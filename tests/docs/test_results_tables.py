@@ -9,7 +9,10 @@ import polars as pl
 import pytest
 from written import PAGES, ROOT
 
-from charms_bench.report.tables import LONG_SCHEMA
+from charms_bench.report.markdown import markdown
+from charms_bench.report.suite_table import KEYS, LONG, from_frame
+from charms_bench.report.table import long_schema
+from charms_bench.runs.suite import Suite
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +44,11 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
         ("other", "mixed", "paper-1", "speed_mean", None, None, None, 0, None),
         ("other", "mixed", "standard-1", "crashed_episodes", 0.0, None, None, 100, None),
     ]
-    long = pl.DataFrame(rows, schema=LONG_SCHEMA, orient="row")
-    assert tool.table(long, "agent", (tool.CRASHED, tool.SPEED)).splitlines() == [
+    suite = {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
+    table = from_frame(long, Suite.model_validate(suite))
+    shown = tool.shown(table, (tool.CRASHED, tool.SPEED), "agent")
+    assert markdown(shown).splitlines() == [
         "| agent | episodes crashed | speed, m/s (paper) |",
         "|---|---:|---:|",
         "| IDM | 3.0 % [2.3, 3.9] | 23.68 (23.67) |",

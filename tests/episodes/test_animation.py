@@ -7,7 +7,7 @@ import pytest
 from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
-from charms_bench.episodes.animation import AGENTS, EGO, WRECK, animate, picture
+from charms_bench.episodes.animation import AGENTS, ASPHALT, EGO, WRECK, animate, picture
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from charms_bench.cli import app
 from charms_bench.errors import DataError, InputError
 from charms_bench.people.survey import Learnable, Survey, survey
-from charms_bench.report.recordings import draw
+from charms_bench.report.figures.recordings import draw
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 

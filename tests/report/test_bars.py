@@ -3,6 +3,7 @@
 import pytest
 
 from charms_bench.report.bars import Scale, bar, line
+from charms_bench.report.table import Number
 
 TENTHS = Scale(0.0, 1.0, 11)
 
@@ -22,11 +23,13 @@ TENTHS = Scale(0.0, 1.0, 11)
 def test_a_value_stands_in_its_interval_beside_the_papers(
     numbers: tuple[float | None, ...], drawn: str
 ) -> None:
-    assert bar(TENTHS, *numbers).plain == drawn
+    value, low, high, *paper = numbers
+    number = Number(value, low, high, reference=paper[0] if paper else None)
+    assert bar(TENTHS, number).plain == drawn
 
 
-def test_differences_are_drawn_around_nothing() -> None:
-    assert bar(Scale(-1.0, 1.0, 11), 0.6, 0.4, 0.8).plain == "     ┊ ━●━ "
+def test_differences_are_drawn_around_zero() -> None:
+    assert bar(Scale(-1.0, 1.0, 11), Number(0.6, 0.4, 0.8)).plain == "     ┊ ━●━ "
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_a_number_is_written_with_the_digits_of_its_column(
 
 def test_a_reference_has_its_difference_beside_it() -> None:
     (written,) = write_column(SPEED, [Number(23.676, reference=23.0)])
-    assert (written.reference, written.difference) == ("23.00", "+0.68")
+    assert (written.reference, written.difference) == ("23", "+0.68")
 
 
 def test_numbers_that_are_not_defined_are_null_in_the_frame() -> None:

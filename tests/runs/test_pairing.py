@@ -100,7 +100,7 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
 def test_runs_of_other_episodes_are_refused_and_the_field_named(
     made: Callable[..., FinishedRun], name: str, changes: dict[str, object], difference: str
 ) -> None:
-    with pytest.raises(InputError, match=f"not of the same episodes: {difference}; run one of"):
+    with pytest.raises(InputError, match=f"do not have the same episodes: {difference}; run one of"):
         pairs_of(made("idm"), made(name, **changes), None)
 
 
@@ -149,7 +149,7 @@ def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Finished
     )
     assert result.returncode == 0, result.stderr
     for metric_set in METRIC_SETS:
-        assert f"idm_mobil less stackelberg, in idm_mobil: {metric_set.label}" in result.stdout
+        assert f"idm_mobil minus stackelberg, in idm_mobil: {metric_set.label}" in result.stdout
         assert all(metric.name in result.stdout for metric in metric_set.metrics)
     assert max(map(len, result.stdout.splitlines())) <= 100
 

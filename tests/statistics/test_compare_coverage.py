@@ -10,13 +10,14 @@ speed that was recorded, a difference known exactly; that of `noisier` is taken 
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 
 from charms_bench.metrics import METRIC_SETS
-from charms_bench.report.compare import Compared, compare
+from charms_bench.report.comparison import compare, to_dicts
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
@@ -59,33 +60,35 @@ def part(cell: CellRows, repetition: int) -> CellRows:
     return replace(cell, episodes=cell.episodes.filter(own), steps=cell.steps.filter(own))
 
 
-def compared(cells: dict[str, CellRows], second: str) -> list[list[Compared]]:
+def compared(cells: dict[str, CellRows], second: str) -> list[list[dict[str, Any]]]:
     """[REPETITIONS][METRICS]"""
     scene = Suite.model_validate(SUITE).scene
     return [
-        compare([(part(cells["one"], k), part(cells[second], k))], METRIC_SETS, scene, seed=k)
+        to_dicts(
+            compare([(part(cells["one"], k), part(cells[second], k))], METRIC_SETS, scene, seed=k)
+        )
         for k in range(REPETITIONS)
     ]
 
 
-def coverage(rows: list[list[Compared]], truths: list[float]) -> np.ndarray:
+def coverage(rows: list[list[dict[str, Any]]], truths: list[float]) -> np.ndarray:
     """The share of intervals that hold the truth, by metric; NaN where there is none."""
     held = np.full((REPETITIONS, METRICS), np.nan)
     for k, row in enumerate(rows):
         for i, (found, truth) in enumerate(zip(row, truths, strict=True)):
-            if not np.isnan(found.difference.low):
-                held[k, i] = found.difference.low <= truth <= found.difference.high
+            if found["low"] is not None:
+                held[k, i] = found["low"] <= truth <= found["high"]
     told = (~np.isnan(held)).sum(axis=0)
     shares = np.where(told > 0, np.nansum(held, axis=0) / np.maximum(told, 1), np.nan)
     for i, (found, share, count) in enumerate(zip(rows[0], shares, told, strict=True)):
-        separated = np.mean([row[i].separated for row in rows])
+        separated = np.mean([row[i]["separated"] for row in rows])
         print(
-            f"{found.second:8} {found.metric_set:10} {found.metric:28} held {share:.3f} of "
-            f"{count} separated {separated:.3f}",
+            f"{found['second']:8} {found['metric_set']:10} {found['metric']:28} held {share:.3f} "
+            f"of {count} separated {separated:.3f}",
             file=sys.stderr,
         )
     pooled = np.nansum(held) / told.sum()
-    print(f"{rows[0][0].second}: {pooled:.4f} of all intervals held the truth", file=sys.stderr)
+    print(f"{rows[0][0]['second']}: {pooled:.4f} of all intervals held the truth", file=sys.stderr)
     assert 0.93 <= pooled <= 0.97
     # 200 of 95 %: standard deviation 1.5 %; four of them below, among 35 metrics.
     assert np.nanmin(shares) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPETITIONS)
@@ -95,18 +98,18 @@ def coverage(rows: list[list[Compared]], truths: list[float]) -> np.ndarray:
 def test_two_drivers_of_one_kind_are_seldom_told_apart(cells: dict[str, CellRows]) -> None:
     rows = compared(cells, "other")
     coverage(rows, [0.0] * METRICS)
-    false_alarms = np.mean([any(found.separated for found in row) for row in rows])
+    false_alarms = np.mean([any(found["separated"] for found in row) for row in rows])
     print(f"false alarms after Holm's correction: {false_alarms:.3f}", file=sys.stderr)
     assert false_alarms <= 0.06
 
 
 def test_a_difference_that_is_known_exactly_is_held(cells: dict[str, CellRows]) -> None:
     rows = compared(cells, "faster")
-    speeds = [[found for found in row if found.metric == "speed_mean"][-1] for row in rows]
-    assert speeds[0].metric_set == "standard-1"
-    held = np.mean([f.difference.low <= -FASTER_MPS <= f.difference.high for f in speeds])
-    detectable = np.median([f.difference.detectable for f in speeds])
-    found = np.mean([f.difference.high < 0 for f in speeds])
+    speeds = [[found for found in row if found["metric"] == "speed_mean"][-1] for row in rows]
+    assert speeds[0]["metric_set"] == "standard-1"
+    held = np.mean([f["low"] <= -FASTER_MPS <= f["high"] for f in speeds])
+    detectable = np.median([f["detectable"] for f in speeds])
+    found = np.mean([f["high"] < 0 for f in speeds])
     print(
         f"faster: held {held:.3f}, seen {found:.3f} of {FASTER_MPS} m/s; said to see "
         f"{detectable:.2f} m/s in 80 %",
@@ -119,8 +122,8 @@ def test_the_difference_of_two_kinds_of_drivers_is_held_and_found(
     cells: dict[str, CellRows],
 ) -> None:
     scene = Suite.model_validate(SUITE).scene
-    truths = compare([(cells["one"], cells["noisier"])], METRIC_SETS, scene, seed=0)
+    truths = to_dicts(compare([(cells["one"], cells["noisier"])], METRIC_SETS, scene, seed=0))
     rows = compared(cells, "noisier")
-    coverage(rows, [found.difference.value for found in truths])
-    found = np.mean([f.separated for row in rows for f in row if f.metric == "jerk_rms"])
+    coverage(rows, [found["difference"] for found in truths])
+    found = np.mean([f["separated"] for row in rows for f in row if f["metric"] == "jerk_rms"])
     assert found > 0.95

@@ -19,11 +19,12 @@ from charms_agents.training.progress import progress
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
-from charms_agents.training.summary import write_summary
+from charms_agents.training.summary import COLUMNS, write_summary
 from charms_bench.errors import InputError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.report.training import render_stages
+from charms_bench.report.terminal import grid
+from charms_bench.report.training_tables import stages_table
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 
@@ -40,7 +41,8 @@ def run(
     Args:
         suite_file: The training suite.
         output: The run folder. Each stage has a folder in it, whose name contains a hash of the
-            stage's inputs; `curves.csv`, `curves.png` and `stages.csv` cover all stages.
+            stage's inputs; `curves.csv`, `curves.png`, `stages.csv` and
+            `columns.json` cover all stages.
         workers: Most stages to train at a time; by default, the number of cores.
         only: The stage to train, with the stages that it needs; by default, all stages.
         recordings: Folder of human driving; by default, the folder that the suite names.
@@ -78,7 +80,8 @@ def run(
         write_curves(output, suite, folders)
         folders = {name: folders[name] for name in names}
         summary = write_summary(output, folders)
-    Console().print(render_stages(summary))
+    shown = Console()
+    shown.print(grid(stages_table(summary, COLUMNS.stages), shown.width))
 
 
 def _sample_store(

@@ -8,7 +8,8 @@ from typing import Any
 import polars as pl
 
 from charms_agents.training.job import StageFolder
-from charms_bench.world.files import write_atomically
+from charms_bench.report.training_tables import ColumnsFile, CurveColumn, StageColumn
+from charms_bench.world.files import write_bytes
 
 SCHEMA = pl.Schema(
     {
@@ -25,15 +26,59 @@ SCHEMA = pl.Schema(
         "log_likelihood": pl.Float64(),
     }
 )
+COLUMNS = ColumnsFile(
+    stages={
+        "style": StageColumn(definition="weights of the reward, and the social value orientation"),
+        "steps": StageColumn(definition="decisions that the stage was trained on", form=",.0f"),
+        "wall_s": StageColumn(unit="s", definition="duration of the stage", form=",.1f"),
+        "steps_per_s": StageColumn(
+            unit="1/s", definition="decisions per second, learning included", form=",.0f"
+        ),
+        "return": StageColumn(
+            definition="mean return of an episode at the last point of the learning curve, while "
+            "exploring",
+            form=".1f",
+        ),
+        "crashed": StageColumn(
+            definition="share of episodes that ended in a crash at that point", form=".1%"
+        ),
+        "agreement_before": StageColumn(
+            definition="share of held-out human decisions that the network also takes, before it "
+            "learns from human driving",
+            form=".1%",
+        ),
+        "agreement": StageColumn(definition="the same share afterwards", form=".1%"),
+        "log_likelihood_before": StageColumn(
+            unit="nats",
+            definition="mean log-likelihood of held-out human decisions, before the network learns "
+            "from human driving",
+            form=".3f",
+        ),
+        "log_likelihood": StageColumn(
+            unit="nats", definition="the same log-likelihood afterwards", form=".3f"
+        ),
+    },
+    curves={
+        "return_mean": CurveColumn(over="steps", title="return of an episode"),
+        "crashed_share": CurveColumn(over="steps", title="share of episodes crashed", form=".1%"),
+        "loss": CurveColumn(over="epoch", title="loss"),
+        "agreement": CurveColumn(
+            over="epoch", title="agreement with held-out human decisions", form=".1%"
+        ),
+    },
+)
+"""What the columns of `stages.csv` and `curves.csv` are, for whoever shows them."""
 
 
 def write_summary(output: Path, folders: Mapping[str, StageFolder]) -> pl.DataFrame:
-    """Writes `stages.csv` into the run folder, a row a stage, and returns it."""
+    """Writes `stages.csv`, one row per stage, and `columns.json`; returns the former's table."""
     rows = [_row(name, folder) for name, folder in folders.items()]
     table = pl.DataFrame(rows, schema=SCHEMA)
-    path, text = output / "stages.csv", table.write_csv()
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        write_atomically(path, lambda partial: partial.write_text(text, encoding="utf-8"))
+    columns = COLUMNS.model_dump_json(indent=2, exclude_defaults=True)
+    for name, text in (("stages.csv", table.write_csv()), ("columns.json", columns)):
+        path = output / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            write_bytes(path, text.encode())
     return table
 
 

@@ -1,18 +1,17 @@
-"""Which episodes a report shows: the most critical of all runs, and those that are asked for."""
+"""Chooses the episodes of a report and simulates them again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import polars as pl
 
 from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.edge_cases import ranked
 from charms_bench.episodes.replay import Replay, find_cell, replay
-from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.report.html.sources import Evaluation
+
+Place = tuple[int, int, int]
+"""Where an episode is: the place of its run, the place of its cell, and its seed."""
 
 
 @dataclass(frozen=True)
@@ -20,29 +19,17 @@ class Episode:
     """An episode of a report."""
 
     id: str
-    """What links call it: its run's key, its cell's place and its seed."""
-    run: str
-    """Title of its run, or its key."""
+    """Its name in links: the key of its run, the place of its cell, and its seed."""
     criticality: float
-    what: str
-    """What happened, in a line."""
     replay: Replay
 
 
-@dataclass(frozen=True)
-class Asked:
-    """An episode that somebody names."""
-
-    run: Evaluation
-    cell: int
-    episode: int
-
-
-def asked(text: str, runs: Sequence[Evaluation]) -> Asked:
+def asked(text: str, runs: Sequence[Evaluation]) -> Place:
     """The episode of `RUN:EPISODE[:EGO[:TRAFFIC]]`; with one run `EPISODE` is enough.
 
     Raises:
-        InputError: It is written otherwise, or there is no such run, or several such episodes.
+        InputError: It is written in another way, or there is no such run, no such episode, or
+            several of them.
     """
     names = {name: run for run in runs for name in (str(run.path), run.path.name, run.key)}
     name = max((name for name in names if text.startswith(f"{name}:")), key=len, default=None)
@@ -63,61 +50,51 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Asked:
         ) from error
     ego, traffic = [*titles, None, None][:2]
     how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
-    return Asked(run, find_cell(run.run, ego, traffic, how), episode)
+    return list(runs).index(run), find_cell(run.run, ego, traffic, how), episode
 
 
 def choose(
-    runs: Sequence[Evaluation], top: int, named: Sequence[Asked], folder: Path
+    runs: Sequence[Evaluation], top: int, named: Sequence[Place], folder: Path
 ) -> list[Episode]:
-    """The episodes that are named, then the `top` most critical of all runs, simulated again.
+    """The named episodes, then the `top` most critical of all runs, simulated again.
 
-    Episodes that two runs share are shown once.
+    An episode that two runs share is shown once.
 
     Args:
-        runs: Where to look.
-        top: How many of the most critical.
+        runs: The runs to choose from.
+        top: How many of the most critical episodes.
         named: Episodes to show whatever happens in them.
-        folder: Where paths of networks in suites start.
+        folder: Where relative paths of networks in suites start.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
     """
-    wanted = [
-        {"run": runs.index(each.run), "cell": each.cell, "episode": each.episode} for each in named
-    ]
-    wanted += _most_critical(runs, top) if top else []
-    once = list({tuple(row.values()): row for row in wanted}.values())
-    found: dict[tuple[int, int, int], Episode] = {}
-    for index, run in enumerate(runs):
-        for cell in sorted({row["cell"] for row in once if row["run"] == index}):
-            seeds = [row["episode"] for row in once if row["run"] == index and row["cell"] == cell]
-            for replayed in _replays(run, cell, seeds, folder):
-                found[index, cell, replayed.episode] = _episode(run, cell, replayed)
-    return [found[row["run"], row["cell"], row["episode"]] for row in once]
+    wanted = list(dict.fromkeys([*named, *(_most_critical(runs, top) if top else [])]))
+    found: dict[Place, Episode] = {}
+    for index, cell in sorted({place[:2] for place in wanted}):
+        seeds = [seed for *place, seed in wanted if (index, cell) == tuple(place)]
+        try:
+            replays = replay(runs[index].run, cell, seeds, folder)
+        except RunFolderError as error:
+            raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
+        for each in replays:
+            measured = criticality(each.episodes, each.steps, each.settings)
+            found[index, cell, each.episode] = Episode(
+                f"{runs[index].key}-{cell}-{each.episode}", measured["criticality"].item(), each
+            )
+    return [found[place] for place in wanted]
 
 
-def _most_critical(runs: Sequence[Evaluation], top: int) -> list[dict[str, Any]]:
-    frames = []
+def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:
+    found: dict[tuple[str, int], tuple[float, Place]] = {}
     for index, run in enumerate(runs):
-        cells = range(len(run.run.suite.cells))
-        # Enough that those which other runs have too can be left out.
-        best = ranked(run.run, cells).head(top * len(runs))
-        shards = [_shard(run, cell, episode) for cell, episode in best["cell", "episode"].rows()]
-        frames.append(
-            best.select(
-                pl.lit(index).alias("run"), "cell", pl.col("episode").cast(pl.Int64), "criticality"
-            ).with_columns(shard=pl.Series(shards, dtype=pl.String))
-        )
-    if not frames:
-        return []
-    return (
-        pl.concat(frames)
-        .unique(["shard", "episode"], keep="first", maintain_order=True)
-        .sort("criticality", descending=True, maintain_order=True)
-        .head(top)
-        .select("run", "cell", "episode")
-        .to_dicts()
-    )
+        # Enough that episodes which other runs have too can be left out.
+        best = ranked(run.run, range(len(run.run.suite.cells))).head(top * len(runs))
+        for value, cell, episode in best.select("criticality", "cell", "episode").rows():
+            same = _shard(run, cell, episode), episode
+            found.setdefault(same, (value, (index, cell, episode)))
+    most_first = sorted(found.values(), key=lambda each: -each[0])
+    return [place for _, place in most_first[:top]]
 
 
 def _shard(run: Evaluation, cell: int, episode: int) -> str:
@@ -126,22 +103,4 @@ def _shard(run: Evaluation, cell: int, episode: int) -> str:
         shard.key
         for shard in run.run.shards
         if shard.cell == cell and 0 <= episode - shard.first_seed < shard.episodes
-    )
-
-
-def _replays(run: Evaluation, cell: int, seeds: list[int], folder: Path) -> list[Replay]:
-    try:
-        return replay(run.run, cell, seeds, folder)
-    except RunFolderError as error:
-        raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
-
-
-def _episode(run: Evaluation, cell: int, replayed: Replay) -> Episode:
-    measured = criticality(replayed.episodes, replayed.steps, replayed.settings)
-    return Episode(
-        id=f"{run.key}-{cell}-{replayed.episode}",
-        run=run.run.suite.title or run.key,
-        criticality=measured["criticality"].item(),
-        what=what_happened(replayed),
-        replay=replayed,
     )

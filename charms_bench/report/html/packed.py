@@ -1,7 +1,7 @@
-"""A replay as a page carries it: whole numbers, differences over time, compressed.
+"""Packs a replay for a page: rounded to integers, as differences over time, compressed.
 
-Every quantity is rounded to a unit that no eye sees (1 cm, 1 mrad, 10 ms), so its differences from
-step to step are small integers that deflate well.
+Every quantity is rounded to a unit too small to be seen (1 cm, 1 mrad, 10 ms), so its differences
+from step to step are small integers, which compress well.
 """
 
 import zlib
@@ -17,21 +17,22 @@ from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Bools, Floats, Ints
 
 CRASHED, BRAKES, LEFT, RIGHT = 1, 2, 4, 8
-"""Bits of a vehicle's `flags`; LEFT and RIGHT: it is on its way to a lane there."""
+"""Bits of a vehicle's `flags`; LEFT and RIGHT mean that it is changing lanes to that side."""
 NONE = -1
-"""Where a quantity that is never negative has no value."""
+"""Written where a quantity that is never negative is not defined."""
 _CHANGING = 0.2
-"""Lane widths from its target lane from which on a vehicle is changing."""
+"""Distance from its target lane, in lane widths, above which a vehicle is changing lanes."""
 
 
 def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
     """A replay for JSON.
 
-    vehicles, frames, hz, lanes, lane_m, length_m, width_m, ego: As they are called.
-    agents: The agents' names, the ego's first; agent: of each vehicle, its index among them.
-    columns: Name, unit and width (vehicles, or 1) of each quantity, in their order in `data`.
-    data: base64 of deflated little-endian int32 [frames, width] a quantity, each row less the one
-        before it.
+    vehicles, frames, hz, lanes, lane_m, length_m, width_m, ego: Plain numbers.
+    agents: The agents' names, the ego's first.
+    agent: For each vehicle, the index of its agent in `agents`.
+    columns: Name, unit and width (vehicles, or 1) of each quantity, in the order of `data`.
+    data: base64 of deflated little-endian int32, [frames, width] for each quantity, each row minus
+        the row before it.
     """
     profile, ego = replay.settings.profile, replay.ego
     frames, vehicles = replay.x.shape
@@ -76,7 +77,7 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
 
 
 def _differences(values: Floats | Ints, unit: float) -> Ints:
-    """[frames, width] whole numbers, each row less the one before it."""
+    """[frames, width] integers, each row minus the row before it."""
     rounded = np.round(values.astype(np.float64) / unit)
     whole = np.nan_to_num(rounded, nan=NONE).astype(np.int64).reshape(len(values), -1)
     return np.diff(whole, axis=0, prepend=0)

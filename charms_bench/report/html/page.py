@@ -1,41 +1,59 @@
-"""The page: templates filled, scripts and styles inside, nothing from outside."""
+"""The page: templates filled, with scripts and styles inside; it loads nothing from outside."""
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-TEMPLATES = Path(__file__).with_name("templates")
+from charms_bench.episodes.palette import AGENTS, VEHICLES
+from charms_bench.report.html.sections import Section
+from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
+
 SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
-def render(content: Mapping[str, Any]) -> str:
-    """The page with this content; names in it are text, whatever they look like."""
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["packed"] = lambda replays: {each["id"]: each["packed"] for each in replays}
+def render(sections: Sequence[Section], content: Mapping[str, Any]) -> str:
+    """The page with these sections and further content; names are text, whatever they look like."""
+    columns = [
+        column
+        for section in sections
+        for table in (*section.tables, *section.more)
+        for column in table.columns
+    ]
+    ids = definition_ids(columns)
+    groups: dict[str, dict[str, None]] = {}
+    for column, place in ids.items():
+        groups.setdefault(place, {})[column.group] = None
     scripts = [(TEMPLATES / name).read_text(encoding="utf-8") for name in SCRIPTS]
     style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
-    return environment.get_template("page.html").render(
-        content,
-        scripts=[Markup(script) for script in scripts],
-        style=Markup(style),
-        # Should a name ever get past the escaping, the browser still runs our scripts alone.
-        policy=f"default-src 'none'; style-src 'unsafe-inline'; script-src {_hashes(scripts)}; "
-        "base-uri 'none'; form-action 'none'",
+    return (
+        environment()
+        .get_template("page.html")
+        .render(
+            content,
+            sections=sections,
+            ids=ids,
+            definitions={place: column for column, place in reversed(ids.items())},
+            groups={place: ", ".join(filter(None, found)) for place, found in groups.items()},
+            scripts=[Markup(script) for script in scripts],
+            style=Markup(_tones() + style),
+            # If a name ever got past the escaping, the browser would still run our scripts alone.
+            policy=f"default-src 'none'; style-src 'unsafe-inline'; script-src {_hashes(scripts)}; "
+            "base-uri 'none'; form-action 'none'",
+        )
     )
+
+
+def _tones() -> str:
+    """The palette as variables of the style sheet."""
+    named = {**VEHICLES, **{f"agent-{k}": tones for k, tones in enumerate(AGENTS)}}
+    lines = [f"  --{name}: light-dark({light}, {dark});" for name, (light, dark) in named.items()]
+    return "\n".join([":root {", *lines, "}\n"])
 
 
 def _hashes(scripts: list[str]) -> str:
-    """What a content security policy calls these scripts."""
+    """The names of these scripts in a content security policy."""
     digests = [hashlib.sha256(script.encode()).digest() for script in scripts]
     return " ".join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)

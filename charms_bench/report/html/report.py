@@ -1,4 +1,4 @@
-"""Builds a report: one HTML file from run folders."""
+"""Writes a report: one HTML file from run folders."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,24 +7,14 @@ from typing import Any
 from charms_bench import __version__
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
+from charms_bench.report.figures.timelines import LEFT, RIGHT, draw_timelines
 from charms_bench.report.html.episodes import Episode, asked, choose
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.page import render
-from charms_bench.report.html.sections import (
-    definitions_of,
-    evaluation_section,
-    training_section,
-)
-from charms_bench.report.html.sources import Evaluation, Training, open_sources
-from charms_bench.report.html.timelines import LEFT, RIGHT, draw_timelines
+from charms_bench.report.html.sections import evaluation_section, training_section
+from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
+from charms_bench.report.html.svg import in_page
 from charms_bench.world.files import write_atomically
-
-ENDINGS = {
-    "time": "drove on to the end",
-    "rear_end": "collision, front to rear",
-    "side": "collision, sideways",
-    "off_road": "left the road",
-}
 
 
 def write_report(
@@ -37,10 +27,10 @@ def write_report(
         output: The HTML file.
         top: How many of the most critical episodes of all runs to replay.
         episodes: More episodes, as RUN:EPISODE[:EGO[:TRAFFIC]].
-        suite_folder: Where paths in suites start, of networks and of recordings.
+        suite_folder: Where relative paths of networks and recordings in suites start.
 
     Returns:
-        What is in it, for JSON.
+        What the file contains, for JSON.
 
     Raises:
         CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
@@ -49,7 +39,7 @@ def write_report(
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]
     if episodes and not runs:
-        raise InputError("--episode is of evaluations; there is none among these folders")
+        raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
     shown = [_for_page(each) for each in choose(runs, top, named, suite_folder)]
     sections = [
@@ -59,17 +49,17 @@ def write_report(
         for source in sources
     ]
     page = render(
+        sections,
         {
             "title": sections[0].title if len(sections) == 1 else "Driving behaviour, measured",
-            "sections": sections,
             "replays": shown,
+            "packed": {each["id"]: each.pop("packed") for each in shown},
             "named": len(named),
-            "definitions": definitions_of(sections),
             "provenance": [_provenance(source) for source in sources],
             "version": __version__,
             "cursor_from": LEFT,
             "cursor_to": RIGHT,
-        }
+        },
     )
     write_atomically(output, lambda path: path.write_bytes(page.encode()))
     return {
@@ -81,7 +71,7 @@ def write_report(
 
 
 def check_report(path: Path) -> None:
-    """Refuses a file that no browser would open.
+    """Refuses a file name that no browser would open.
 
     Raises:
         InputError: The name does not end in `.html`.
@@ -91,34 +81,31 @@ def check_report(path: Path) -> None:
 
 
 def _for_page(episode: Episode) -> dict[str, Any]:
-    """An episode as the page's templates and player want it."""
+    """An episode for the page's templates and player."""
     replay, view = episode.replay, ego_view(episode.replay)
     cell = replay.cell
     who = f"{cell.ego.title} in {cell.traffic.title}, episode {replay.episode}"
-    timelines = draw_timelines(
-        replay,
-        view,
+    timelines = in_page(
+        draw_timelines(replay, view),
         f"replay-{episode.id}",
         f"Over time: gaps ahead and behind, time to collision, speed and reward of {who}",
     )
     return {
         "id": episode.id,
-        "run": episode.run,
         "ego": cell.ego.title,
         "traffic": cell.traffic.title,
         "episode": replay.episode,
         "criticality": f"{episode.criticality:.2f}",
-        "what": episode.what,
-        "ending": ENDINGS.get(replay.ending, replay.ending),
+        "what": replay.what_happened(),
         "seconds": f"{replay.t_s[-1]:.1f}",
         "timelines": timelines,
         "packed": pack(replay, view),
     }
 
 
-def _provenance(source: Evaluation | Training) -> dict[str, Any]:
-    """Where a run comes from, as its manifest says."""
-    if isinstance(source, Training):
+def _provenance(source: Evaluation | TrainingFolder) -> dict[str, Any]:
+    """Where a run comes from, according to its manifest."""
+    if isinstance(source, TrainingFolder):
         return {"name": source.key, "facts": {"folder": source.path.name}, "agents": {}}
     manifest = source.run.folder.manifest()
     versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}

@@ -1,64 +1,67 @@
-"""The parts of a report, a run each: its tables and the figures that they call for."""
+"""The sections of a report, one per run: its tables and the figures that belong to them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import polars as pl
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from charms_bench.people.reference import read_references
-from charms_bench.report.html.apart import PLACED, draw_places, draw_separations
-from charms_bench.report.html.beside_paper import draw_beside_paper
-from charms_bench.report.html.definitions import Definition, define_distances, define_paired
-from charms_bench.report.html.learning import draw_curves
-from charms_bench.report.html.sources import Evaluation, Training
-from charms_bench.report.html.svg import Picture, in_page
-from charms_bench.report.html.tables import (
-    Shown,
-    all_tables,
-    chosen_tables,
-    pairs_table,
-    realism_tables,
-    stages_table,
-)
-from charms_bench.report.matrix import SHOWN, draw_matrices
-from charms_bench.report.realism import TITLE
-from charms_bench.report.realism_figures import draw_distributions, recorded
-from charms_bench.report.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
-from charms_bench.runs.suite import Suite
+from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.human_driving import draw_quantity, recorded
+from charms_bench.report.figures.learning import draw_curves
+from charms_bench.report.figures.paper_values import draw_beside_paper
+from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
+from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
+from charms_bench.report.html.sources import Evaluation, TrainingFolder
+from charms_bench.report.html.svg import in_page
+from charms_bench.report.realism_table import TITLE
+from charms_bench.report.suite_table import matrices, one_per_metric, shown_metrics
+from charms_bench.report.table import Table
 
-WIDE = (9.6, 4.4)
-"""Size of a figure as wide as the page, inches."""
+COLUMNS = 7
+"""Columns of numbers in a table, so that it fits a sheet of paper."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a page."""
+
+    id: str
+    title: str
+    caption: str
+    svg: Markup
+    wide: bool = False
+    """Whether it needs the width of the page."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report."""
+    """A section of the report."""
 
     id: str
     title: str
     facts: tuple[str, ...]
     """What was run, in a few words each."""
-    tables: tuple[Shown, ...]
+    tables: tuple[Table, ...]
     pictures: tuple[Picture, ...]
-    more: tuple[Shown, ...] = ()
-    """Tables for who wants all of it."""
+    more: tuple[Table, ...] = ()
+    """Tables that are folded away at first."""
     drawn_first: bool = False
-    """Whether the figures say more than the tables."""
+    """Whether the figures stand above the tables."""
 
 
 def evaluation_section(source: Evaluation, folder: Path) -> Section:
-    """A run of a suite; relative paths in it start at `folder`."""
-    suite, long = source.run.suite, source.tables[""]
+    """The section of a suite; relative paths in the suite start at `folder`."""
+    suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
-    tables = chosen_tables(long, suite.columns)
-    if "-realism" in source.tables:
-        tables += realism_tables(source.tables["-realism"], define_distances())
-    more = all_tables(long)
-    if "-pairs" in source.tables:
-        more.append(pairs_table(source.tables["-pairs"], define_paired()))
+    short = tables.metrics.without_constant_keys()
+    chosen = one_per_metric(short, shown_metrics(short, suite.columns))
+    groups = " and ".join(dict.fromkeys(column.group for column in chosen.columns))
+    shown = [replace(block, title=groups) for block in chosen.blocks(COLUMNS + 1)]
+    if tables.realism is not None:
+        shown += tables.realism.parts()
+    more = [block for part in short.parts() for block in part.blocks(COLUMNS)]
     return Section(
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
@@ -66,13 +69,13 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
             f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), 'traffic')}",
             f"{suite.episodes:,} episodes each, seeds {suite.seed:,} to {last:,}",
             f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}",
-            f"{scene.duration_s:g} s an episode",
+            f"{scene.duration_s:g} s per episode",
             f"run folder {source.path.name}",
         ),
-        tables=tuple(tables),
+        tables=tuple(shown),
         pictures=tuple(_pictures(source) + _realism(source, folder)),
-        more=tuple(more),
-        drawn_first=_is_crossplay(suite),
+        more=(*more, *([tables.pairs] if tables.pairs is not None else [])),
+        drawn_first=bool(matrices(tables.metrics)),
     )
 
 
@@ -80,94 +83,82 @@ def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count > 1)}"
 
 
-def _is_crossplay(suite: Suite) -> bool:
-    return len(suite.egos) > 1 and len(suite.traffics) > 1
-
-
-def training_section(source: Training) -> Section:
-    """A run of a pipeline."""
-    stages = source.curves["stage"].unique(maintain_order=True)
-    pictures = tuple(
-        _picture(f"{source.key}-{k}", title, _LEARNING, figure)
-        for k, (title, figure) in enumerate(draw_curves(source.curves).items())
-    )
+def training_section(source: TrainingFolder) -> Section:
+    """The section of a training."""
+    training = source.training
+    assert training.curves is not None
+    count = training.curves["stage"].n_unique()
+    caption = "A line per stage. Curves over steps were measured while the policy explored."
     return Section(
         id=f"run-{source.key}",
         title="Training and fine-tuning",
-        facts=(f"{len(stages)} stages", f"run folder {source.path.name}"),
-        tables=() if source.stages is None else (stages_table(source.stages),),
-        pictures=pictures,
+        facts=(_counted(count, "stage"), f"run folder {source.path.name}"),
+        tables=() if training.stages is None else tuple(training.stages.blocks(COLUMNS)),
+        pictures=tuple(
+            _picture(f"{source.key}-{k}", title, caption, figure)
+            for k, (title, figure) in enumerate(draw_curves(training))
+        ),
     )
 
 
-_LEARNING = "A line a stage. What is over steps was measured while it explored."
-
-
 def _pictures(source: Evaluation) -> list[Picture]:
-    suite, long, key = source.run.suite, source.tables[""], source.key
+    suite, key = source.run.suite, source.key
+    table, pairs = source.tables.metrics, source.tables.pairs
     pictures = []
-    if beside := draw_beside_paper(long):
+    if beside := draw_beside_paper(table):
         pictures.append(
             _picture(
                 f"{key}-paper",
                 "Beside the paper",
                 "Discs with 95 % intervals: this run. Diamonds: the paper. An interval that is "
-                "narrower than its disc is not seen.",
+                "narrower than its disc is hidden by it.",
                 *beside,
                 wide=True,
             )
         )
-    standard = long.filter(pl.col("metric_set").str.starts_with("standard-"))
-    if _is_crossplay(suite):
-        pictures += [
-            _picture(
-                f"{key}-{metric}",
-                "Cross-play",
-                "Egos down, traffics across. The darker, the higher; intervals are in the tables.",
-                draw_matrices(long, [metric]),
-            )
-            for metric in SHOWN
-            if _has(standard, metric)
-        ]
-    of_egos = len(suite.egos) > 1
-    tradeoff = OF_EGOS if of_egos else OF_TRAFFICS
-    if len(suite.cells) > 1 and _has(long, tradeoff.across, tradeoff.share):
+    pictures += [
+        _picture(
+            f"{key}-matrix-{k}",
+            "Cross-play",
+            "Egos down, traffics across. Darker fields have higher values; intervals are in the "
+            "tables.",
+            draw_matrices([matrix], first=k),
+        )
+        for k, matrix in enumerate(matrices(table))
+    ]
+    tradeoff = tradeoff_of(suite)
+    if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
+        of_egos = tradeoff is OF_EGOS
+        better = " Further right and further down is better." * of_egos
         pictures.append(
             _picture(
                 f"{key}-tradeoff",
                 "Speed against safety" if of_egos else "Density against safety",
-                "With 95 % intervals. Further right and further down is better."
-                if of_egos
-                else "With 95 % intervals.",
-                draw_tradeoff(long, tradeoff, *WIDE),
+                f"With 95 % intervals.{better}",
+                draw_tradeoff(table, tradeoff, 9.6, 4.4),
                 wide=True,
             )
         )
-    if "-pairs" in source.tables:
-        if _has(long, *PLACED):
+    if pairs is not None:
+        if table.places(*PLACED):
             pictures.append(
                 _picture(
                     f"{key}-places",
                     "Styles apart: where each stands",
                     "Mean speed and mean headway to the leader, with 95 % intervals.",
-                    draw_places(long),
+                    draw_places(table),
                 )
             )
         pictures.append(
             _picture(
                 f"{key}-separations",
                 "Styles apart: pair by pair",
-                "In how many metrics the two differ by more than chance (Holm-corrected p < 0.05), "
-                f"of {source.tables['-pairs']['metric'].n_unique()}.",
-                draw_separations(source.tables["-pairs"]),
+                f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
+                "(Holm-corrected p < 0.05).",
+                draw_separations(pairs),
             )
         )
     return pictures
-
-
-def _has(long: pl.DataFrame, *metrics: str) -> bool:
-    """Whether all of these were measured; a run may be scored by other metrics."""
-    return set(metrics) <= set(long.drop_nulls("value")["metric"])
 
 
 def _realism(source: Evaluation, folder: Path) -> list[Picture]:
@@ -180,8 +171,8 @@ def _realism(source: Evaluation, folder: Path) -> list[Picture]:
         _picture(
             f"{source.key}-{quantity}-{k}",
             f"{TITLE[quantity]}: {reference}",
-            "Grey: people. Lines: traffics.",
-            draw_distributions(quantity, following, {reference: counts}),
+            "Grey: human driving. Lines: traffics.",
+            draw_quantity(quantity, following, {reference: counts}),
         )
         for quantity in TITLE
         for k, (reference, counts) in enumerate(recorded(quantity, references).items())
@@ -189,15 +180,8 @@ def _realism(source: Evaluation, folder: Path) -> list[Picture]:
 
 
 def _picture(name: str, title: str, caption: str, *figures: Figure, wide: bool = False) -> Picture:
-    """Figures under their title, described by title and caption."""
+    """Figures under their title, described to screen readers by title and caption."""
     drawn = [
         in_page(figure, f"{name}-{k}", f"{title}. {caption}") for k, figure in enumerate(figures)
     ]
     return Picture(f"figure-{name}", title, caption, Markup("").join(drawn), wide)
-
-
-def definitions_of(sections: Sequence[Section]) -> list[Definition]:
-    """Every definition that a number links to, once."""
-    tables = [table for section in sections for table in (*section.tables, *section.more)]
-    found = {each.id: each for table in tables for each in table.columns}
-    return list(found.values())

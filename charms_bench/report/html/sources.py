@@ -1,49 +1,48 @@
-"""What a report is made of: the folders of evaluations and of trainings."""
+"""Opens the run folders that a report is made of: evaluations and trainings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import polars as pl
-
 from charms_bench.errors import RunFolderError
+from charms_bench.report.run_tables import RunTables
 from charms_bench.report.stored import holds, stored_tables
-from charms_bench.report.training import CURVES, STAGES, stored_training
+from charms_bench.report.training_tables import CURVES, Training, stored_training
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """A finished run of a suite."""
+class Source:
+    """A run folder of a report."""
 
     key: str
-    """What it is called in the report's links: the suite's name, numbered if it is there twice."""
+    """Its name in the report's links: the suite's, with a number if it is taken."""
     path: Path
-    run: FinishedRun
-    tables: dict[str, pl.DataFrame]
-    """By the ends of their names, as `stored_tables` has them."""
 
 
 @dataclass(frozen=True)
-class Training:
-    """A run folder of a pipeline, of which no more is known than the two tables in it."""
+class Evaluation(Source):
+    """The folder of a finished run of a suite."""
 
-    key: str
-    path: Path
-    curves: pl.DataFrame
-    """A row a `stage` and point, with `steps` or `epoch` and what was measured there."""
-    stages: pl.DataFrame | None
-    """A row a `stage`."""
+    run: FinishedRun
+    tables: RunTables
 
 
-def open_sources(paths: Sequence[Path]) -> list[Evaluation | Training]:
+@dataclass(frozen=True)
+class TrainingFolder(Source):
+    """The folder of a training."""
+
+    training: Training
+
+
+def open_sources(paths: Sequence[Path]) -> list[Evaluation | TrainingFolder]:
     """The run folders, in this order.
 
     Raises:
-        RunFolderError: One is no run folder, is not finished or is damaged, or stands here twice.
+        RunFolderError: One is not a run folder, is not finished, is damaged, or is given twice.
     """
-    sources: list[Evaluation | Training] = []
+    sources: list[Evaluation | TrainingFolder] = []
     for path in paths:
         if path.resolve() in {source.path.resolve() for source in sources}:
             raise RunFolderError(f"{path}: is given twice")
@@ -51,17 +50,13 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | Training]:
     return sources
 
 
-def _open(path: Path, taken: Sequence[str]) -> Evaluation | Training:
+def _open(path: Path, taken: Sequence[str]) -> Evaluation | TrainingFolder:
     if holds(path, MANIFEST):
         run = open_finished(path)
-        name = run.suite.suite
-        tables = stored_tables(path, name)
-        return Evaluation(_free(name, taken), path, run, tables)
+        tables = stored_tables(path, run.suite)
+        return Evaluation(_free(run.suite.suite, taken), path, run, tables)
     if holds(path, CURVES):
-        tables = stored_training(path)
-        return Training(
-            _free("training", taken), path, tables[Path(CURVES).stem], tables.get(Path(STAGES).stem)
-        )
+        return TrainingFolder(_free("training", taken), path, stored_training(path))
     raise RunFolderError(
         f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
         "`charms-bench run` makes both"

@@ -1,46 +1,26 @@
-"""Figures inside a page: SVG whose ink follows the page, light or dark."""
+"""Figures inside a page: SVG whose black follows the page, light or dark."""
 
 import re
-from dataclasses import dataclass
 from io import StringIO
 
 import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from charms_bench.report.figures import take_text_as_it_is
-
-COLOURS = (
-    "#0072b2", "#d55e00", "#009e73", "#b5679a", "#b07900", "#3a96d0", "#7a8290", "#96602c"
-)  # fmt: skip
-"""After Okabe & Ito 2008, in tones that stand out from white and from black by 3 to 1."""
-STYLES = ("-", "--", ":", "-.")
-MARKERS = "osD^vPX*"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure of a page."""
-
-    id: str
-    title: str
-    caption: str
-    svg: Markup
-    wide: bool = False
-    """Whether it needs the width of the page."""
+from charms_bench.report.figures.drawing import take_text_as_it_is
 
 
 def in_page(figure: Figure, name: str, label: str) -> Markup:
     """A figure as an SVG element.
 
     Args:
-        figure: What is drawn; what it draws in black is the page's ink.
-        name: Tells its parts from those of other figures of the page.
-        label: What it shows, for who does not see it.
+        figure: What is drawn; its black becomes the colour of the page's text.
+        name: Makes the ids of its parts unique in the page.
+        label: What it shows, for screen readers.
     """
     take_text_as_it_is(figure)
     text = StringIO()
-    # Text stays text: it can be searched, read aloud and set in the page's font.
+    # Text stays text, which can be searched, read aloud and set in the page's font.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(
             text,
@@ -55,7 +35,7 @@ def in_page(figure: Figure, name: str, label: str) -> Markup:
     found = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}.", found)
     found = found.replace("#000000", "currentColor")
     described = Markup('<svg role="img" aria-label="{}" ').format(label)
-    # Its width in points is that of paper; in a page the view box decides.
+    # The width in points is for paper; in a page the view box decides.
     head, _, rest = found.removeprefix("<svg ").partition(">")
     head = re.sub(r'\b(width|height|version)="[^"]*"', "", head)
     return Markup(f"{described}{' '.join(head.split())}>{rest}")

@@ -1,4 +1,4 @@
-"""What a folder of recordings holds, as a figure."""
+"""The content of a folder of recordings, as a figure."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from charms_bench.engine.following import FOLLOWING_RANGE_M
+from charms_bench.episodes.palette import GREY, SERIES
 from charms_bench.people.survey import Learnable, Survey
-from charms_bench.report.figures import BLUE, GREY, panels, save
+from charms_bench.report.figures.drawing import panels, save
 
 
 def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
@@ -18,18 +19,18 @@ def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
     """
     figure, (speeds, distances, *labels) = panels(2 + len(learnable), 3.7, 3.6)
     speed = found.decisions["speed"].to_numpy()
-    speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=BLUE)
+    speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=SERIES[0])
     speeds.axvline(speed.mean(), color="black", linewidth=1)
     title = f"Speed, mean {speed.mean():.1f} m/s"
     speeds.set(title=title, xlabel="m/s", ylabel="vehicles at a decision")
     following = found.decisions["leader_distance"].drop_nulls().to_numpy()
-    distances.hist(following, bins=40, range=(0, FOLLOWING_RANGE_M), color=BLUE)
+    distances.hist(following, bins=40, range=(0, FOLLOWING_RANGE_M), color=SERIES[0])
     distances.set(
         title="Distance headway",
         xlabel=f"m to a leader within {FOLLOWING_RANGE_M:g} m, centre to centre",
     )
     for axes, (name, each) in zip(labels, learnable.items(), strict=True):
-        sets = zip(each.label_shares.items(), (-0.2, 0.2), (GREY, BLUE), strict=True)
+        sets = zip(each.label_shares.items(), (-0.2, 0.2), (GREY, SERIES[0]), strict=True)
         for (title, shares), offset, colour in sets:
             places = np.arange(len(shares))
             axes.barh(places + offset, shares.values(), 0.38, color=colour, label=title)

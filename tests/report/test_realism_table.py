@@ -10,12 +10,22 @@ from scipy import stats
 from charms_bench.engine.following import BIN, BINS
 from charms_bench.engine.rows import COUNT_SCHEMA
 from charms_bench.people.reference import Reference
-from charms_bench.report.realism import SCHEMA, build_realism, distances, write_realism
-from charms_bench.report.realism_figures import draw_realism
+from charms_bench.report.realism_table import distances, realism_table
+from charms_bench.report.run_files import write_table
 from charms_bench.runs.cells import TrafficCounts
+from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import RESAMPLES, resample
 
 EPISODES = 30
+SUITE = Suite.model_validate(
+    {
+        "suite": "s",
+        "episodes": EPISODES,
+        "seed": 4,
+        "egos": [{"agent": "a"}],
+        "traffics": [{"traffic": "t"}],
+    }
+)
 RNG = np.random.default_rng(0)
 PLACES = BIN * np.arange(BINS) + BIN / 2
 
@@ -65,7 +75,7 @@ def test_kl_is_scipys_entropy_on_wider_bins_with_half_a_count_more() -> None:
 
 def test_intervals_are_percentiles_over_resampled_episodes() -> None:
     speeds, people = traffic("t", 25.0), drawn(22.0)
-    table = build_realism([speeds], [reference(speed=people)], seed=4)
+    table = realism_table(SUITE, [speeds], [reference(speed=people)]).frame()
     row = only(table, metric="wasserstein_speed")
     counts = speeds.of_quantity("speed")
     plain = [
@@ -80,8 +90,10 @@ def test_intervals_are_percentiles_over_resampled_episodes() -> None:
 
 def test_the_traffic_that_drives_like_people_is_nearest_in_all_metrics() -> None:
     people = reference(speed=drawn(25.0), dhw=drawn(20.0))
-    table = build_realism([traffic("like", 25.0), traffic("unlike", 29.0, 30.0)], [people], seed=0)
-    assert table.schema == pl.Schema(SCHEMA)
+    table = realism_table(
+        SUITE, [traffic("like", 25.0), traffic("unlike", 29.0, 30.0)], [people]
+    ).frame()
+    assert table.columns == ["traffic", "reference", "metric", "value", "low", "high", "n"]
     assert table["metric"].n_unique() == 6
     for metric in table["metric"].unique():
         like, unlike = (only(table, metric=metric, traffic=t) for t in ("like", "unlike"))
@@ -90,26 +102,26 @@ def test_the_traffic_that_drives_like_people_is_nearest_in_all_metrics() -> None
 
 def test_what_was_not_recorded_is_not_compared_and_what_nobody_did_has_no_value() -> None:
     nobody = TrafficCounts("t", np.zeros((EPISODES, 2, BINS)))
-    table = build_realism([nobody], [reference("a", speed=drawn(25.0)), reference("b")], seed=0)
+    table = realism_table(
+        SUITE, [nobody], [reference("a", speed=drawn(25.0)), reference("b")]
+    ).frame()
     assert table["reference"].unique().to_list() == ["a"]
     assert table["metric"].to_list() == ["kl_speed", "js_speed", "wasserstein_speed"]
     assert table.select("value", "low", "high").null_count().row(0) == (3, 3, 3)
     assert table["n"].to_list() == [0, 0, 0]
 
 
-def test_tables_and_figures_are_written_a_panel_a_reference(tmp_path: Path) -> None:
+def test_the_table_is_written_reference_by_reference(tmp_path: Path) -> None:
     traffics = [traffic("like", 25.0), traffic("un|like", 29.0)]
     people = [reference("a", speed=drawn(25.0)), reference("b", speed=drawn(20.0), dhw=drawn(20))]
-    table = build_realism(traffics, people, seed=0)
-    write_realism(tmp_path, "s", table, people)
-    assert pl.read_csv(tmp_path / "s-realism.csv", schema=SCHEMA).equals(table)
-    text = (tmp_path / "s-realism.md").read_text(encoding="utf-8")
-    assert text.index("## a") < text.index("## b") < text.index("## What the numbers are")
+    table = realism_table(SUITE, traffics, people)
+    path = write_table(tmp_path, table, ["Where people were recorded."])
+    read = pl.read_csv(path.with_suffix(".csv"))
+    assert read["reference"].to_list() == ["a"] * 6 + ["b"] * 12
+    assert read["traffic"].to_list()[:6] == ["like"] * 3 + ["un|like"] * 3
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("Where people were recorded.")
+    assert text.index("## a: speed") < text.index("## b: speed") < text.index("## b: dhw")
     assert "| like | **" in text
     assert "| un\\|like | " in text
-    paths = draw_realism(tmp_path, "s", traffics, people)
-    assert [path.name for path in paths] == ["s-speed.png", "s-dhw.png"]
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
-    assert [path.name for path in draw_realism(tmp_path, "s", traffics, people[:1])] == [
-        "s-speed.png"
-    ]
+    assert f"| {40 * EPISODES:,} |" in text, "n, which all distances of a row share"

@@ -1,22 +1,30 @@
 """How far egos are apart: planted differences are found, and nothing else is."""
 
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from command_line import charms_bench
 
 from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
-from charms_bench.report.pairs import COMPARED, differences, guessed, write_pairs
+from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
+from charms_bench.report.run_files import write_run
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.suite import load_suite
-from charms_bench.world.scene import SceneSettings
+from charms_bench.runs.suite import Suite, load_suite
 
-SCENE = SceneSettings()
+STYLES = Suite.model_validate(
+    {
+        "suite": "styles",
+        "episodes": 60,
+        "egos": [{"agent": name} for name in ("one", "other", "fast")],
+        "traffics": [{"traffic": "idm"}],
+        "pairs": True,
+    }
+)
 EPISODES = 60
 STEPS = 5
 DIFFICULTY = np.random.default_rng(0).normal(0.0, 2.0, EPISODES)
@@ -50,7 +58,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
 
 
 def by_metric(one: CellRows, other: CellRows) -> dict[object, dict[str, Any]]:
-    return {row["metric"]: dict(row) for row in differences([one, other], SCENE, seed=0)}
+    return {row["metric"]: row for row in pairs_table(STYLES, [one, other]).frame().to_dicts()}
 
 
 def test_a_planted_difference_is_found_with_its_sign_and_size() -> None:
@@ -77,7 +85,7 @@ def test_egos_that_drive_alike_are_not_apart() -> None:
 
 def test_every_pair_is_compared_by_every_metric() -> None:
     cells = [cell(name, noise=k) for k, name in enumerate("abcd")]
-    rows = differences(cells, SCENE, seed=0)
+    rows = pairs_table(STYLES, cells).frame().to_dicts()
     assert len(rows) == 6 * len(COMPARED)
     assert {(row["first"], row["second"]) for row in rows} == {
         ("a", "b"), ("a", "c"), ("a", "d"), ("b", "c"), ("b", "d"), ("c", "d")
@@ -86,20 +94,24 @@ def test_every_pair_is_compared_by_every_metric() -> None:
 
 def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None:
     apart = [cell("slow", noise=1), cell("close", closer=15.0, noise=2)]
-    right, asked = guessed(apart, SCENE, seed=0)
+    right, asked = guessed(STYLES, apart)
     assert asked == 2 * EPISODES
     assert right / asked > 0.95
-    right, asked = guessed([cell("one", noise=1), cell("other", noise=2)], SCENE, seed=0)
+    right, asked = guessed(STYLES, [cell("one", noise=1), cell("other", noise=2)])
     assert 0.3 < right / asked < 0.7
 
 
 def test_the_tables_say_how_many_pairs_are_apart(tmp_path: Path) -> None:
     cells = [cell("one", noise=1), cell("other", noise=2), cell("fast", faster=3.0, noise=3)]
-    write_pairs(tmp_path, "styles", cells, SCENE, seed=0)
-    text = (tmp_path / "styles-pairs.md").read_text()
-    assert text.startswith("2 of 3 pairs are apart in some metric")
+    _, files = write_run(
+        STYLES, tmp_path, [replace(each, agent=f"{each.agent}|") for each in cells], [], []
+    )
+    (path,) = files["Pair by pair"]
+    text = path.read_text()
+    assert text.startswith("2 of 3 pairs differ in at least one metric.")
     assert "by chance it would be 33.3%" in text
-    assert pl.read_csv(tmp_path / "styles-pairs.csv").height == 3 * len(COMPARED)
+    assert "| one\\| | other\\| |" in text
+    assert pl.read_csv(path.with_suffix(".csv")).height == 3 * len(COMPARED)
 
 
 SUITE = """\
@@ -114,10 +126,9 @@ pairs: true
 
 def test_a_suite_asks_for_pairs(tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(SUITE)
-    command = [sys.executable, "-m", "charms_bench", "run", "suite.yaml"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
     assert "small-pairs.md" in done.stdout
-    assert "1 pairs are apart" in (tmp_path / "runs/small/tables/small-pairs.md").read_text()
+    assert "1 pairs differ" in (tmp_path / "runs/small/tables/small-pairs.md").read_text()
 
 
 def test_pairs_need_two_egos_in_one_traffic(tmp_path: Path) -> None:

@@ -1,3 +1,5 @@
+"""The table of a suite, and its views for a terminal and as Markdown."""
+
 from pathlib import Path
 
 import polars as pl
@@ -6,11 +8,17 @@ from rich.console import Console
 
 from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
-from charms_bench.report.tables import build_table, render_markdown, render_terminal, write_tables
+from charms_bench.report.markdown import document
+from charms_bench.report.run_files import write_table
+from charms_bench.report.suite_table import shown_metrics, suite_table
+from charms_bench.report.table import Table
+from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
-from charms_bench.world.scene import SceneSettings
+from charms_bench.runs.suite import Suite
 
-SCENE = SceneSettings()
+SUITE = Suite.model_validate(
+    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+)
 
 
 def cell(
@@ -36,29 +44,31 @@ def cell(
     )
 
 
-def row(table: pl.DataFrame, metric: str, metric_set: str = PAPER.label) -> dict[str, object]:
-    return table.row(
+def row(table: Table, metric: str, metric_set: str = PAPER.label) -> dict[str, object]:
+    return table.frame().row(
         by_predicate=pl.col("metric").eq(metric) & (pl.col("metric_set") == metric_set), named=True
     )
 
 
-def shown(table: pl.DataFrame, columns: tuple[str, ...] = ()) -> str:
+def shown(table: Table, columns: tuple[str, ...] = ()) -> str:
     console = Console(width=100, color_system=None)
     with console.capture() as capture:
-        console.print(render_terminal(table, columns))
+        chosen = table.select(*shown_metrics(table, columns))
+        console.print(grid(chosen.without_constant_keys()))
     return capture.get()
 
 
 def test_the_long_table_has_a_row_for_every_metric_of_every_cell() -> None:
-    table = build_table([cell([24.0, 26.0]), cell([20.0], agent="other")], SCENE, seed=0)
+    table = suite_table(SUITE, [cell([24.0, 26.0]), cell([20.0], agent="other")])
     header = ["agent", "traffic", "metric_set", "metric", "value", "low", "high", "n", "paper"]
-    assert table.columns == header
-    assert len(table) == 2 * (len(PAPER.metrics) + len(STANDARD.metrics))
-    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
+    frame = table.frame()
+    assert frame.columns == header
+    assert len(frame) == 2 * (len(PAPER.metrics) + len(STANDARD.metrics))
+    assert frame["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
 
 
 def test_a_row_has_value_interval_number_and_the_papers_figure() -> None:
-    table = build_table([cell([24.0, 26.0], paper={"speed_mean": 23.67})], SCENE, seed=0)
+    table = suite_table(SUITE, [cell([24.0, 26.0], paper={"speed_mean": 23.67})])
     assert row(table, "speed_mean") == {
         "agent": "IDM+MOBIL",
         "traffic": "mixed",
@@ -74,7 +84,7 @@ def test_a_row_has_value_interval_number_and_the_papers_figure() -> None:
 
 
 def test_what_is_not_defined_is_null() -> None:
-    table = build_table([cell([25.0], leader=None)], SCENE, seed=0)
+    table = suite_table(SUITE, [cell([25.0], leader=None)])
     undefined = row(table, "speed_mean")
     assert (undefined["value"], undefined["low"], undefined["high"]) == (None, None, None)
     assert undefined["n"] == 0
@@ -83,23 +93,18 @@ def test_what_is_not_defined_is_null() -> None:
 
 def test_a_cells_numbers_do_not_depend_on_the_cells_beside_it() -> None:
     first, second = cell([20.0, 25.0, 31.0]), cell([22.0] * 9, agent="other")
-    both = build_table([second, first], SCENE, seed=3)
-    assert both.filter(agent=first.agent).equals(build_table([first], SCENE, seed=3))
+    both = suite_table(SUITE, [second, first])
+    assert both.rows[1:] == suite_table(SUITE, [first]).rows
 
 
 def test_tables_are_written_the_same_every_time(tmp_path: Path) -> None:
     for folder in ("one", "two"):
         cells = [cell([20.0, 25.0, 31.0], paper={"speed_mean": 25.0}), cell([20.0], agent="b")]
-        write_tables(tmp_path / folder, "ego", build_table(cells, SCENE, seed=1))
+        write_table(tmp_path / folder, suite_table(SUITE, cells))
+    one, two = tmp_path / "one" / "tables", tmp_path / "two" / "tables"
     for name in ("ego.csv", "ego.md"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == ["ego.csv", "ego.md"]
-
-
-def test_the_csv_reads_back_as_the_long_table(tmp_path: Path) -> None:
-    table = build_table([cell([20.0, 31.0], paper={"acc_std": 1.425})], SCENE, seed=1)
-    write_tables(tmp_path, "ego", table)
-    assert pl.read_csv(tmp_path / "ego.csv", schema=table.schema).equals(table)
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    assert sorted(path.name for path in one.iterdir()) == ["ego.csv", "ego.md"]
 
 
 def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> None:
@@ -107,14 +112,14 @@ def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> N
         cell([24.0, 26.0], paper={"speed_mean": 23.67}),
         cell([25.0], agent="none", leader=None, paper={"speed_mean": 23.73}),
     ]
-    text = render_markdown(build_table(cells, SCENE, seed=0))
+    text = document(suite_table(SUITE, cells))
     assert "| 25.00 [24.00, 26.00] | 23.67 (+1.33) |" in text
     assert "| – | 23.73 |" in text
     assert "- `speed_mean` (m/s): speed in logged steps. n: logged steps." in text
 
 
 def test_markdown_survives_a_bar_in_a_name() -> None:
-    lines = render_markdown(build_table([cell([25.0], agent="a|b")], SCENE, seed=0)).splitlines()
+    lines = document(suite_table(SUITE, [cell([25.0], agent="a|b")])).splitlines()
     rows = [line.replace(r"\|", "").count("|") for line in lines if line.startswith("|")]
     assert "| a\\|b | mixed |" in "\n".join(lines)
     assert len(set(rows[:3])) == 1
@@ -126,22 +131,22 @@ def test_the_terminal_shows_the_columns_of_the_suite_in_100_characters() -> None
         for agent in ("Efficient-Competitive", "Efficient-Egoistic")
     ]
     columns = (*(metric.name for metric in PAPER.metrics), "crashed_episodes")
-    text = shown(build_table(cells, SCENE, seed=0), columns)
+    text = shown(suite_table(SUITE, cells), columns)
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
     assert "…" not in text
-    assert "paper 28.89" in text
+    assert "paper 28.892" in text
     assert "crashed episodes" in text
     assert "tet" not in text
 
 
 def test_the_terminal_shows_what_the_paper_reports_if_nothing_is_asked_for() -> None:
-    text = shown(build_table([cell([25.0], paper={"speed_mean": 23.67})], SCENE, seed=0))
+    text = shown(suite_table(SUITE, [cell([25.0], paper={"speed_mean": 23.67})]))
     assert "speed mean" in text
     assert "acc std" not in text
 
 
 def test_without_columns_and_paper_the_terminal_shows_every_metric() -> None:
-    text = " ".join(shown(build_table([cell([25.0])], SCENE, seed=0)).split())
+    text = " ".join(shown(suite_table(SUITE, [cell([25.0])])).split())
     for metric in ("interaction", "jerk", "tet", "drac"):
         assert metric in text
 
@@ -159,5 +164,5 @@ def test_the_terminal_names_what_differs(
     names: list[tuple[str, str]], headers: tuple[str, ...]
 ) -> None:
     cells = [cell([25.0], agent=agent, traffic=traffic) for agent, traffic in names]
-    words = shown(build_table(cells, SCENE, seed=0), ("speed_mean",)).split()
+    words = shown(suite_table(SUITE, cells), ("speed_mean",)).split()
     assert tuple(word for word in ("agent", "traffic") if word in words) == headers

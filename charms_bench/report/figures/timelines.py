@@ -1,22 +1,22 @@
-"""A replay over time: gaps, time to collision, speed and reward of the ego."""
+"""A replay over time: the ego's gaps, time to collision, speed and reward."""
 
 import numpy as np
-from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from charms_bench.episodes.ego_view import EgoView
+from charms_bench.episodes.palette import SERIES
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
-from charms_bench.report.figures import panels
-from charms_bench.report.html.svg import COLOURS, in_page
+from charms_bench.report.figures.drawing import panels
 from charms_bench.world.scene import Floats, Ints
 
 GAP_SHOWN_M, TTC_SHOWN_S = 60.0, 10.0
-"""What is further away is above the edge."""
+"""Larger values lie above the upper edge."""
 LEFT, RIGHT = 0.085, 0.99
 """Where time begins and ends, as shares of the figure's width."""
 
 
-def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Markup:
+def draw_timelines(replay: Replay, view: EgoView) -> Figure:
     """The ego's timelines, one above the other."""
     figure, axes = panels(4, 5.6, 1.0, stacked=True)
     # Fixed margins: the cursor of the page has to know where the axes are.
@@ -24,9 +24,9 @@ def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Mark
     figure.subplots_adjust(LEFT, 0.09, RIGHT, 0.955, hspace=0.28)
     t_s, ego = replay.t_s, replay.ego
     gaps, ttc, speed, reward = axes
-    gaps.plot(t_s, _broken(view.gap_ahead, view.leader), color=COLOURS[0], label="ahead")
+    gaps.plot(t_s, _broken(view.gap_ahead, view.leader), color=SERIES[0], label="ahead")
     behind = _broken(view.gap_behind, view.follower)
-    gaps.plot(t_s, behind, color=COLOURS[1], linestyle="--", label="behind")
+    gaps.plot(t_s, behind, color=SERIES[1], linestyle="--", label="behind")
     gaps.set(ylim=(0, _top(view.gap_ahead, view.gap_behind, most=GAP_SHOWN_M)))
     gaps.set_ylabel("gap, m")
     gaps.legend(
@@ -37,13 +37,13 @@ def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Mark
         bbox_to_anchor=(1, 0.98),
         borderaxespad=0,
     )
-    ttc.plot(t_s, _broken(view.ttc, view.leader), color=COLOURS[0])
-    ttc.axhline(CONFLICT_TTC_S, color=COLOURS[6], linestyle=":", linewidth=1)
+    ttc.plot(t_s, _broken(view.ttc, view.leader), color=SERIES[0])
+    ttc.axhline(CONFLICT_TTC_S, color=SERIES[6], linestyle=":", linewidth=1)
     ttc.set(ylim=(0, TTC_SHOWN_S))
     ttc.set_ylabel("TTC, s")
-    speed.plot(t_s, replay.speed[:, ego], color=COLOURS[0])
+    speed.plot(t_s, replay.speed[:, ego], color=SERIES[0])
     speed.set_ylabel("speed, m/s")
-    reward.step(t_s, view.reward, where="post", color=COLOURS[0])
+    reward.step(t_s, view.reward, where="post", color=SERIES[0])
     reward.set(ylim=(-0.05, 1.05), xlabel="time, s")
     reward.set_ylabel("reward")
     reward.xaxis.label.set_size(7.5)
@@ -56,12 +56,12 @@ def draw_timelines(replay: Replay, view: EgoView, name: str, label: str) -> Mark
         if panel is not reward:
             panel.set_xticklabels([])
     figure.align_ylabels()
-    return in_page(figure, name, label)
+    return figure
 
 
-def _broken(values: Floats, who: Ints) -> Floats:
-    """The values without those at which they are another vehicle's than before."""
-    changed = np.diff(who, prepend=who[:1]) != 0
+def _broken(values: Floats, vehicle: Ints) -> Floats:
+    """The values, NaN where the vehicle that they belong to changes."""
+    changed = np.diff(vehicle, prepend=vehicle[:1]) != 0
     broken: Floats = np.where(changed, np.nan, values)
     return broken
 

@@ -1,20 +1,21 @@
-"""Who drives in a traffic: the agents' shares."""
+"""The shares of the agents in a traffic, as a figure."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from charms_bench.episodes.palette import SERIES
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.report.figures import BLUE, panels, save
+from charms_bench.report.figures.drawing import panels, save
 
 SAMPLED = 200_000
-"""Vehicles: a share's standard error is at most 0.11 %."""
+"""Vehicles that are assigned: the standard error of a share is at most 0.11 %."""
 _PER_SCENE = 20
 
 
 def shares(traffic: Traffic) -> dict[str, float]:
-    """Each agent's share of `SAMPLED` vehicles, in the order in which the traffic names them."""
+    """Each agent's share of `SAMPLED` vehicles, in the traffic's order."""
     rng = np.random.default_rng(0)
     assigned = traffic.assign(rng, SAMPLED // _PER_SCENE, _PER_SCENE)
     return {name: float((assigned == name).mean()) for name in traffic.agents}
@@ -27,7 +28,7 @@ def draw(found: Mapping[str, float], title: str, path: Path) -> None:
         InputError: The file's ending is not a format's, or it cannot be written.
     """
     figure, (axes,) = panels(1, 6.4, 0.9 + 0.32 * len(found))
-    bars = axes.barh(list(found), list(found.values()), color=BLUE)
+    bars = axes.barh(list(found), list(found.values()), color=SERIES[0])
     axes.bar_label(bars, [f"{share:.1%}" for share in found.values()], padding=3)
     axes.invert_yaxis()
     axes.margins(x=0.12)

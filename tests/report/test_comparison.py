@@ -1,6 +1,7 @@
 """Two agents side by side: what is tested, corrected and shown."""
 
 import json
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -10,7 +11,9 @@ from rich.console import Console
 from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
-from charms_bench.report.compare import Compared, compare, render
+from charms_bench.report.comparison import by_pair, compare, to_dicts
+from charms_bench.report.table import Table
+from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
 from charms_bench.statistics.paired import holm
 from charms_bench.world.scene import SceneSettings
@@ -45,41 +48,41 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
     )
 
 
-def compared(*pairs: tuple[CellRows, CellRows], only: tuple[str, ...] = ()) -> list[Compared]:
+def compared(*pairs: tuple[CellRows, CellRows], only: tuple[str, ...] = ()) -> Table:
     return compare(pairs, METRIC_SETS, SCENE, seed=0, only=only)
 
 
 SAFE, WILD = cell("safe", 25.0), cell("wilder", 28.0, crashes=12)
 
 
-def by_metric(rows: list[Compared]) -> dict[str, Compared]:
-    return {row.metric: row for row in rows if row.metric_set != PAPER.label}
+def by_metric(table: Table) -> dict[str, dict[str, Any]]:
+    return {row["metric"]: row for row in to_dicts(table) if row["metric_set"] != PAPER.label}
 
 
 def test_a_row_has_both_values_and_their_difference() -> None:
     rows = by_metric(compared((SAFE, WILD)))
     crashed = rows["crashed_episodes"]
-    assert (crashed.first_value, crashed.second_value) == (0.0, 12 / 80)
-    assert crashed.difference.value == pytest.approx(-0.15)
-    assert crashed.difference.p == pytest.approx(2 / 2**12)  # all of 12 in one direction
-    assert rows["speed_mean"].difference.value == pytest.approx(-3.0, abs=0.2)
-    assert rows["speed_mean"].separated
-    assert not rows["acc_std"].separated
+    assert (crashed["first_value"], crashed["second_value"]) == (0.0, 12 / 80)
+    assert crashed["difference"] == pytest.approx(-0.15)
+    assert crashed["p"] == pytest.approx(2 / 2**12)  # all of 12 in one direction
+    assert rows["speed_mean"]["difference"] == pytest.approx(-3.0, abs=0.2)
+    assert rows["speed_mean"]["separated"]
+    assert not rows["acc_std"]["separated"]
 
 
 def test_holms_correction_is_over_all_pairs_and_metrics() -> None:
     busy = cell("safe", 25.0, traffic="busy"), cell("wilder", 25.1, crashes=3, traffic="busy")
-    rows = compared((SAFE, WILD), busy)
+    rows = to_dicts(compared((SAFE, WILD), busy))
     assert len(rows) == 2 * sum(len(metric_set.metrics) for metric_set in METRIC_SETS)
-    expected = holm(np.array([row.difference.p for row in rows]))
-    assert [row.corrected_p for row in rows] == expected.tolist()
-    assert {row.traffic for row in rows} == {"idm", "busy"}
+    expected = holm(np.array([row["p"] for row in rows]))
+    assert [row["corrected_p"] for row in rows] == expected.tolist()
+    assert {row["traffic"] for row in rows} == {"idm", "busy"}
 
 
 def test_fewer_metrics_cost_less_correction() -> None:
-    (alone,) = compared((SAFE, WILD), only=("crashed_episodes",))
+    (alone,) = to_dicts(compared((SAFE, WILD), only=("crashed_episodes",)))
     among_all = by_metric(compared((SAFE, WILD)))["crashed_episodes"]
-    assert alone.corrected_p == alone.difference.p < among_all.corrected_p
+    assert alone["corrected_p"] == alone["p"] < among_all["corrected_p"]
 
 
 def test_a_metric_that_there_is_not_is_named() -> None:
@@ -88,20 +91,21 @@ def test_a_metric_that_there_is_not_is_named() -> None:
 
 
 def test_json_has_null_for_what_is_not_defined() -> None:
-    row = by_metric(compared((SAFE, WILD)))["ttc_min"].to_dict()
+    row = by_metric(compared((SAFE, WILD)))["ttc_min"]
     assert row["difference"] is row["low"] is row["first_value"] is None
     assert (row["corrected_p"], row["separated"]) == (1.0, False)
-    assert "NaN" not in json.dumps([each.to_dict() for each in compared((SAFE, WILD))])
+    assert "NaN" not in json.dumps(to_dicts(compared((SAFE, WILD))))
 
 
 def test_the_terminal_marks_what_is_separated_and_says_what_that_means() -> None:
     console = Console(width=100, color_system=None)
     with console.capture() as capture:
-        console.print(render(compared((SAFE, WILD))))
+        for part in by_pair(compared((SAFE, WILD))):
+            console.print(grid(part, 100, stacked=False))
     lines = capture.get().splitlines()
-    assert lines[0].startswith("safe less wilder, in idm: paper-1")
+    assert lines[0].startswith("safe minus wilder, in idm: paper-1")
     assert max(map(len, lines)) <= 100
     assert "…" not in capture.get()
-    (speed,) = (line for line in lines if line.lstrip().startswith("speed_mean ") and "*" in line)
-    assert "<0.001*" in speed
+    (speed,) = (line for line in lines if line.lstrip().startswith("speed_mean ") and "* " in line)
+    assert "<0.001" in speed
     assert "is below 0.05" in " ".join(capture.get().split())

@@ -1,36 +1,20 @@
-"""The paper's two figures of realism: speeds while following, headways at lane changes."""
+"""Traffics beside human driving: speeds while following, headways at lane changes."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.engine.following import QUANTITIES
+from charms_bench.episodes.palette import EDGE, GREY, series
 from charms_bench.people.reference import Reference
-from charms_bench.report.figures import GREY, panels, save
-from charms_bench.report.realism import COARSE_BIN, TITLE, UNIT, coarse
+from charms_bench.report.figures.drawing import panels
+from charms_bench.report.realism_table import COARSE_BIN, TITLE, coarse
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.world.scene import Floats
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Okabe & Ito 2008, which colour-blind readers tell apart."""
-EDGE = "#6b7785"
-STYLES = ("-", "--", "-.", ":")
+UNIT = {"speed": "m/s", "dhw": "m"}
 SHOWN = 1e-3
-"""Bins in which nobody has a greater share are cut off at both ends."""
-
-
-def draw_realism(
-    folder: Path, name: str, traffics: Sequence[TrafficCounts], references: Sequence[Reference]
-) -> list[Path]:
-    """Draws `<name>-speed.png` and `<name>-dhw.png`, where there is a reference, into a folder."""
-    drawn = []
-    for quantity in QUANTITIES:
-        if people := recorded(quantity, references):
-            drawn.append(folder / f"{name}-{quantity}.png")
-            save(draw_distributions(quantity, traffics, people), drawn[-1])
-    return drawn
+"""Bins in which no traffic and no reference has a greater share are cut off at both ends."""
 
 
 def recorded(quantity: str, references: Sequence[Reference]) -> dict[str, Floats]:
@@ -39,10 +23,10 @@ def recorded(quantity: str, references: Sequence[Reference]) -> dict[str, Floats
     return {name: counts for name, counts in people.items() if counts is not None}
 
 
-def draw_distributions(
+def draw_quantity(
     quantity: str, traffics: Sequence[TrafficCounts], people: Mapping[str, Floats]
 ) -> Figure:
-    """A panel a reference: its density filled, each traffic's a line, on the bins of KL."""
+    """A panel per reference: its density filled, each traffic's as a line, on the bins of KL."""
     width, unit = COARSE_BIN[quantity], UNIT[quantity]
     lines = [_density(traffic.of_quantity(quantity).sum(axis=0), quantity) for traffic in traffics]
     edges = width * np.arange(lines[0].size + 1)
@@ -56,13 +40,12 @@ def draw_distributions(
             panel.plot(
                 edges[:-1] + width / 2,
                 line,
-                color=COLOURS[k % len(COLOURS)],
-                linestyle=STYLES[k % len(STYLES)],
                 label=traffic.traffic,
+                **series(k),
             )
         panel.set_title(f"{name}: {counts.sum():,.0f} counted", fontsize=10)
         panel.set(xlabel=unit, xlim=(edges[used[0]], edges[used[-1] + 1]))
-        # Else a peak, as of a traffic that drives at one speed, presses people to the ground.
+        # On a linear scale, the peak of a traffic that drives at one speed hides the people.
         panel.set_yscale("function", functions=(np.sqrt, np.square))
         panel.set_ylim(0, 1.05 * np.max([*areas, *lines]))
     axes[0].set_ylabel(f"share of vehicles per {unit}\n(square-root scale)")

@@ -1,0 +1,147 @@
+"""The comparison of two agents over the same episodes: every metric, and which ones differ."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from charms_bench.errors import InputError, suggestion
+from charms_bench.metrics import MetricSet, sums_by_episode
+from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.runs.pairing import Pair
+from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.statistics.paired import differences, holm
+from charms_bench.world.scene import SceneSettings
+
+KEYS = ("first", "second", "traffic", "metric_set", "metric")
+COLUMNS = (
+    Column("first_value", definition="value of the first agent", form=".4g"),
+    Column("second_value", definition="value of the second agent", form=".4g"),
+    Column(
+        "difference",
+        definition="first minus second",
+        counted="episodes",
+        interval="paired: Tango's score interval for shares of episodes, else bootstrap-t",
+        form="margin",
+        signed=True,
+    ),
+    Column("corrected_p", definition="p-value, corrected for all tests by Holm", form="p"),
+    Column(
+        "detectable",
+        definition="smallest true difference that as many episodes show in 80 % of cases, before "
+        "the correction",
+        form=".2g",
+    ),
+    Column("p", definition="p-value of this test alone", form="p"),
+)
+
+
+def compare(
+    pairs: Sequence[Pair],
+    metric_sets: Sequence[MetricSet],
+    settings: SceneSettings,
+    seed: int,
+    only: Sequence[str] = (),
+) -> Table:
+    """Every metric of every pair, first minus second, a metric per row.
+
+    Args:
+        pairs: Two agents in the same episodes each, from `runs.pairing.pairs_of`.
+        metric_sets: What to compute.
+        settings: What the scenes have in common.
+        seed: Of the resamples.
+        only: Names of metrics, in every set that has them; none means all.
+
+    Raises:
+        InputError: There is no metric of such a name.
+    """
+    every = [(each.label, metric) for each in metric_sets for metric in each.metrics]
+    known = {metric.name: metric for _, metric in every}
+    for name in only:
+        if name not in known:
+            raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
+    chosen = [(label, metric) for label, metric in every if not only or metric.name in only]
+    metrics = [metric for _, metric in chosen]
+    records: list[dict[str, Any]] = []
+    for pair in pairs:
+        first, second = (
+            sums_by_episode(metrics, cell.episodes, cell.steps, settings) for cell in pair
+        )
+        weights = resample(np.random.default_rng(seed), len(pair[0].episodes))
+        found = differences(metrics, first, second, weights)
+        for (label, metric), ours, theirs, each in zip(chosen, first, second, found, strict=True):
+            records.append(
+                {
+                    "first": pair[0].agent,
+                    "second": pair[1].agent,
+                    "traffic": pair[0].traffic,
+                    "metric_set": label,
+                    "metric": metric.name,
+                    "first_value": defined(float(metric.value(ours.sum(axis=0)))),
+                    "second_value": defined(float(metric.value(theirs.sum(axis=0)))),
+                    "difference": Number(
+                        defined(each.value), defined(each.low), defined(each.high), len(ours)
+                    ),
+                    "detectable": defined(each.detectable),
+                    "p": each.p,
+                }
+            )
+    corrected = holm(np.array([record["p"] for record in records])).tolist()
+    apart = [p < 1 - CONFIDENCE for p in corrected]
+    for record, p, marked in zip(records, corrected, apart, strict=True):
+        record["corrected_p"] = p
+        record["difference"] = replace(record["difference"], p=p, marked=marked)
+    note = (
+        f"{sum(apart)} of {len(apart)} differences are marked as separated from 0: p, corrected "
+        f"for {len(apart)} tests by Holm's method, is below 0.05. detectable: the "
+        f"{COLUMNS[4].definition}."
+    )
+    return Table.from_records(
+        records, "comparison", "First agent minus second", KEYS, COLUMNS, note
+    )
+
+
+def defined(value: float) -> float | None:
+    """The value, None for NaN."""
+    return None if np.isnan(value) else value
+
+
+def by_pair(table: Table) -> list[Table]:
+    """A table for each pair of agents, traffic and metric set, for people; the last has the note.
+
+    p is the corrected one.
+    """
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in table.rows:
+        groups.setdefault(row.labels[:-1], []).append(replace(row, labels=row.labels[-1:]))
+    shown = table.take(range(len(COLUMNS) - 1))
+    names = ("first", "second", "difference", "p", "detectable")
+    columns = [replace(each, name=name) for each, name in zip(shown.columns, names, strict=True)]
+    found = [
+        replace(
+            table,
+            title=f"{first} minus {second}, in {traffic}: {metric_set}",
+            keys=KEYS[-1:],
+            columns=tuple(columns),
+            rows=tuple(replace(row, cells=row.cells[: len(columns)]) for row in rows),
+            note="",
+        )
+        for (first, second, traffic, metric_set), rows in groups.items()
+    ]
+    return [*found[:-1], replace(found[-1], note=table.note)]
+
+
+def to_dicts(table: Table) -> list[dict[str, Any]]:
+    """A comparison for JSON: a dictionary per row; what is not defined is None."""
+    place = table.columns.index(COLUMNS[2])
+    return [
+        {
+            **record,
+            "episodes": difference.n,
+            "low": difference.low,
+            "high": difference.high,
+            "separated": difference.marked,
+        }
+        for record, difference in zip(table.records(), table.column(place), strict=True)
+    ]

@@ -1,0 +1,69 @@
+"""Columns for metrics: what each metric means, which a stored table does not say itself."""
+
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+
+from charms_bench.errors import CharmsBenchError
+from charms_bench.metrics import METRIC_SETS, MetricSet
+from charms_bench.metrics.metric import Interval
+from charms_bench.report.table import Column
+from charms_bench.runs.metric_sets import metric_sets
+
+RESAMPLED = "percentiles of resampled episodes"
+INTERVALS: Mapping[Interval, str] = {
+    "bootstrap": RESAMPLED,
+    "share": f"{RESAMPLED}; Wilson's interval if the share is 0 or 1",
+    "rate": f"{RESAMPLED}; Garwood's interval if nothing was counted",
+    "wilson": "Wilson's score interval of a share of episodes",
+    "garwood": "Garwood's exact interval of a Poisson rate",
+}
+
+
+def columns_of(metric_set: MetricSet) -> dict[str, Column]:
+    """The columns of a metric set, by metric."""
+    return {
+        metric.name: Column(
+            name=metric.name,
+            unit=metric.unit,
+            definition=metric.description,
+            counted=metric.rests_on,
+            interval=INTERVALS[metric.interval],
+            group=metric_set.label,
+        )
+        for metric in metric_set.metrics
+    }
+
+
+def installed_column(label: str, metric: str) -> Column:
+    """The column of a metric, from the label of its set in a stored table.
+
+    A metric whose set is not installed, or is installed in another version, is said to be unknown.
+    """
+    unknown = Column(
+        name=metric,
+        definition=f"Unknown: the metric set {label} is not installed where this was made",
+        counted="unknown",
+        interval="unknown",
+        group=label,
+    )
+    return _installed(label).get(metric, unknown)
+
+
+@lru_cache
+def _installed(label: str) -> dict[str, Column]:
+    match = re.fullmatch(r"(.+?)-(\d+)(?:\((.*)\))?", label)
+    name, options = (match[1], match[3]) if match else (label, None)
+    try:
+        (found,) = metric_sets([f"{name}:{options}" if options else name])
+    except CharmsBenchError:
+        return {}
+    return columns_of(found) if found.label == label else {}
+
+
+def first_column(metric: str) -> Column:
+    """The column of a metric, from the first metric set of the harness that has it."""
+    for metric_set in METRIC_SETS:
+        if metric in (columns := columns_of(metric_set)):
+            return columns[metric]
+    return installed_column("unknown", metric)

@@ -1,0 +1,103 @@
+"""What all figures share: axes with a plain look, error bars, and a file written whole."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from charms_bench.episodes.palette import INK
+from charms_bench.errors import InputError
+from charms_bench.report.table import Number
+from charms_bench.world.files import write_atomically
+from charms_bench.world.scene import Floats
+
+ENDINGS = (".pdf", ".png", ".svg")
+
+
+def check_figure(path: Path) -> None:
+    """Refuses a file name that no figure can be written to.
+
+    Raises:
+        InputError: The file's ending is not a format's.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
+
+
+def panels(
+    count: int, width: float, height: float, stacked: bool = False
+) -> tuple[Figure, Sequence[Any]]:
+    """A figure of axes side by side, or one above the other, each of this size in inches."""
+    rows, columns = (count, 1) if stacked else (1, count)
+    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    every = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in every:
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, every
+
+
+def reach(numbers: Sequence[Number]) -> list[list[float]]:
+    """How far intervals reach below and above their values, (2, M); 0 without an interval."""
+    return [
+        [
+            max(0.0, n.value - n.low) if n.value is not None and n.low is not None else 0.0
+            for n in numbers
+        ],
+        [
+            max(0.0, n.high - n.value) if n.value is not None and n.high is not None else 0.0
+            for n in numbers
+        ],
+    ]
+
+
+def heat_map(
+    axes: Any,
+    values: Floats,
+    texts: Sequence[Sequence[str]],
+    rows: Sequence[str],
+    columns: Sequence[str],
+    **colours: Any,
+) -> None:
+    """Draws a matrix as coloured fields with a text in each; NaN stays empty.
+
+    Args:
+        axes: Where to draw.
+        values: The matrix.
+        texts: What stands in each field.
+        rows: The names of its rows, from the top.
+        columns: The names of its columns.
+        colours: Options of `pcolormesh`.
+    """
+    edges = (np.arange(values.shape[1] + 1) - 0.5, np.arange(values.shape[0] + 1) - 0.5)
+    mesh = axes.pcolormesh(*edges, np.ma.masked_invalid(values), **colours)
+    for (i, j), value in np.ndenumerate(values):
+        if not np.isnan(value):
+            colour = "white" if mesh.norm(value) > 0.6 else INK
+            axes.text(j, i, texts[i][j], ha="center", va="center", color=colour, fontsize=8)
+    axes.invert_yaxis()
+    axes.spines[:].set_visible(False)
+    axes.set_xticks(range(len(columns)), columns, rotation=35, ha="right", fontsize=8)
+    axes.set_yticks(range(len(rows)), rows, fontsize=8)
+
+
+def take_text_as_it_is(figure: Figure) -> None:
+    """Draws names with dollar signs as they are, instead of reading them as formulas."""
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a figure in the format of the file's ending.
+
+    Raises:
+        InputError: The ending is not a format's, or the file cannot be written.
+    """
+    check_figure(path)
+    take_text_as_it_is(figure)
+    ending = path.suffix.lower().removeprefix(".")
+    write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))

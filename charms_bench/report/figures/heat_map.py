@@ -1,0 +1,34 @@
+"""Every ego in every traffic, as heat maps side by side."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from charms_bench.report.figures.drawing import heat_map, panels
+from charms_bench.report.formatting import write_cells
+from charms_bench.report.table import Table
+
+COLOURS = ("Reds", "Blues", "Oranges")
+"""Of the matrices of `suite_table.MATRICES`."""
+
+
+def draw_matrices(matrices: Sequence[Table], first: int = 0) -> Figure:
+    """The matrices of a suite, egos down and traffics across.
+
+    Args:
+        matrices: Some of `suite_table.matrices`, in their order.
+        first: The place of the first one among them, which chooses its colours.
+    """
+    egos = [row.labels[0] for row in matrices[0].rows]
+    traffics = [column.name for column in matrices[0].columns]
+    figure, row = panels(len(matrices), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
+    for k, (axes, matrix) in enumerate(zip(row, matrices, strict=True)):
+        values = np.array(
+            [[n.value for n in each.numbers] for each in matrix.rows], dtype=np.float64
+        )
+        texts = [[cell.value for cell in cells] for cells in write_cells(matrix)]
+        names = egos if k == 0 else [""] * len(egos)
+        heat_map(axes, values, texts, names, traffics, cmap=COLOURS[(first + k) % len(COLOURS)])
+        axes.set_title(matrix.title, fontsize=9)
+    return figure

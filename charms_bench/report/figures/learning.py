@@ -1,0 +1,49 @@
+"""The learning curves of a training, a line per stage."""
+
+import polars as pl
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from charms_bench.episodes.palette import series
+from charms_bench.report.figures.drawing import panels
+from charms_bench.report.training_tables import Curve, Training
+
+
+def draw_curves(training: Training) -> list[tuple[str, Figure]]:
+    """The curves of a training with their titles: a figure per quantity, a line per stage.
+
+    Stages whose curves are less than a quarter as long as others have a figure of their own.
+    """
+    drawn = []
+    assert training.curves is not None
+    stages = training.curves["stage"].unique(maintain_order=True).to_list()
+    for curve in training.drawn():
+        for part in _by_length(curve):
+            names = part["stage"].unique(maintain_order=True).to_list()
+            title = curve.title[:1].upper() + curve.title[1:]
+            title += f": {names[0]}" if len(names) == 1 else ""
+            drawn.append((title, _draw(part, curve, stages)))
+    return drawn
+
+
+def _by_length(curve: Curve) -> list[pl.DataFrame]:
+    longest = pl.col(curve.over).max()
+    is_long = longest.over("stage") * 4 > longest
+    return curve.points.with_columns(long=is_long).partition_by("long", maintain_order=True)
+
+
+def _draw(points: pl.DataFrame, curve: Curve, stages: list[str]) -> Figure:
+    figure, (axes,) = panels(1, 5.4, 3.9)
+    for stage in points["stage"].unique(maintain_order=True):
+        part = points.filter(stage=stage)
+        style = series(stages.index(stage))
+        axes.plot(part[curve.over], part[curve.column], label=stage, linewidth=1.4, **style)
+    axes.set(xlabel=curve.over, ylabel=curve.title)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if points[curve.over].max() > 10_000:  # type: ignore[operator]
+        axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:,.0f}k" if x else "0")
+    if curve.form.endswith("%"):
+        axes.set_ylim(bottom=0)
+        axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=7.5)
+    return figure

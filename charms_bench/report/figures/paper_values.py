@@ -1,0 +1,51 @@
+"""Values beside the paper's: a panel per metric, with our intervals and the paper's marks."""
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from charms_bench.episodes.palette import SERIES
+from charms_bench.report.figures.drawing import panels
+from charms_bench.report.table import Table
+
+PANELS = 4
+"""Side by side at most."""
+
+
+def draw_beside_paper(table: Table) -> list[Figure]:
+    """Rows of panels for the metrics that the paper reports; none if it reports none."""
+    places = [
+        i
+        for i in range(len(table.columns))
+        if any(number.reference is not None for number in table.column(i))
+    ]
+    short = table.without_constant_keys()
+    return [_row(short, places[k : k + PANELS]) for k in range(0, len(places), PANELS)]
+
+
+def _row(table: Table, places: Sequence[int]) -> Figure:
+    names = [" in ".join(row.labels) for row in table.rows]
+    figure, axes = panels(PANELS, 2.4, 0.9 + 0.27 * len(names))
+    for panel in axes[len(places) :]:
+        panel.remove()
+    for k, (panel, place) in enumerate(zip(axes, places, strict=False)):
+        for at, number in enumerate(table.column(place)):
+            if number.low is not None and number.high is not None:
+                panel.plot([number.low, number.high], [at, at], color=SERIES[0], lw=3.5)
+            if number.value is not None:
+                panel.plot(number.value, at, "o", color=SERIES[0], markersize=5)
+            if number.reference is not None:
+                panel.plot(
+                    number.reference, at, "D", markersize=6.5, markerfacecolor="none",
+                    markeredgecolor=SERIES[1], markeredgewidth=1.5,
+                )  # fmt: skip
+        panel.set_yticks(range(len(names)), names if k == 0 else [""] * len(names), fontsize=8)
+        panel.set_ylim(len(names) - 0.5, -0.5)
+        panel.tick_params(axis="x", labelsize=7.5)
+        panel.tick_params(axis="y", length=0)
+        panel.grid(axis="y", linewidth=0.4, alpha=0.4)
+        panel.spines["left"].set_visible(False)
+        panel.margins(x=0.12)
+        panel.locator_params(axis="x", nbins=4)
+        panel.set_title(table.columns[place].name, fontsize=9)
+    return figure

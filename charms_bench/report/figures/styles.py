@@ -1,0 +1,54 @@
+"""How much the egos of a run differ: where each stands, and which pairs can be told apart."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from charms_bench.episodes.palette import points
+from charms_bench.report.figures.drawing import heat_map, panels, reach
+from charms_bench.report.table import Table
+
+PLACED = {"speed_mean": "mean speed, m/s", "dhw_mean": "mean headway to the leader, m"}
+"""The metrics that place an ego, across and up, with the labels of their axes."""
+
+
+def draw_places(table: Table) -> Figure:
+    """Each ego by its mean speed and headway, as the paper defines them, with 95 % intervals."""
+    names = [column.name for column in table.columns]
+    places = [names.index(metric) for metric in PLACED]
+    figure, (axes,) = panels(1, 5.4, 4.2)
+    for k, row in enumerate(table.rows):
+        x, y = (row.numbers[i] for i in places)
+        if x.value is None or y.value is None:
+            continue
+        axes.errorbar(
+            x.value,
+            y.value,
+            xerr=reach([x]),
+            yerr=reach([y]),
+            linestyle="",
+            elinewidth=1.0,
+            markersize=6.5,
+            label=row.labels[0],
+            **points(k),
+        )
+    axes.set(**dict(zip(("xlabel", "ylabel"), PLACED.values(), strict=True)))
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=8)
+    return figure
+
+
+def draw_separations(pairs: Table) -> Figure:
+    """In how many metrics each pair of egos differs by more than chance."""
+    names = list(
+        dict.fromkeys(label for i in (0, 1) for row in pairs.rows for label in [row.labels[i]])
+    )
+    counted = np.full((len(names), len(names)), np.nan)
+    for row in pairs.rows:
+        first, second = map(names.index, row.labels)
+        counted[second, first] = sum(number.marked for number in row.numbers)
+    texts = [[f"{count:.0f}" for count in line] for line in counted]
+    figure, (axes,) = panels(1, 5.4, 4.2)
+    heat_map(
+        axes, counted, texts, names, names, cmap="Blues", vmin=0, vmax=1.6 * len(pairs.columns)
+    )
+    axes.set(xlim=(-0.5, len(names) - 1.5), ylim=(len(names) - 0.5, 0.5))
+    return figure

@@ -1,0 +1,73 @@
+"""Tables as Markdown: alone for a page, or as a document that says what its numbers are."""
+
+from collections.abc import Sequence
+
+from charms_bench.report.formatting import NOTHING, Written, write_cells
+from charms_bench.report.table import Table
+
+
+def markdown(table: Table, full: bool = False) -> str:
+    """The table with intervals in brackets and marked numbers in bold.
+
+    Args:
+        table: What to write.
+        full: Whether reference values have columns of their own, with the difference from them,
+            and a row ends with n if all its numbers share it. Else reference values stand in
+            parentheses.
+    """
+    texts = write_cells(table)
+    reported = [any(row[i].reference for row in texts) for i in range(len(table.columns))]
+    header = list(table.keys)
+    for column, has_reference in zip(table.columns, reported, strict=True):
+        beside = f" ({table.reference})" * (has_reference and not full)
+        header.append(column.name + beside)
+        header += [f"{table.reference} (difference)"] * (has_reference and full)
+    has_n = full and all(
+        len(found := {cell.n for cell in cells}) == 1 and found != {""} for cells in texts
+    )
+    header += ["n"] * has_n
+    lines = []
+    for row, cells in zip(table.rows, texts, strict=True):
+        lines.append(list(row.labels))
+        for cell, has_reference in zip(cells, reported, strict=True):
+            lines[-1].append(_cell(cell, in_line=not full))
+            if has_reference and full:
+                lines[-1].append(_reference(cell))
+        lines[-1] += [cells[0].n] * has_n
+    rule = "|" + "---|" * len(table.keys) + "---:|" * (len(header) - len(table.keys))
+    head, *body = (f"| {' | '.join(map(_escaped, line))} |" for line in (header, *lines))
+    return "\n".join([head, rule, *body]) + "\n"
+
+
+def document(table: Table, introduction: Sequence[str] = ()) -> str:
+    """A document: paragraphs, then a table for each part, and what its columns are."""
+    paragraphs = [*introduction, f"Values with 95 % intervals; {NOTHING} where none is defined."]
+    paragraphs += [table.note] if table.note else []
+    legends: set[str] = set()
+    for part in table.parts():
+        legend = [
+            f"- `{column.name}`{f' ({column.unit})' if column.unit else ''}: {column.definition}."
+            + f" n: {column.counted}." * bool(column.counted)
+            for column in part.columns
+        ]
+        legend = [line for line in legend if line not in legends]
+        legends.update(legend)
+        paragraphs += [f"## {part.title}", markdown(part, full=True).rstrip()]
+        paragraphs += ["\n".join(legend)] if legend else []
+    return "\n\n".join(paragraphs) + "\n"
+
+
+def _cell(cell: Written, in_line: bool) -> str:
+    value = f"**{cell.value}**" if cell.marked else cell.value
+    interval = f" [{interval}]" if (interval := cell.interval(", ")) else ""
+    reference = f" ({cell.reference})" if in_line and cell.reference else ""
+    return f"{value}{interval}{reference}"
+
+
+def _reference(cell: Written) -> str:
+    difference = f" ({cell.difference})" if cell.difference else ""
+    return (cell.reference or NOTHING) + difference
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")

@@ -1,0 +1,140 @@
+"""The table of pairs: how far the egos of a suite differ, and how well they can be told apart.
+
+All egos drive the same episodes, so differences are paired (`statistics.paired`); p-values are
+corrected over all pairs and metrics (Holm 1979).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
+from charms_bench.report.definitions import first_column
+from charms_bench.report.table import Column, Table, long_schema
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics import paired
+from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.world.scene import Floats
+
+KEYS = ("first", "second")
+LONG = {
+    "metric": "name",
+    "difference": "value",  # first minus second
+    "low": "low",
+    "high": "high",
+    "p": "p",
+    "separated": "marked",
+}
+COMPARED = ("speed_mean", "dhw_mean", "harsh_acc_rate", "lane_changes_per_km")
+"""Speed, headway, harshness and lane changes; from the first metric set that has the name."""
+SUMMARY = (*COMPARED, "speed_std", "acc_std", "acc_mean", "dhw_std")
+"""What describes an episode when its driver is guessed."""
+FOLDS = 10
+
+
+def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
+    """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals."""
+    metrics = _metrics(COMPARED)
+    sums = [sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene) for cell in cells]
+    weights = resample(np.random.default_rng(suite.seed), len(cells[0].episodes))
+    pairs = list(combinations(range(len(cells)), 2))
+    found = [paired.differences(metrics, sums[i], sums[j], weights) for i, j in pairs]
+    records = [
+        {
+            "first": cells[i].agent,
+            "second": cells[j].agent,
+            "metric": metric.name,
+            "difference": difference.value,
+            "low": difference.low,
+            "high": difference.high,
+            "p": difference.p,
+        }
+        for (i, j), differences in zip(pairs, found, strict=True)
+        for metric, difference in zip(metrics, differences, strict=True)
+    ]
+    p = paired.holm(np.array([record["p"] for record in records]))
+    frame = pl.DataFrame(records).with_columns(
+        pl.col("difference", "low", "high").fill_nan(None),
+        p=pl.Series(p),
+        separated=pl.Series(p < 1 - CONFIDENCE),
+    )
+    return from_frame(frame.select(*long_schema(KEYS, LONG)), suite)
+
+
+def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
+    """The table of pairs from its long frame."""
+
+    def column(group: str, metric: str) -> Column:
+        interval = "paired, as in `charms-bench compare`"
+        return replace(
+            first_column(metric),
+            group=group,
+            counted="",
+            interval=interval,
+            form="margin",
+            signed=True,
+        )
+
+    return Table.from_frame(
+        frame,
+        f"{suite.suite}-pairs",
+        "Pairs of egos",
+        KEYS,
+        LONG,
+        column,
+        note="First minus second. Marked numbers are separated from 0: p < 0.05, corrected over "
+        "all pairs and metrics by Holm's method.",
+    )
+
+
+def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
+    """In how many episodes the ego is guessed right from the episode's summary, and of how many.
+
+    The guess is the ego with the nearest mean summary, each number in units of its standard
+    deviation. Means are from other episodes than the guessed one: ten folds by seed.
+    """
+    metrics = _metrics(SUMMARY)
+    features = np.stack([_summaries(metrics, cell, suite) for cell in cells])
+    egos, episodes, _ = features.shape
+    fold = np.random.default_rng(suite.seed).permutation(episodes) % min(FOLDS, episodes)
+    right = 0
+    for k in np.unique(fold):
+        right += _right(features[:, fold != k], features[:, fold == k])
+    return right, egos * episodes
+
+
+def _summaries(metrics: Sequence[Metric], cell: CellRows, suite: Suite) -> Floats:
+    """The metrics [E, K] of every single episode of a cell."""
+    sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+    values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
+    return np.stack(values, axis=1)
+
+
+def _right(known: Floats, asked: Floats) -> int:
+    """How many of the summaries `asked` [egos, A, K] are nearest to their ego's mean of `known`."""
+    flat = known.reshape(-1, known.shape[-1])
+    defined = ~np.isnan(flat)
+    count = np.maximum(defined.sum(axis=0), 1)
+    mean = np.where(defined, flat, 0.0).sum(axis=0) / count
+    spread = np.sqrt((np.where(defined, flat - mean, 0.0) ** 2).sum(axis=0) / count)
+    spread[spread == 0] = 1.0
+
+    def scaled(values: Floats) -> Floats:
+        """A metric that is not defined in an episode tells nothing: it is put at the mean."""
+        result: Floats = np.nan_to_num((values - mean) / spread)
+        return result
+
+    centres = scaled(known).mean(axis=1)
+    distance = ((scaled(asked)[:, :, None] - centres) ** 2).sum(axis=-1)
+    guess: NDArray[np.intp] = distance.argmin(axis=-1)
+    return int((guess == np.arange(len(known))[:, None]).sum())
+
+
+def _metrics(names: Sequence[str]) -> list[Metric]:
+    known = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+    return [next(metric for metric in known if metric.name == name) for name in names]

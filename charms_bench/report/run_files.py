@@ -1,0 +1,96 @@
+"""Writes the tables and figures of a run into its folder."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from charms_bench.people.reference import Reference
+from charms_bench.report.figures.drawing import save
+from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.human_driving import draw_quantity, recorded
+from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
+from charms_bench.report.markdown import document, markdown
+from charms_bench.report.pairs_table import guessed
+from charms_bench.report.realism_table import TITLE
+from charms_bench.report.run_tables import RunTables, run_tables
+from charms_bench.report.suite_table import matrices
+from charms_bench.report.table import Table
+from charms_bench.runs.cells import CellRows, TrafficCounts
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import wilson
+from charms_bench.world.files import write_atomically, write_bytes
+
+
+def write_run(
+    suite: Suite,
+    folder: Path,
+    cells: Sequence[CellRows],
+    following: Sequence[TrafficCounts],
+    references: Sequence[Reference],
+) -> tuple[RunTables, dict[str, list[Path]]]:
+    """Writes the tables and figures that a suite calls for into a run folder.
+
+    Args:
+        suite: The suite that was run.
+        folder: The run folder.
+        cells: The rows of its cells.
+        following: What all vehicles of its cells did while they followed.
+        references: Human driving to compare with.
+
+    Returns:
+        The tables, and the files for people, by what they are.
+    """
+    found = run_tables(suite, cells, following, references)
+    figures, name = folder / "figures", suite.suite
+    files = {"All metrics": [write_table(folder, found.metrics)]}
+    if found.pairs is not None:
+        summary = _pairs_summary(found.pairs, *guessed(suite, cells), len(suite.egos))
+        files["Pair by pair"] = [write_table(folder, found.pairs, summary)]
+    if len(cells) > 1:
+        files["Trade-off"] = [figures / f"{name}-tradeoff.png"]
+        save(draw_tradeoff(found.metrics, tradeoff_of(suite)), files["Trade-off"][0])
+    if matrix := matrices(found.metrics):
+        path, picture = folder / "tables" / f"{name}-matrix.md", figures / f"{name}-matrix.png"
+        parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
+        write_bytes(path, "\n".join(parts).encode())
+        save(draw_matrices(matrix), picture)
+        files["Matrices"] = [path, picture]
+    if found.realism is not None:
+        described = [paragraph for each in references for paragraph in _described(each)]
+        files["Realism"] = [write_table(folder, found.realism, described)]
+        for quantity in TITLE:
+            if people := recorded(quantity, references):
+                files["Realism"].append(figures / f"{name}-{quantity}.png")
+                save(draw_quantity(quantity, following, people), files["Realism"][-1])
+    return found, files
+
+
+def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) -> Path:
+    """Writes a table into a run folder, as CSV and as Markdown; returns the path of the latter."""
+    path = folder / "tables" / f"{table.name}.md"
+    write_atomically(path.with_suffix(".csv"), table.frame().write_csv)
+    write_bytes(path, document(table, introduction).encode())
+    return path
+
+
+def _pairs_summary(table: Table, right: int, asked: int, egos: int) -> list[str]:
+    """How many pairs differ, and how often an episode's ego is recognised."""
+    apart = sum(any(cell.marked for cell in row.numbers) for row in table.rows)
+    low, high = wilson(right, asked)
+    guess = (
+        f"From the summary of one episode, its ego is guessed right in {right / asked:.1%} of "
+        f"{asked:,} cases [{low:.1%}, {high:.1%}]; by chance it would be {1 / egos:.1%}."
+    )
+    return [f"{apart} of {len(table.rows)} pairs differ in at least one metric.", guess]
+
+
+def _described(reference: Reference) -> list[str]:
+    """Where a reference comes from, and what it measures."""
+    lines = [f"**{reference.name}**: {reference.origin} Data: {reference.terms}."]
+    for quantity, what in (("speed", reference.speed_is), ("dhw", reference.dhw_is)):
+        human = reference.counts(quantity)
+        if human is not None:
+            lines.append(
+                f"- {TITLE[quantity]}: {what}. Human driving: n = {human.sum():,.0f}; vehicles: "
+                f"{reference.vehicles:,}."
+            )
+    return ["\n".join(lines)]

@@ -1,0 +1,165 @@
+"""The table of a suite: every metric of every cell; and its matrices of egos and traffics."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
+from charms_bench.report.definitions import columns_of, installed_column
+from charms_bench.report.table import Column, Number, Row, Table, long_schema
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import estimate
+
+KEYS = ("agent", "traffic")
+LONG = {
+    "metric_set": "group",  # with its version, such as paper-1
+    "metric": "name",
+    "value": "value",
+    "low": "low",
+    "high": "high",
+    "n": "n",
+    "paper": "reference",
+}
+DIGITS = 6
+"""Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
+MATRICES = {
+    "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
+    "speed_mean": ("Mean speed of egos, m/s", 1.0),
+    "traffic_crashed": ("Traffic crashed, % of vehicles per episode", 100.0),
+}
+"""Metrics of the set `standard` that are shown as a matrix: title, and factor for its unit."""
+
+
+def suite_table(
+    suite: Suite, cells: Sequence[CellRows], metric_sets: Sequence[MetricSet] = METRIC_SETS
+) -> Table:
+    """The metrics of every cell with 95 % intervals, beside the paper's values.
+
+    Args:
+        suite: Its seed is that of the resamples, which are the same for cells with the same
+            number of episodes.
+        cells: The rows of its cells, in the order of the table.
+        metric_sets: What to compute.
+    """
+    columns = {
+        (each.group, each.name): each
+        for metric_set in metric_sets
+        for each in columns_of(metric_set).values()
+    }
+    metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
+    records = []
+    for cell in cells:
+        sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+        estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
+        records += [
+            {
+                "agent": cell.agent,
+                "traffic": cell.traffic,
+                "metric_set": label,
+                "metric": metric,
+                "value": result.value,
+                "low": result.low,
+                "high": result.high,
+                "n": result.n,
+                "paper": cell.paper.get(metric) if label == PAPER.label else None,
+            }
+            for (label, metric), result in zip(columns, estimates, strict=True)
+        ]
+    numbers = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
+    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG)).with_columns(numbers)
+    return from_frame(frame, suite, columns)
+
+
+def from_frame(
+    frame: pl.DataFrame, suite: Suite, columns: dict[tuple[str, str], Column] | None = None
+) -> Table:
+    """The table of a suite from its long frame; definitions are those of installed metric sets."""
+    return Table.from_frame(
+        frame,
+        suite.suite,
+        suite.title or suite.suite,
+        KEYS,
+        LONG,
+        installed_column if columns is None else lambda *names: columns[names],
+        reference="paper",
+    )
+
+
+def shown_metrics(table: Table, columns: Sequence[str]) -> list[str]:
+    """The metrics to show unless others are asked for.
+
+    Args:
+        table: A suite's.
+        columns: The suite's own choice.
+
+    Returns:
+        The suite's columns that the table has; else those that the paper reports; else all.
+    """
+    names = list(dict.fromkeys(column.name for column in table.columns))
+    reported = {
+        column.name
+        for i, column in enumerate(table.columns)
+        if any(number.reference is not None for number in table.column(i))
+    }
+    chosen = [name for name in columns if name in names]
+    return chosen or [name for name in names if name in reported] or names
+
+
+def one_per_metric(table: Table, names: Sequence[str]) -> Table:
+    """The table with one column for each of these metrics.
+
+    Of a metric that several sets have, it is the one with the paper's values, else the last.
+    """
+    places: dict[str, int] = {}
+    for i, column in enumerate(table.columns):
+        known = places.get(column.name)
+        if known is None or all(each.reference is None for each in table.column(known)):
+            places[column.name] = i
+    return table.take([places[name] for name in names])
+
+
+def matrices(table: Table) -> list[Table]:
+    """A table of egos down and traffics across for each of `MATRICES` that was computed.
+
+    None for a suite of one ego or one traffic, which the table shows as well.
+    """
+    places = {
+        column.name: i
+        for i, column in enumerate(table.columns)
+        if column.group.startswith("standard-")
+    }
+    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
+    if len(egos) < 2 or len(traffics) < 2:
+        return []
+    found = []
+    for metric, (title, factor) in MATRICES.items():
+        if metric not in places:
+            continue
+        column = table.columns[places[metric]]
+        numbers = {row.labels: _scaled(row.numbers[places[metric]], factor) for row in table.rows}
+        found.append(
+            Table(
+                name=f"{table.name}-{metric}",
+                title=title,
+                keys=("ego \\ traffic",),
+                columns=tuple(
+                    replace(column, name=each, group="", form=".1f") for each in traffics
+                ),
+                rows=tuple(
+                    Row((ego,), tuple(numbers.get((ego, each), Number()) for each in traffics))
+                    for ego in egos
+                ),
+            )
+        )
+    return found
+
+
+def _scaled(number: Number, factor: float) -> Number:
+    """A number without its reference value, times a factor."""
+    value, low, high = (
+        None if each is None else each * factor for each in (number.value, number.low, number.high)
+    )
+    return Number(value, low, high, number.n)

@@ -1,0 +1,151 @@
+"""Tables in a terminal: as numbers side by side (`grid`), or drawn to scale (`drawn`)."""
+
+from rich import box
+from rich.console import Group
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from charms_bench.report.bars import INTERVAL, REFERENCE, VALUE, Scale, bar
+from charms_bench.report.formatting import Written, write_cells, write_column
+from charms_bench.report.table import Number, Table
+
+COLUMN_WIDTH = 15
+"""Characters that a column of numbers needs: its interval and the space around it."""
+NARROWEST, WIDEST = 8, 44
+"""Characters of a bar."""
+GAP = 2
+
+
+def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
+    """The table with as many columns side by side as fit.
+
+    Args:
+        table: What to show.
+        width: Of the terminal, in characters.
+        stacked: Whether an interval and a reference value stand under the value; else the
+            interval has a column of its own, and all columns stand in one block.
+    """
+    labels = max((sum(map(len, row.labels)) for row in table.rows), default=0)
+    side_by_side = max(1, (width - labels - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
+    found = [_grid(block, stacked) for part in table.parts() for block in part.blocks(side_by_side)]
+    return Group(*found, *([Text(table.note)] if table.note else []))
+
+
+def _grid(table: Table, stacked: bool) -> RichTable:
+    made = RichTable(title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD)
+    if not stacked:
+        made.padding = (0, 1, 0, 0)
+    texts = write_cells(table)
+    has_interval = [
+        not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
+    ]
+    for key in table.keys:
+        made.add_column(key, no_wrap=not stacked)
+    for i, column in enumerate(table.columns):
+        is_text = any(isinstance(row.cells[i], str) for row in table.rows)
+        # Spaces wrap, underscores do not.
+        made.add_column(column.name.replace("_", " "), justify="left" if is_text else "right")
+        if has_interval[i]:
+            made.add_column("95 % interval", justify="right")
+    for row, cells in zip(table.rows, texts, strict=True):
+        marked = not stacked and any(cell.marked for cell in cells)
+        shown: list[Text] = []
+        for cell, with_interval in zip(cells, has_interval, strict=True):
+            shown.append(_stacked(cell, table.reference) if stacked else Text(_value(cell)))
+            shown += [Text(cell.interval(", "))] * with_interval
+        made.add_row(*map(Text, row.labels), *shown, style="bold" if marked else "")
+    return made
+
+
+def _value(cell: Written) -> str:
+    return cell.value + "*" * cell.marked
+
+
+def _stacked(cell: Written, reference: str) -> Text:
+    text = Text(_value(cell), style="bold")
+    if interval := cell.interval(_between(cell)):
+        text.append(f"\n{interval}", style="not bold dim")
+    if cell.reference:
+        text.append(f"\n{reference} {cell.reference}", style="not bold")
+    return text
+
+
+def _between(cell: Written) -> str:
+    """What separates the ends of an interval, which may have signs."""
+    return ", " if cell.low.startswith(("-", "+")) else "–"
+
+
+def drawn(table: Table, width: int = 100) -> Group:
+    """The table with every number drawn to scale, column by column.
+
+    Args:
+        table: What to show; its cells are numbers.
+        width: Of the terminal, in characters.
+    """
+    parts: list[Text | RichTable] = []
+    for part in table.without_constant_keys().parts():
+        parts += [Text(f"\n{part.title}", style="bold"), _drawn(part, width)]
+    columns = [number for i in range(len(table.columns)) for number in table.column(i)]
+    legend = f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval"
+    if any(number.reference is not None for number in columns):
+        legend += f"; {REFERENCE} {table.reference}"
+    if any(number.marked for number in columns):
+        legend += f"; *: {table.note}"
+    return Group(*parts, Text(f"\n{legend}"))
+
+
+class _Line:
+    """A printed line: label, value, interval and reference, and the number to draw, if any."""
+
+    def __init__(self, texts: tuple[str, str, str, str], number: Number | None = None) -> None:
+        self.texts, self.number = texts, number
+
+
+def _drawn(table: Table, width: int) -> RichTable:
+    """A block of lines for each column: its scale, then a bar per row."""
+    blocks = [_block(table, i) for i in range(len(table.columns))]
+    taken = [max(len(line.texts[i]) for block in blocks for line in block) for i in range(4)]
+    label_width = min(taken[0], max(NARROWEST, width - sum(taken[1:]) - 2 * NARROWEST - 4 * GAP))
+    room = min(WIDEST, max(NARROWEST, width - label_width - sum(taken[1:]) - 4 * GAP))
+    made = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=False)
+    made.add_column(width=label_width, no_wrap=True)
+    made.add_column(width=taken[1], justify="right", no_wrap=True)
+    made.add_column(width=taken[2], justify="right", no_wrap=True)
+    made.add_column(width=room, no_wrap=True)
+    made.add_column(width=taken[3], justify="right", no_wrap=True)
+    for index, (column, block) in enumerate(zip(table.columns, blocks, strict=True)):
+        numbers = [line.number for line in block if line.number]
+        ends = [e for n in numbers for e in (n.value, n.low, n.high, n.reference)]
+        scale = Scale.over(ends, room, zero=column.signed)
+        if index:
+            made.add_row()
+        for line in block:
+            label, *texts, reference = map(Text, line.texts)
+            if line is block[0]:
+                label.stylize("bold")
+            picture = bar(scale, line.number) if line.number else Text()
+            made.add_row(label, *texts, _axis(scale) if line is block[0] else picture, reference)
+    return made
+
+
+def _block(table: Table, place: int) -> list[_Line]:
+    column, numbers = table.columns[place], table.column(place)
+    reported = any(number.reference is not None for number in numbers)
+    lines = [_Line((column.name, "", column.unit, table.reference if reported else ""))]
+    above = None
+    for row, number, cell in zip(table.rows, numbers, write_column(column, numbers), strict=True):
+        *outer, label = row.labels
+        if outer and outer != above:
+            lines.append(_Line((f"  {' '.join(outer)}", "", "", "")))
+        above = outer
+        text = "  " * (1 + bool(outer)) + label
+        lines.append(
+            _Line((text, _value(cell), cell.interval(_between(cell)), cell.reference), number)
+        )
+    return lines
+
+
+def _axis(scale: Scale) -> Text:
+    """The ends of a scale, above its bars."""
+    low, high = f"{scale.low:.4g}", f"{scale.high:.4g}"
+    return Text(low + high.rjust(scale.width - len(low)), style="dim")

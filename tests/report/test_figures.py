@@ -1,0 +1,105 @@
+"""Figures of many cells at once: that every cell is in them, whatever it is called."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from charms_bench.engine.following import BINS
+from charms_bench.errors import InputError
+from charms_bench.report.figures.drawing import save
+from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.human_driving import draw_quantity
+from charms_bench.report.figures.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
+from charms_bench.report.markdown import markdown
+from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
+from charms_bench.report.table import Table, long_schema
+from charms_bench.runs.cells import TrafficCounts
+from charms_bench.runs.suite import Suite
+
+SUITE = Suite.model_validate(
+    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+)
+
+
+def table(*rows: tuple[str, str, str, float | None]) -> Table:
+    made = [
+        (agent, traffic, "standard-1", metric, value, value and 0.9 * value, value and 1.1 * value)
+        for agent, traffic, metric, value in rows
+    ]
+    schema = long_schema(KEYS, LONG)
+    frame = pl.DataFrame(made, schema=list(schema)[:7], orient="row").with_columns(
+        n=pl.lit(10), paper=pl.lit(None)
+    )
+    return from_frame(frame, SUITE)
+
+
+def cells(*names: tuple[str, str]) -> Table:
+    rows = []
+    for k, (agent, traffic) in enumerate(names):
+        rows += [
+            (agent, traffic, "speed_mean", 25.0 + k),
+            (agent, traffic, "crashed_episodes", 0.01 * k),
+            (agent, traffic, "traffic_crashed", None if k == 0 else 0.02),
+        ]
+    return table(*rows)
+
+
+def test_every_cell_is_named_in_the_tradeoff(tmp_path: Path) -> None:
+    save(
+        draw_tradeoff(cells(("A & B", "calm"), ("C", "calm"), ("C", "<busy>")), OF_EGOS),
+        tmp_path / "t.svg",
+    )
+    svg = (tmp_path / "t.svg").read_text()
+    for name in ("A &amp; B", "C", "&lt;busy&gt;"):
+        assert f" {name} -->" in svg
+
+
+def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:
+    rows = [
+        ("IDM", traffic, metric, value)
+        for traffic, density in (("calm", 1.9), ("busy", 2.6))
+        for metric, value in (("interaction_density", density), ("traffic_crashed", 0.1))
+    ]
+    save(draw_tradeoff(table(*rows), OF_TRAFFICS), tmp_path / "t.svg")
+    svg = (tmp_path / "t.svg").read_text()
+    assert "<!-- calm -->" in svg
+    assert "<!-- busy -->" in svg
+
+
+def test_drivers_at_the_same_place_keep_their_names_apart(tmp_path: Path) -> None:
+    same = [(name, "calm", m, 0.01) for name in "AB" for m in ("speed_mean", "crashed_episodes")]
+    save(draw_tradeoff(table(*same), OF_EGOS), tmp_path / "t.svg")
+    assert (tmp_path / "t.svg").exists()
+
+
+def test_a_matrix_has_egos_down_and_traffics_across(tmp_path: Path) -> None:
+    pairs = [(ego, traffic) for ego in ("A", "B|C") for traffic in ("calm", "busy")]
+    found = matrices(cells(*pairs))
+    text = "".join(map(markdown, found))
+    assert "| ego \\ traffic | calm | busy |" in text
+    assert "| A | 0.0 [0.0, 0.0] | 1.0 [0.9, 1.1] |" in text
+    assert "| B\\|C | 2.0 [1.8, 2.2] | 3.0 [2.7, 3.3] |" in text
+    assert "| A | 25.0 [22.5, 27.5] | 26.0 [23.4, 28.6] |" in text
+    assert "| A | – | 2.0 [1.8, 2.2] |" in text  # nothing is known of the traffic's crashes
+    save(draw_matrices(found), tmp_path / "m.svg")
+    svg = (tmp_path / "m.svg").read_text()
+    assert all(f"<!-- {name} -->" in svg for name in ("B|C", "busy", "28.0", "3.0"))
+
+
+def test_one_ego_or_one_traffic_needs_no_matrix() -> None:
+    assert matrices(cells(("A", "calm"), ("A", "busy"))) == []
+
+
+def test_a_figure_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected a name that ends in \.pdf, \.png, \.svg"):
+        save(draw_tradeoff(cells(("A", "calm")), OF_EGOS), tmp_path / "t.jpeg")
+
+
+def test_people_are_drawn_beside_every_traffic(tmp_path: Path) -> None:
+    counts = np.ones((3, 2, BINS))
+    traffics = [TrafficCounts("one", counts), TrafficCounts("other", counts)]
+    save(draw_quantity("speed", traffics, {"i24": counts[0, 0]}), tmp_path / "s.svg")
+    svg = (tmp_path / "s.svg").read_text()
+    assert all(f"<!-- {name} -->" in svg for name in ("people", "one", "other"))

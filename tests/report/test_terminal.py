@@ -1,0 +1,84 @@
+"""Tables as a terminal shows them, drawn to scale."""
+
+import io
+
+import polars as pl
+import pytest
+from rich.console import Console, RenderableType
+
+from charms_bench.report.pairs_table import KEYS, LONG
+from charms_bench.report.pairs_table import from_frame as pairs_from_frame
+from charms_bench.report.suite_table import from_frame, shown_metrics
+from charms_bench.report.table import long_schema
+from charms_bench.report.terminal import drawn
+from charms_bench.runs.suite import Suite
+
+EGO = """\
+agent,traffic,metric_set,metric,value,low,high,n,paper
+IDM,mixed,paper-1,speed_mean,24.0,23.5,24.5,100,24.2
+CHARMS,mixed,paper-1,speed_mean,30.0,29.0,31.0,100,
+IDM,mixed,paper-1,dhw_mean,40.0,39.0,41.0,100,
+CHARMS,mixed,paper-1,dhw_mean,,,,0,
+IDM,mixed,standard-1(ttc_s=2),speed_mean,25.0,24.0,26.0,100,
+CHARMS,mixed,standard-1(ttc_s=2),speed_mean,31.0,30.0,32.0,100,
+"""
+SUITE = Suite.model_validate(
+    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+)
+TABLE = from_frame(pl.read_csv(io.StringIO(EGO)), SUITE)
+
+
+def lines(shown: RenderableType, width: int = 80) -> list[str]:
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(shown)
+    return [line.rstrip() for line in capture.get().splitlines()]
+
+
+def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
+    shown = lines(drawn(TABLE.select("speed_mean"), 60), width=60)
+    assert shown[1:5] == [
+        "paper-1",
+        "speed_mean                 m/s  23.5               31  paper",
+        "  IDM       24.00  23.50–24.50  ━●◇━                    24.2",
+        "  CHARMS    30.00  29.00–31.00                 ━━●━━━",
+    ]
+
+
+def test_units_are_those_of_the_set_whatever_its_thresholds() -> None:
+    shown = lines(drawn(TABLE))
+    place = shown.index("standard-1(ttc_s=2)")
+    assert shown[place + 1].split()[:2] == ["speed_mean", "m/s"]
+
+
+def test_what_is_not_defined_is_a_dash_without_a_bar() -> None:
+    shown = lines(drawn(TABLE.select("dhw_mean")))
+    assert next(line for line in shown if "CHARMS" in line).split() == ["CHARMS", "–"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "chosen"), [(["dhw_mean", "gone"], ["dhw_mean"]), ([], ["speed_mean"])]
+)
+def test_the_suites_columns_are_shown_or_what_the_paper_reports(
+    columns: list[str], chosen: list[str]
+) -> None:
+    assert shown_metrics(TABLE, columns) == chosen
+
+
+def test_pairs_stand_under_their_first_ego_with_a_star_where_they_differ() -> None:
+    rows = [
+        ("a", "b", "speed_mean", 2.0, 1.5, 2.5, 0.0, True),
+        ("a", "c", "speed_mean", -0.5, -1.0, 0.1, 1.0, False),
+        ("b", "c", "speed_mean", -2.5, -3.0, -2.0, 0.0, True),
+    ]
+    pairs = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
+    shown = [line.split() for line in lines(drawn(pairs_from_frame(pairs, SUITE)))]
+    assert ["a"] in shown
+    assert ["b", "+2.00*", "+1.50,", "+2.50"] in [words[:4] for words in shown]
+    assert ["c", "-0.50", "-1.00,", "+0.10"] in [words[:4] for words in shown]
+
+
+@pytest.mark.parametrize("width", [20, 60, 200])
+def test_no_width_breaks_it(width: int) -> None:
+    shown = lines(drawn(TABLE, width), width)
+    assert max(map(len, shown)) <= width
