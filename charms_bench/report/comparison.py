@@ -93,7 +93,7 @@ def compare(
         record["corrected_p"] = p
         record["difference"] = replace(record["difference"], p=p, marked=marked)
     note = (
-        f"{sum(apart)} of {len(apart)} differences are marked as separated from 0: p, corrected "
+        f"{sum(apart)} of {len(apart)} differences are separated from 0 (marked): p, corrected "
         f"for {len(apart)} tests by Holm's method, is below 0.05. detectable: the "
         f"{COLUMNS[4].definition}."
     )

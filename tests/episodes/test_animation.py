@@ -7,12 +7,21 @@ import pytest
 from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
-from charms_bench.episodes.animation import AGENTS, ASPHALT, EGO, WRECK, animate, picture
+from charms_bench.episodes.animation import (
+    AGENTS,
+    ASPHALT,
+    BRAKE,
+    EGO,
+    INDICATOR,
+    WRECK,
+    animate,
+    picture,
+)
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 
-RED, ASPHALT = ImageColor.getrgb(WRECK), (211, 215, 220)
+RED = ImageColor.getrgb(WRECK)
 
 
 def test_it_lasts_as_long_as_the_episode_and_holds_the_end(tmp_path: Path) -> None:
@@ -41,7 +50,7 @@ def test_vehicles_are_drawn_to_scale_around_the_ego() -> None:
     image = drawn(replay_of(x=[[100.0, 120.0, 90.0]], y=[[4.0, 0.0, 8.0]]))
     ego, other = ImageColor.getrgb(EGO), ImageColor.getrgb(AGENTS[0])
     assert pixel(image, -2.3, 1) == pixel(image, 2.3, 1) == ego
-    assert pixel(image, -2.7, 1) == pixel(image, 2.7, 1) == ASPHALT
+    assert pixel(image, -2.7, 1) == pixel(image, 2.7, 1) == ImageColor.getrgb(ASPHALT)
     assert pixel(image, 20.0 - 2.3, 0) == pixel(image, -10.0 + 2.3, 2) == other
 
 
@@ -57,7 +66,10 @@ def test_who_changes_lanes_and_who_brakes_has_lights() -> None:
     quiet = drawn(replay_of(x=[[0.0]], y=[[4.0]]))
     changing = drawn(replay_of(x=[[0.0]], y=[[4.0]], target_lane=[[0]]))
     braking = drawn(replay_of(x=[[0.0]], y=[[4.0]], acceleration=[[-3.0]]))
-    for image, light in ((changing, (255, 176, 0)), (braking, (224, 27, 36))):
+    for image, light in (
+        (changing, ImageColor.getrgb(INDICATOR)),
+        (braking, ImageColor.getrgb(BRAKE)),
+    ):
         assert light in {colour for _, colour in image.getcolors(100_000)}
         assert light not in {colour for _, colour in quiet.getcolors(100_000)}
 

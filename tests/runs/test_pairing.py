@@ -100,7 +100,9 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
 def test_runs_of_other_episodes_are_refused_and_the_field_named(
     made: Callable[..., FinishedRun], name: str, changes: dict[str, object], difference: str
 ) -> None:
-    with pytest.raises(InputError, match=f"do not have the same episodes: {difference}; run one of"):
+    with pytest.raises(
+        InputError, match=f"do not have the same episodes: {difference}; run one of"
+    ):
         pairs_of(made("idm"), made(name, **changes), None)
 
 
