@@ -1,7 +1,6 @@
 """B episodes at once: agents decide, an engine moves the vehicles, and each ending is noted."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +86,16 @@ class Simulation:
         return drivers
 
     @property
+    def failed(self) -> Bools:
+        """[B] whether the ego has collided or left the road, which terminates the episode."""
+        return np.isin(self.ending, (REAR_END, SIDE, OFF_ROAD))
+
+    @property
+    def truncated(self) -> Bools:
+        """[B] whether the episode's time is over."""
+        return np.equal(self.ending, TIME, dtype=np.bool_)
+
+    @property
     def ego_vehicles(self) -> Vehicles:
         """The egos (B,) of all scenes."""
         return np.arange(self.seeds.size), self.scene.ego
@@ -163,14 +172,22 @@ class Simulation:
             raise self.blame(name, vehicles, f"decide returned {what}")
         wrong = (actions < 0) | (actions >= len(ACTIONS))
         if wrong.any():
-            what = f"action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
-            concerned = (vehicles[0][wrong], vehicles[1][wrong])
-            raise self.blame(name, concerned, f"decide returned {what}")
+            what = f"decide returned action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
+            raise self.blame(name, vehicles, what, wrong)
         return actions
 
-    def blame(self, name: str, vehicles: Vehicles, what: str) -> AgentError:
-        """An agent's error, with the first episode and step in which it occurred."""
-        row = int(vehicles[0][0])
+    def blame(
+        self, name: str, vehicles: Vehicles, what: str, wrong: Bools | None = None
+    ) -> AgentError:
+        """An agent's error, with the first episode and step in which it occurred.
+
+        Args:
+            name: The agent's name.
+            vehicles: M vehicles that the agent was asked about.
+            what: What the agent did.
+            wrong: (M,) the vehicles concerned; by default all.
+        """
+        row = vehicles[0][0 if wrong is None else int(wrong.argmax())]
         return AgentError(
             f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
         )
@@ -245,18 +262,16 @@ class _CheckedModel(DriverModel):
             what = f"lanes of {target_lane.dtype}; expected integers"
         if what:
             raise self._simulation.blame(self._name, vehicles, f"drive returned {what}")
-        self._refuse(vehicles, ~np.isfinite(acceleration), acceleration, "a finite acceleration")
+        infinite = ~np.isfinite(acceleration)
         off = (target_lane < 0) | (target_lane >= lanes)
-        self._refuse(vehicles, off, target_lane, f"a lane from 0 to {lanes - 1}")
+        for wrong, values, expected in (
+            (infinite, acceleration, "a finite acceleration"),
+            (off, target_lane, f"a lane from 0 to {lanes - 1}"),
+        ):
+            if wrong.any():
+                what = f"drive returned {values[wrong][0]}; expected {expected}"
+                raise self._simulation.blame(self._name, vehicles, what, wrong)
         return acceleration, target_lane
-
-    def _refuse(
-        self, vehicles: Vehicles, wrong: Bools, values: NDArray[Any], expected: str
-    ) -> None:
-        if wrong.any():
-            what = f"drive returned {values[wrong][0]}; expected {expected}"
-            concerned = (vehicles[0][wrong], vehicles[1][wrong])
-            raise self._simulation.blame(self._name, concerned, what)
 
 
 def _raised(error: Exception) -> str:

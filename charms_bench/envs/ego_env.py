@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from pydantic import ValidationError
 
-from charms_bench.engine.simulation import ENDINGS, RUNNING, TIME, Simulation
+from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.vector_env import HighwayVectorEnv, Reward, spaces_of
@@ -86,10 +86,9 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         prepared = self._reward.prepare(self.simulation, actions)
         self.simulation.step(actions)
         reward = float(self._reward(self.simulation, prepared)[0])
-        ending = int(self.simulation.ending[0])
-        over, truncated = ending != RUNNING, ending == TIME
-        info = {"ending": ENDINGS[ending]} if over else {}
-        return self._observe(), reward, over and not truncated, truncated, info
+        failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
+        info = {"ending": ENDINGS[self.simulation.ending[0]]} if failed or truncated else {}
+        return self._observe(), reward, failed, truncated, info
 
     def _observe(self) -> Observations:
         observations = self._observation(self.simulation.scene, self.simulation.ego_vehicles)

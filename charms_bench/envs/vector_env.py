@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
@@ -137,9 +137,8 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         simulation.step(actions)
         rewards = self._reward(simulation, prepared)
         self._returns += rewards
-        truncations = simulation.ending == TIME
-        ended = simulation.ending != RUNNING
-        terminations = ended & ~truncations
+        terminations, truncations = simulation.failed, simulation.truncated
+        ended = terminations | truncations
         observations = self._observe()
         infos: dict[str, Any] = {}
         if ended.any():

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
 from charms_bench.world.compiled import compiled
 from charms_bench.world.fields import FrozenModel
@@ -123,8 +123,7 @@ class StyleReward:
         if self._lane_change_cost:
             changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
             rewards -= self._lane_change_cost * changed
-        failed = (simulation.ending != RUNNING) & (simulation.ending != TIME)
-        return np.where(failed, FAILURE, rewards)
+        return np.where(simulation.failed, FAILURE, rewards)
 
 
 def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
