@@ -86,15 +86,15 @@ class Rates(BaseCallback):
 def test_rates_count_the_steps_of_all_environments_together() -> None:
     agent = double_dqn(
         scenes=10,
-        learning_starts=100,
+        learning_starts=20,
         train_freq=(1, "step"),
         gradient_steps=5,
-        target_update_interval=500,
+        target_update_interval=100,
     )
     rates = Rates()
-    agent.learn(2100, callback=rates, log_interval=None)  # type: ignore[arg-type]  # which it allows
-    assert agent._n_updates == (2100 - 100) / 2
-    assert rates.copied_at == [500, 1000, 1500, 2000]
+    agent.learn(420, callback=rates, log_interval=None)  # type: ignore[arg-type]  # which it allows
+    assert agent._n_updates == (420 - 20) / 2
+    assert rates.copied_at == [100, 200, 300, 400]
 
 
 def test_each_environment_explores_by_itself() -> None:
