@@ -6,14 +6,13 @@ import io
 import json
 import os
 import pickle
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import charms_bench
 
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
@@ -350,13 +349,12 @@ def test_the_checked_observations_are_those_of_moving_scenes() -> None:
 
 def test_the_command_line_exports_and_the_file_drives_in_a_suite(tmp_path: Path) -> None:
     saved(tmp_path)
-    command = [sys.executable, "-m", "charms_bench"]
-    export = [*command, "export", "model.zip", "out.onnx", "--decision-hz", "5", "--json"]
-    done = subprocess.run(export, cwd=tmp_path, capture_output=True, text=True, check=True)
+    export = ["export", "model.zip", "out.onnx", "--decision-hz", "5", "--json"]
+    done = charms_bench(*export, cwd=tmp_path)
     assert json.loads(done.stdout)["sizes"] == [35, 16, 8, 5]
     (tmp_path / "suite.yaml").write_text(SUITE)
-    run = [*command, "run", "suite.yaml", "--json"]
-    rows = json.loads(subprocess.run(run, cwd=tmp_path, capture_output=True, check=True).stdout)
+    ran = charms_bench("run", "suite.yaml", "--workers", 1, "--json", cwd=tmp_path)
+    rows = json.loads(ran.stdout)
     assert {row["agent"] for row in rows} == {"out.onnx"}
 
 

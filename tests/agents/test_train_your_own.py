@@ -2,11 +2,12 @@
 
 import json
 import re
-import subprocess
-import sys
+import runpy
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from command_line import charms_bench
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
@@ -21,13 +22,14 @@ def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None
     (entry,) = re.findall(r"`(- \{agent: \{onnx: .*?)`", text)
     (tmp_path / "train.py").write_text(code.replace(STEPS, "model.learn(6_400)"))
     assert STEPS in code
-    subprocess.run([sys.executable, "train.py"], cwd=tmp_path, check=True)
+    with chdir(tmp_path):
+        runpy.run_path("train.py")
     for line in commands.splitlines():
-        command = [sys.executable, "-m", *line.replace("charms-bench", "charms_bench").split()]
-        subprocess.run(command, cwd=tmp_path, check=True)
+        done = charms_bench(*line.split()[1:], cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
     (tmp_path / "suites").mkdir()
     suite = (ROOT / "suites" / "ego.yaml").read_text()
     (tmp_path / "suites" / "ego.yaml").write_text(suite.replace("egos:\n", f"egos:\n  {entry}\n"))
-    run = ["charms_bench", "run", "suites/ego.yaml", "--episodes", "2", "--json"]
-    finished = subprocess.run([sys.executable, "-m", *run], cwd=tmp_path, stdout=-1, check=True)
+    run = ["run", "suites/ego.yaml", "--episodes", "2", "--workers", "1", "--json"]
+    finished = charms_bench(*run, cwd=tmp_path)
     assert "PPO" in {row["agent"] for row in json.loads(finished.stdout)}

@@ -1,14 +1,12 @@
 """Metric sets by name, and runs that are measured again with them."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import polars as pl
 import pytest
+from command_line import Called, charms_bench
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD
@@ -68,14 +66,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def rescore(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "charms_bench", "rescore", str(folder), *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
-    )
+def rescore(folder: Path, *arguments: str) -> Called:
+    return charms_bench("rescore", folder, *arguments)
 
 
 def test_a_run_is_measured_again_from_its_rows_alone(finished: Path, tmp_path: Path) -> None:

@@ -1,14 +1,11 @@
 """Comparisons of runs: what is compared with what, and what is refused."""
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
+from command_line import charms_bench
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS
@@ -131,17 +128,6 @@ def test_other_versions_of_the_harness_or_the_traffic_are_refused(
     with pytest.raises(InputError) as refused:
         pairs_of(one, other, None)
     assert difference in str(refused.value)
-
-
-def charms_bench(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "charms_bench", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env={**os.environ, "COLUMNS": "100", "NO_COLOR": "1"},
-    )
 
 
 def test_the_command_prints_a_table_of_every_metric(made: Callable[..., FinishedRun]) -> None:

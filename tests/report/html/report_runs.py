@@ -1,8 +1,8 @@
 """Small real runs whose names do their worst, for reports."""
 
-import subprocess
-import sys
 from pathlib import Path
+
+from command_line import charms_bench
 
 SCRIPT = "<script>window.broken = true</script>"
 IMAGE = "<img src=x onerror='window.broken = true'>"
@@ -47,12 +47,6 @@ second,,,,2.5,0,0.20
 second,,,,2.25,1,0.25
 """
 STAGES = "stage,style,steps,wall_s,return\n<b>first</b>,safe,200,1.5,3.5\nsecond,human,,0.5,\n"
-
-
-def charms_bench(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Calls the command line."""
-    command = [sys.executable, "-m", "charms_bench", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def make_run(folder: Path, name: str) -> Path:
