@@ -1,6 +1,6 @@
 """Draws a replayed episode as an animated GIF: the road around the ego, and the ego's state."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import matplotlib
@@ -70,26 +70,16 @@ def animate(replay: Replay, path: Path, caption: str = "") -> None:
     frames = range(len(replay.t_s))
     view = ego_view(replay)
     sample = [*frames[:: max(1, len(frames) // 7)], frames[-1]]
-    palette = _palette([picture(replay, view, frame, caption) for frame in sample])
+    shared = _palette([picture(replay, view, frame, caption) for frame in sample])
     pictures = (
-        picture(replay, view, frame, caption).quantize(palette=palette, dither=Image.Dither.NONE)
+        picture(replay, view, frame, caption).quantize(palette=shared, dither=Image.Dither.NONE)
         for frame in frames
     )
     # A GIF counts in hundredths of a second; rounding times instead of steps adds up no error.
     moments = np.round(replay.t_s * 100).astype(int) * 10
     durations = [*np.diff(moments).tolist(), round(HOLD_S * 1000)]
-    first = next(pictures)
-    write_atomically(
-        path,
-        lambda partial: first.save(
-            partial,
-            format="GIF",
-            save_all=True,
-            append_images=pictures,
-            duration=durations,
-            loop=0,
-        ),
-    )
+    save = partial(next(pictures).save, format="GIF", save_all=True, append_images=pictures)
+    write_atomically(path, partial(save, duration=durations, loop=0))
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:
@@ -98,9 +88,9 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
     sheet = Image.new("RGB", (width, height * len(pictures) + height))
     for k, each in enumerate(pictures):
         sheet.paste(each, (0, k * height))
-    for k, colour in enumerate(rare := (WRECK, BRAKE, INDICATOR)):
-        patch = Image.new("RGB", (width // len(rare), height), colour)
-        sheet.paste(patch, (k * patch.width, len(pictures) * height))
+    for k, colour in enumerate((WRECK, BRAKE, INDICATOR)):
+        left, top = k * width // 3, len(pictures) * height
+        sheet.paste(colour, (left, top, left + width // 3, top + height))
     return sheet.quantize(COLOURS)
 
 
@@ -138,13 +128,11 @@ class _Canvas:
 
     def polygon(self, points: Floats, fill: str) -> None:
         """Fills a polygon of points (K, 2)."""
-        corners = [(x, y) for x, y in (points * FINE).tolist()]
-        self._draw.polygon(corners, fill=fill)
+        self._draw.polygon((points * FINE).ravel().tolist(), fill=fill)
 
     def line(self, points: Floats, colour: str, width: float) -> None:
         """Draws a line through points (K, 2)."""
-        corners = [(x, y) for x, y in (points * FINE).tolist()]
-        self._draw.line(corners, fill=colour, width=round(width * FINE))
+        self._draw.line((points * FINE).ravel().tolist(), fill=colour, width=round(width * FINE))
 
     def box(self, left: float, top: float, right: float, bottom: float, fill: str) -> None:
         """Fills an upright rectangle."""

@@ -146,7 +146,7 @@ def find_cells(run: FinishedRun, ego: str | None, traffic: str | None) -> list[i
 
 
 def find_cell(
-    run: FinishedRun, ego: str | None, traffic: str | None, how: str = "agent= and traffic="
+    run: FinishedRun, ego: str | None, traffic: str | None, how: str = "agent and traffic"
 ) -> int:
     """Returns the index of the only cell whose ego and traffic have these titles; None is any.
 
