@@ -45,40 +45,26 @@ def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     pairs = list(combinations(range(len(cells)), 2))
     found = [paired.differences(metrics, sums[i], sums[j], weights) for i, j in pairs]
     records = [
-        {
-            "first": cells[i].agent,
-            "second": cells[j].agent,
-            "metric": metric.name,
-            "difference": difference.value,
-            "low": difference.low,
-            "high": difference.high,
-            "p": difference.p,
-        }
+        (cells[i].agent, cells[j].agent, metric.name, each.value, each.low, each.high, each.p)
         for (i, j), differences in zip(pairs, found, strict=True)
-        for metric, difference in zip(metrics, differences, strict=True)
+        for metric, each in zip(metrics, differences, strict=True)
     ]
-    p = paired.holm(np.array([record["p"] for record in records]))
-    frame = pl.DataFrame(records).with_columns(
+    schema = long_schema(KEYS, LONG)
+    p = paired.holm(np.array([record[-1] for record in records]))
+    frame = pl.DataFrame(records, schema=list(schema)[:-1], orient="row").with_columns(
         pl.col("difference", "low", "high").fill_nan(None),
         p=pl.Series(p),
         separated=pl.Series(p < 1 - CONFIDENCE),
     )
-    return from_frame(frame.select(*long_schema(KEYS, LONG)), suite)
+    return from_frame(frame, suite)
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of pairs from its long frame."""
 
     def column(group: str, metric: str) -> Column:
-        interval = "paired, as in `charms-bench compare`"
-        return replace(
-            first_column(metric),
-            group=group,
-            counted="",
-            interval=interval,
-            form="margin",
-            signed=True,
-        )
+        known = replace(first_column(metric), group=group, form="margin", signed=True)
+        return replace(known, counted="", interval="paired, as in `charms-bench compare`")
 
     return Table.from_frame(
         frame,

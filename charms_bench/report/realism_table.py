@@ -96,24 +96,22 @@ def realism_table(
                 if human is None:
                     continue
                 spread = distances(human, resampled, quantity)
-                for metric, value in distances(human, totals, quantity).items():
-                    low, high = _interval(spread[metric])
-                    records.append(
-                        {
-                            "traffic": traffic.traffic,
-                            "reference": reference.name,
-                            "metric": metric,
-                            "value": float(value),
-                            "low": low,
-                            "high": high,
-                            "n": round(totals.sum()),
-                        }
+                records += [
+                    (
+                        traffic.traffic,
+                        reference.name,
+                        metric,
+                        float(value),
+                        *_interval(spread[metric]),
+                        round(totals.sum()),
                     )
+                    for metric, value in distances(human, totals, quantity).items()
+                ]
     places = {reference.name: place for place, reference in enumerate(references)}
     numbers = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
-    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG)).with_columns(numbers)
+    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
     order = pl.col("reference").replace_strict(places)
-    return from_frame(frame.sort(order, maintain_order=True), suite)
+    return from_frame(frame.with_columns(numbers).sort(order, maintain_order=True), suite)
 
 
 def _interval(values: Floats) -> tuple[float, float]:
@@ -134,7 +132,6 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         LONG,
         _column,
         note="The traffic nearest to human driving is marked.",
-        by_part=True,
     )
     known = [[n.value for n in table.column(i)] for i in range(len(table.columns))]
     least = [min((each for each in column if each is not None), default=None) for column in known]

@@ -54,23 +54,13 @@ def suite_table(
     for cell in cells:
         sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
         estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
-        records += [
-            {
-                "agent": cell.agent,
-                "traffic": cell.traffic,
-                "metric_set": label,
-                "metric": metric,
-                "value": result.value,
-                "low": result.low,
-                "high": result.high,
-                "n": result.n,
-                "paper": cell.paper.get(metric) if label == PAPER.label else None,
-            }
-            for (label, metric), result in zip(columns, estimates, strict=True)
-        ]
-    numbers = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
-    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG)).with_columns(numbers)
-    return from_frame(frame, suite, columns)
+        for (label, metric), found in zip(columns, estimates, strict=True):
+            paper = cell.paper.get(metric) if label == PAPER.label else None
+            numbers = (found.value, found.low, found.high, found.n, paper)
+            records.append((cell.agent, cell.traffic, label, metric, *numbers))
+    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
+    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
+    return from_frame(frame.with_columns(rounded), suite, columns)
 
 
 def from_frame(

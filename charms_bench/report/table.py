@@ -6,7 +6,7 @@ Views: `terminal`, `bars`, `markdown`, `html.table`, and `Table.frame` for progr
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import polars as pl
@@ -105,8 +105,6 @@ class Table:
     """Where reference values come from, such as `paper`."""
     long: Mapping[str, str] = field(default_factory=lambda: LONG)
     """The columns of `frame` after the keys, each with the part of a number that it holds."""
-    by_part: bool = False
-    """Whether `frame` lists one part after the other (`parts`) instead of row by row."""
 
     @classmethod
     def from_frame(
@@ -123,12 +121,8 @@ class Table:
 
         Args:
             frame: One number per row, with the columns `keys` and `long`.
-            name: As in `Table`, like the others.
-            title: The same.
-            keys: The same.
-            long: The same.
+            name: A field of the table, like `title`, `keys`, `long` and those in `more`.
             define: Makes a column from its group and name.
-            more: Further fields of `Table`.
         """
         at = {part: column for column, part in long.items()}
         parts = {part: column for part, column in at.items() if part not in ("group", "name")}
@@ -140,18 +134,12 @@ class Table:
             columns.setdefault(column)
             number = Number(**{part: record[name] for part, name in parts.items()})
             rows.setdefault(tuple(str(record[key] or "") for key in keys), {})[column] = number
-        return cls(
-            name=name,
-            title=title,
-            keys=keys,
-            columns=tuple(define(*column) for column in columns),
-            rows=tuple(
-                Row(labels, tuple(cells.get(column, Number()) for column in columns))
-                for labels, cells in rows.items()
-            ),
-            long=long,
-            **more,
+        made = tuple(
+            Row(labels, tuple(cells.get(column, Number()) for column in columns))
+            for labels, cells in rows.items()
         )
+        defined = tuple(define(*column) for column in columns)
+        return cls(name, title, keys, defined, made, long=long, **more)
 
     @classmethod
     def from_records(
@@ -180,16 +168,15 @@ class Table:
         return cls(name, title, keys, columns, rows, note)
 
     def frame(self) -> pl.DataFrame:
-        """The numbers as a long frame, one per row; texts are left out."""
-        records = [
-            dict(zip(self.keys, row.labels, strict=True))
-            | {name: _part(column, cell, part) for name, part in self.long.items()}
-            for places in (self._parts() if self.by_part else [range(len(self.columns))])
-            for row in self.rows
-            for column, cell in ((self.columns[i], row.cells[i]) for i in places)
-            if isinstance(cell, Number)
-        ]
-        return pl.DataFrame(records, schema=long_schema(self.keys, self.long))
+        """The numbers as a long frame: row by row, but quantity by quantity if there are some."""
+        by_quantity = any(column.quantity for column in self.columns)
+        records = []
+        for places in self._parts() if by_quantity else [range(len(self.columns))]:
+            for row, i in product(self.rows, places):
+                if isinstance(number := row.cells[i], Number):
+                    known = {**vars(self.columns[i]), **vars(number)}
+                    records.append([*row.labels, *(known[part] for part in self.long.values())])
+        return pl.DataFrame(records, schema=long_schema(self.keys, self.long), orient="row")
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary per row: its labels, and the values of its columns."""
@@ -208,19 +195,16 @@ class Table:
         Raises:
             InputError: No column has such a name.
         """
-        known = {column.name: None for column in self.columns}
+        places: dict[tuple[str, str], int] = {}
+        for i, column in enumerate(self.columns):
+            places[column.group, column.name] = i
+        known = {name: None for _, name in places}
         for name in names:
             if name not in known:
                 raise InputError(f"no metric named '{name}'. {suggestion(name, known)}")
-        groups = list(dict.fromkeys(column.group for column in self.columns))
-        places = [i for i, column in enumerate(self.columns) if column.name in names]
-        places.sort(
-            key=lambda i: (
-                groups.index(self.columns[i].group),
-                names.index(self.columns[i].name),
-            )
-        )
-        return self.take(places)
+        groups = dict.fromkeys(group for group, _ in places)
+        chosen = [(group, name) for group in groups for name in names if (group, name) in places]
+        return self.take([places[each] for each in chosen])
 
     def take(self, places: Sequence[int]) -> "Table":
         """The table with only the columns at these places, in this order."""
@@ -237,9 +221,11 @@ class Table:
         found = [self.take(places) for places in self._parts()]
         if len(found) == 1 and not self.columns[0].group:
             return found
-        first = [part.columns[0] for part in found]
-        titles = [": ".join(filter(None, (each.group, each.quantity))) for each in first]
-        return [replace(part, title=title) for part, title in zip(found, titles, strict=True)]
+        titles = [(part.columns[0].group, part.columns[0].quantity) for part in found]
+        return [
+            replace(part, title=": ".join(filter(None, title)))
+            for part, title in zip(found, titles, strict=True)
+        ]
 
     def _parts(self) -> list[list[int]]:
         """The places of the columns of each part."""
@@ -279,7 +265,3 @@ class Table:
         from charms_bench.report.html.table import notebook
 
         return notebook(self)
-
-
-def _part(column: Column, number: Number, part: str) -> Any:
-    return getattr(column if part in ("group", "name") else number, part)

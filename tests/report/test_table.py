@@ -1,5 +1,7 @@
 """The table model: what a table holds, and how its numbers are written."""
 
+from dataclasses import replace
+
 import polars as pl
 import pytest
 
@@ -40,10 +42,10 @@ def test_a_frame_gives_the_table_back() -> None:
     assert again == TABLE
 
 
-def test_a_frame_may_list_part_by_part() -> None:
-    by_part = Table("t", "", ("agent",), TABLE.columns, (
-        Row(("a",), (Number(1.0), Number(2.0))), Row(("b",), (Number(3.0), Number(4.0)))
-    ), by_part=True)  # fmt: skip
+def test_a_frame_lists_quantity_by_quantity() -> None:
+    columns = tuple(replace(column, quantity=column.name) for column in TABLE.columns)
+    rows = (Row(("a",), (Number(1.0), Number(2.0))), Row(("b",), (Number(3.0), Number(4.0))))
+    by_part = Table("t", "", ("agent",), columns, rows)
     assert by_part.frame()["value"].to_list() == [1.0, 3.0, 2.0, 4.0]
 
 

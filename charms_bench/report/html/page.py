@@ -10,6 +10,7 @@ from markupsafe import Markup
 from charms_bench.episodes.palette import AGENTS, VEHICLES
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
+from charms_bench.report.table import Column
 
 SCRIPTS = ("tables.js", "player.js", "controls.js")
 
@@ -23,8 +24,10 @@ def render(sections: Sequence[Section], content: Mapping[str, Any]) -> str:
         for column in table.columns
     ]
     ids = definition_ids(columns)
+    definitions: dict[str, Column] = {}
     groups: dict[str, dict[str, None]] = {}
     for column, place in ids.items():
+        definitions.setdefault(place, column)
         groups.setdefault(place, {})[column.group] = None
     scripts = [(TEMPLATES / name).read_text(encoding="utf-8") for name in SCRIPTS]
     style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
@@ -35,7 +38,7 @@ def render(sections: Sequence[Section], content: Mapping[str, Any]) -> str:
             content,
             sections=sections,
             ids=ids,
-            definitions={place: column for column, place in reversed(ids.items())},
+            definitions=definitions,
             groups={place: ", ".join(filter(None, found)) for place, found in groups.items()},
             scripts=[Markup(script) for script in scripts],
             style=Markup(_tones() + style),

@@ -57,8 +57,10 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     short = tables.metrics.without_constant_keys()
     chosen = one_per_metric(short, shown_metrics(short, suite.columns))
-    groups = " and ".join(dict.fromkeys(column.group for column in chosen.columns))
-    shown = [replace(block, title=groups) for block in chosen.blocks(COLUMNS + 1)]
+    shown = [
+        replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
+        for block in chosen.blocks(COLUMNS + 1)
+    ]
     if tables.realism is not None:
         shown += tables.realism.parts()
     more = [block for part in short.parts() for block in part.blocks(COLUMNS)]
@@ -104,79 +106,51 @@ def training_section(source: TrainingFolder) -> Section:
 def _pictures(source: Evaluation) -> list[Picture]:
     suite, key = source.run.suite, source.key
     table, pairs = source.tables.metrics, source.tables.pairs
-    pictures = []
+    found = []
     if beside := draw_beside_paper(table):
-        pictures.append(
-            _picture(
-                f"{key}-paper",
-                "Beside the paper",
-                "Discs with 95 % intervals: this run. Diamonds: the paper. An interval that is "
-                "narrower than its disc is hidden by it.",
-                *beside,
-                wide=True,
-            )
+        caption = (
+            "Discs with 95 % intervals: this run. Diamonds: the paper. An interval that is "
+            "narrower than its disc is hidden by it."
         )
-    pictures += [
-        _picture(
-            f"{key}-matrix-{k}",
-            "Cross-play",
-            "Egos down, traffics across. Darker fields have higher values; intervals are in the "
-            "tables.",
-            draw_matrices([matrix], first=k),
-        )
-        for k, matrix in enumerate(matrices(table))
-    ]
+        found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
+    caption = "Egos down, traffics across. Darker fields have higher values."
+    for k, matrix in enumerate(matrices(table)):
+        figure = draw_matrices([matrix], first=k)
+        found.append(_picture(f"{key}-matrix-{k}", "Cross-play", caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
         of_egos = tradeoff is OF_EGOS
-        better = " Further right and further down is better." * of_egos
-        pictures.append(
-            _picture(
-                f"{key}-tradeoff",
-                "Speed against safety" if of_egos else "Density against safety",
-                f"With 95 % intervals.{better}",
-                draw_tradeoff(table, tradeoff, 9.6, 4.4),
-                wide=True,
-            )
-        )
+        title = "Speed against safety" if of_egos else "Density against safety"
+        caption = "With 95 % intervals." + " Further right and further down is better." * of_egos
+        figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
+        found.append(_picture(f"{key}-tradeoff", title, caption, figure, wide=True))
+    if pairs is not None and table.places(*PLACED):
+        title = "Styles apart: where each stands"
+        caption = "Mean speed and mean headway to the leader, with 95 % intervals."
+        found.append(_picture(f"{key}-places", title, caption, draw_places(table)))
     if pairs is not None:
-        if table.places(*PLACED):
-            pictures.append(
-                _picture(
-                    f"{key}-places",
-                    "Styles apart: where each stands",
-                    "Mean speed and mean headway to the leader, with 95 % intervals.",
-                    draw_places(table),
-                )
-            )
-        pictures.append(
-            _picture(
-                f"{key}-separations",
-                "Styles apart: pair by pair",
-                f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
-                "(Holm-corrected p < 0.05).",
-                draw_separations(pairs),
-            )
+        title = "Styles apart: pair by pair"
+        caption = (
+            f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
+            "(Holm-corrected p < 0.05)."
         )
-    return pictures
+        found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
+    return found
 
 
 def _realism(source: Evaluation, folder: Path) -> list[Picture]:
-    suite = source.run.suite
+    suite, found = source.run.suite, []
     if not suite.references:
         return []
     following = source.run.following()
     references = read_references(suite.references, folder)
-    return [
-        _picture(
-            f"{source.key}-{quantity}-{k}",
-            f"{TITLE[quantity]}: {reference}",
-            "Grey: human driving. Lines: traffics.",
-            draw_quantity(quantity, following, {reference: counts}),
-        )
-        for quantity in TITLE
-        for k, (reference, counts) in enumerate(recorded(quantity, references).items())
-    ]
+    for quantity, title in TITLE.items():
+        for k, (name, counts) in enumerate(recorded(quantity, references).items()):
+            figure = draw_quantity(quantity, following, {name: counts})
+            caption = "Grey: human driving. Lines: traffics."
+            place = f"{source.key}-{quantity}-{k}"
+            found.append(_picture(place, f"{title}: {name}", caption, figure))
+    return found
 
 
 def _picture(name: str, title: str, caption: str, *figures: Figure, wide: bool = False) -> Picture:

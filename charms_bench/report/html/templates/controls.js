@@ -1,4 +1,4 @@
-// What plays, pauses and scrubs a replay, and what opens one at a moment.
+// Plays, pauses and scrubs a replay, and opens one at a given time.
 "use strict";
 
 (() => {
@@ -7,8 +7,8 @@
   const packed = JSON.parse(store.textContent);
   const part = (id) => document.getElementById(id);
   const player = part("player"), scrub = part("scrub"), road = new Road(part("road"));
-  const [left, right] = [Number(player.dataset.left), Number(player.dataset.right)]; // of the axes
-  const unpacked = new Map(); // by id, as they are opened
+  const [left, right] = [Number(player.dataset.left), Number(player.dataset.right)]; // ends of the axes
+  const unpacked = new Map(); // by id, once they are opened
   let id = null, replay = null, moment = 0, playing = false, before = 0;
 
   function show() {
@@ -142,7 +142,7 @@
       await navigator.clipboard.writeText(location.href);
       part("link").textContent = "Copied";
     } catch {
-      part("link").textContent = "It is in the address bar";
+      part("link").textContent = "The link is in the address bar";
     }
   });
   player.addEventListener("keydown", (event) => {

@@ -1,8 +1,8 @@
-// Replays: an episode on a canvas, its readings, and a cursor through its timelines.
+// Draws an episode on a canvas and computes its readings.
 "use strict";
 
 const BITS = { crashed: 1, brakes: 2, left: 4, right: 8 };
-const EGO_AT = 0.38; // of the canvas' width
+const EGO_AT = 0.38; // share of the canvas's width
 const SHOULDER_M = 1, DASH_M = 6, DASH_EVERY_M = 18, MARK_EVERY_M = 20;
 const SCALE_PX = 24; // under the road
 
@@ -47,7 +47,7 @@ class Road {
   readColours() {
     const style = getComputedStyle(this.canvas);
     const colour = (name) => {
-      this.canvas.style.color = `var(--${name})`; // which alone resolves light or dark
+      this.canvas.style.color = `var(--${name})`; // only a style resolves light or dark
       return style.color;
     };
     this.colours = {
@@ -62,7 +62,7 @@ class Road {
   draw(replay, moment) {
     const { canvas, pen } = this;
     const width = canvas.clientWidth;
-    this.scale = width / Math.min(110, Math.max(46, width / 8)); // px a metre
+    this.scale = width / Math.min(110, Math.max(46, width / 8)); // px per metre
     const roadPx = (replay.lanes * replay.lane_m + 2 * SHOULDER_M) * this.scale;
     const height = Math.round(roadPx + SCALE_PX);
     const ratio = window.devicePixelRatio || 1;
@@ -129,7 +129,7 @@ class Road {
     pen.rotate(replay.between("heading", moment, vehicle));
     pen.beginPath();
     if (isEgo) {
-      // An arrow, so that it is known by its shape too.
+      // An arrow, so that its shape shows it too.
       const corners = [[-long, -wide], [long * 0.62, -wide], [long, 0], [long * 0.62, wide], [-long, wide]];
       corners.forEach((corner, k) => (k ? pen.lineTo(...corner) : pen.moveTo(...corner)));
       pen.closePath();

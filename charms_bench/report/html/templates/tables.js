@@ -1,4 +1,4 @@
-// Tables that sort, numbers that say what they are, and the choice of light or dark.
+// Sorts tables, shows definitions of numbers, and switches between light and dark.
 "use strict";
 
 function valueOf(row, column) {
@@ -19,7 +19,7 @@ function sortBy(button) {
   header.setAttribute("aria-sort", descending ? "descending" : "ascending");
   const rows = [...body.rows].map((row) => [valueOf(row, header.cellIndex), row]);
   rows.sort(([a], [b]) => {
-    if (a === null || b === null) return (a === null) - (b === null); // none is last both ways
+    if (a === null || b === null) return (a === null) - (b === null); // undefined values stay last
     return descending ? compare(b, a) : compare(a, b);
   });
   body.append(...rows.map(([, row]) => row));
@@ -48,7 +48,7 @@ function explain(link) {
     const said = [
       text(".interval") && `95 % interval ${text(".interval")}`,
       link.dataset.n && `n = ${link.dataset.n}`,
-      text(".paper") && `${text(".paper")} (ours less theirs ${link.dataset.difference})`,
+      text(".paper") && `${text(".paper")} (ours minus theirs ${link.dataset.difference})`,
     ];
     value.textContent = [`${who.join(" in ")}: ${link.textContent}`, ...said.filter(Boolean)].join(", ");
   }
@@ -93,7 +93,7 @@ prefersDark.addEventListener("change", () => {
 });
 showTheme(false);
 
-// Paper has no folds.
+// Folded sections are printed open.
 const folded = [];
 window.addEventListener("beforeprint", () => {
   for (const each of document.querySelectorAll("details:not([open])")) {
