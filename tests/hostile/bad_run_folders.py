@@ -11,7 +11,8 @@ from typing import Any
 
 import polars as pl
 from bad_arguments import LONG, SUITE
-from bad_input import BadInput, charms_bench
+from bad_input import BadInput
+from command_line import charms_bench
 
 
 @cache
@@ -19,8 +20,8 @@ def _whole() -> Path:
     """A finished run that nobody has touched."""
     folder = Path(mkdtemp(prefix="charms-bench-"))
     (folder / "suite.yaml").write_text(SUITE)
-    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", folder=folder)
-    assert answer.code == 0, answer.err
+    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
+    assert answer.returncode == 0, answer.stderr
     return folder / "run"
 
 

@@ -16,8 +16,9 @@ import bad_networks
 import bad_recordings
 import bad_run_folders
 import bad_suites
-from bad_input import CANARY, BadInput, charms_bench
+from bad_input import CANARY, BadInput
 from bad_suites import BASE
+from command_line import charms_bench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from nastiest import NASTIEST, described
@@ -46,14 +47,14 @@ SAMPLED = [
 def refuses(case: BadInput, folder: Path) -> str:
     """Runs a case, sees to it that it was refused as it should be, and returns what was said."""
     arguments = case.make(folder)
-    answer = charms_bench(*arguments, folder=folder)
-    assert answer.code == 2, answer
-    words = answer.err.strip()
+    answer = charms_bench(*arguments, cwd=folder)
+    assert answer.returncode == 2, answer
+    words = answer.stderr.strip()
     assert words.startswith(("error: ", "Usage: ", "╭─ Error")) or "\nerror: " in words
     assert "Traceback" not in words
     assert all(letter.isprintable() or letter == "\n" for letter in words)
     assert len(words) < LONGEST
-    assert answer.out == ""
+    assert answer.stdout == ""
     assert not (folder / CANARY).exists()
     assert not (folder / "out.onnx").exists()
     return words
