@@ -1,4 +1,4 @@
-"""The rows of a cell: what was recorded of an ego in a traffic."""
+"""The rows of a cell: what was recorded of one ego in one traffic."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,19 +12,19 @@ from charms_bench.world.scene import Floats
 
 @dataclass(frozen=True)
 class CellRows:
-    """An ego in a traffic, and what was recorded of it."""
+    """An ego in a traffic, and the rows recorded of it."""
 
     agent: str
     traffic: str
     episodes: pl.DataFrame
     steps: pl.DataFrame
     paper: Mapping[str, float] = field(default_factory=dict)
-    """What the paper reports, by metric of the set `paper`."""
+    """Values that the paper reports, by metric of the set `paper`."""
 
 
 @dataclass(frozen=True)
 class TrafficCounts:
-    """What the vehicles of a traffic did while they followed."""
+    """What the vehicles of a traffic did while they followed a leader."""
 
     traffic: str
     counts: Floats
@@ -32,7 +32,7 @@ class TrafficCounts:
 
     @classmethod
     def of(cls, traffic: str, episodes: pl.DataFrame, rows: pl.DataFrame) -> "TrafficCounts":
-        """From the episode rows, and the rows `counts`, of a cell."""
+        """Makes the counts of a cell from its rows `episodes` and `counts`."""
         seeds = np.sort(episodes["episode"].to_numpy())
         counts = np.zeros((seeds.size, len(QUANTITIES), BINS))
         quantity = rows["quantity"].replace_strict(QUANTITIES, range(len(QUANTITIES)))
@@ -41,5 +41,5 @@ class TrafficCounts:
         return cls(traffic, counts)
 
     def of_quantity(self, quantity: str) -> Floats:
-        """[E, BINS] of a quantity."""
+        """Returns the counts [E, BINS] of one quantity."""
         return self.counts[:, QUANTITIES.index(quantity)]

@@ -1,4 +1,4 @@
-"""YAML files from users -> validated models, with errors that name file, line and field."""
+"""Reads YAML files from users into validated models; errors name file, line and field."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,18 +15,16 @@ Location = Sequence[str | int]
 """The keys and indices that lead to a value, as pydantic gives them."""
 
 SIZE_LIMIT_BYTES = 2**17
-"""Twenty times the longest suite that is shipped; larger ones take seconds to parse."""
+"""Twenty times the longest suite of this project; larger files take seconds to parse."""
 DEPTH_LIMIT = 20
 DIGITS_LIMIT = 40
 
 
 class Document:
-    """A YAML mapping that remembers where everything in it stands.
-
-    Safe YAML only: see `_Loader`.
+    """A YAML mapping that knows on which line each of its values is; see `_Loader`.
 
     Raises:
-        SuiteError: The file cannot be read or is no such YAML.
+        SuiteError: The file cannot be read, or `_Loader` refuses it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,7 +34,7 @@ class Document:
         except OSError as error:
             raise SuiteError(f"{path}: cannot be read: {error.strerror}") from error
         except UnicodeDecodeError as error:
-            raise SuiteError(f"{path}: is no UTF-8 text: {error.reason}") from error
+            raise SuiteError(f"{path}: is not UTF-8 text: {error.reason}") from error
         try:
             self._root, self.data = _parsed(text)
         except yaml.MarkedYAMLError as error:
@@ -51,10 +49,11 @@ class Document:
             raise self._at(0, "expected a mapping of keys to values")
 
     def validate(self, model: type[M]) -> M:
-        """The document as a model.
+        """Returns the document as a model.
 
         Raises:
-            SuiteError: The first thing that is wrong, and how many more there are.
+            SuiteError: The document does not fit the model; names the first problem and counts
+                the others.
         """
         try:
             return model.model_validate(self.data, context={"folder": self.path.parent})
@@ -62,12 +61,12 @@ class Document:
             raise self.error(*first_problem(error)) from error
 
     def error(self, location: Location, what: str) -> SuiteError:
-        """The error of what stands at a location."""
+        """Returns the error for what is wrong at a location."""
         node, line, named = self._root, 0, ""
         for part in location:
             child = _child(node, part)
             if child is None:
-                # A missing key, or the name pydantic gives a variant of a union.
+                # A missing key, or the name that pydantic gives to a variant of a union.
                 if isinstance(part, str) and isinstance(node, yaml.MappingNode):
                     named += f".{part}" if part.replace("_", "").isalpha() else ""
                 continue
@@ -80,10 +79,10 @@ class Document:
 
 
 def value_of(text: str) -> Any:
-    """What a text on the command line says, as YAML in a suite would.
+    """Returns the value of a text on the command line, read as YAML like a suite.
 
     Raises:
-        ValueError: It is no such YAML; says why, on one line.
+        ValueError: `_Loader` refuses it; the message is one line.
     """
     try:
         return _parsed(text)[1]
@@ -94,13 +93,14 @@ def value_of(text: str) -> Any:
 
 
 class _Refused(yaml.MarkedYAMLError):
-    """It is YAML, but of a kind that no suite needs."""
+    """Valid YAML of a kind that no suite needs."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which everything is what it looks like, and costs what it looks like.
+    """Loads only plain YAML, whose size in memory is bounded by its size as text.
 
-    No tags that make objects, no aliases, no key twice, no deep nesting, no endless numbers.
+    Refuses tags, which could make objects, and aliases, repeated keys, deep nesting and numbers
+    with many digits.
     """
 
     _depth = 0
@@ -122,21 +122,21 @@ class _Loader(yaml.SafeLoader):
         if isinstance(node, yaml.MappingNode):
             _check_keys(node)
         if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
-            raise _refused(f"a number of more than {DIGITS_LIMIT} digits", event)
+            raise _refused(f"a number has more than {DIGITS_LIMIT} digits", event)
         return node
 
 
 def _parsed(text: str) -> tuple[yaml.Node | None, Any]:
-    """The root node of a YAML document, and what it says.
+    """Returns the root node of a YAML document and its value.
 
     Raises:
-        yaml.YAMLError: It is none that `_Loader` reads.
+        yaml.YAMLError: `_Loader` refuses it.
     """
     try:
         loader = _Loader(text)
         root = loader.get_single_node()
         return root, None if root is None else loader.construct_document(root)
-    except ValueError as error:  # such as a 99th month
+    except ValueError as error:  # for example in a date with a 99th month
         raise yaml.YAMLError(str(error)) from error
 
 
@@ -144,14 +144,14 @@ def _check_keys(node: yaml.MappingNode) -> None:
     seen: set[str] = set()
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _refused("a key is a word, not a list or a mapping", key)
+            raise _refused("a key must be a word, not a list or a mapping", key)
         if key.value in seen:
-            raise _refused(f"the key '{key.value}' stands here twice", key)
+            raise _refused(f"the key '{key.value}' is given twice", key)
         seen.add(key.value)
 
 
 def _refused(what: str, at: Any) -> _Refused:
-    """The error of an event or a node."""
+    """Returns the error for an event or a node."""
     return _Refused(problem=what, problem_mark=at.start_mark)
 
 
@@ -160,7 +160,7 @@ def _on_one_line(error: yaml.YAMLError) -> str:
 
 
 def _child(node: yaml.Node | None, part: str | int) -> tuple[int, yaml.Node] | None:
-    """The line and the node of a key or an index."""
+    """Returns the line and the node of a key or an index."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if key.value == str(part):

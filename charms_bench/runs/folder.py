@@ -103,10 +103,10 @@ class RunFolder:
         ours = {"suite": fields, "engine": engine}
         manifest = self.manifest()
         found = {key: manifest.get(key) for key in ours}
-        for difference in _differences(found, ours):
+        for field, was, now in differing_fields(found, ours):
             raise RunFolderError(
-                f"{self.path} holds another run: {difference}; "
-                "choose another folder with --output, or delete this one"
+                f"{self.path} holds another run: {field.removeprefix('suite.')} was {was}, now "
+                f"{now}; choose another folder with --output, or delete this one"
             )
 
     def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
@@ -327,13 +327,13 @@ def _checksum(kind: str, name: str, data: bytes) -> bytes:
     return f"{hashlib.sha256(data).hexdigest()}  {kind}/{name}.parquet".encode()
 
 
-def _differences(found: Any, ours: Any, at: str = "") -> Iterator[str]:
-    """Yields in words where two JSON values differ."""
-    if isinstance(found, dict) and isinstance(ours, dict):
-        for key in sorted({*found, *ours}):
-            yield from _differences(found.get(key), ours.get(key), f"{at}.{key}")
-    elif isinstance(found, list) and isinstance(ours, list) and len(found) == len(ours):
-        for index, pair in enumerate(zip(found, ours, strict=True)):
-            yield from _differences(*pair, f"{at}[{index}]")
-    elif found != ours:
-        yield f"{at.removeprefix('.suite').lstrip('.')} was {found}, now {ours}"
+def differing_fields(one: Any, other: Any, at: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yields where two JSON values differ: the path of the field, and both values."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in {**one, **other}:
+            yield from differing_fields(one.get(key), other.get(key), f"{at}.{key}".lstrip("."))
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for index, pair in enumerate(zip(one, other, strict=True)):
+            yield from differing_fields(*pair, f"{at}[{index}]")
+    elif one != other:
+        yield at, one, other

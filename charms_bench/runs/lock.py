@@ -1,4 +1,4 @@
-"""One process a run folder at a time."""
+"""Locks a run folder, so that only one process at a time uses it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,30 +8,29 @@ from filelock import FileLock, Timeout
 
 from charms_bench.errors import RunFolderError
 
-LOCK = ".lock"
-
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keeps other processes out of a folder, which is made where there is none.
+    """Keeps other processes out of a folder, which is made if it does not exist.
 
-    The operating system holds the lock, so that it ends with its process, however that ends; the
+    The operating system releases the lock when the process ends, even if it is killed. The lock
     file stays.
 
     Raises:
-        RunFolderError: Another process is in there, or the folder cannot be written to.
+        RunFolderError: Another process uses the folder, or it cannot be written to.
     """
-    lock = FileLock(folder / LOCK, timeout=0)
+    lock = FileLock(folder / ".lock", timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
         raise RunFolderError(
-            f"{folder}: another run is at work there; wait for it, or choose another folder with "
-            "--output"
+            f"{folder}: another run is using this folder; wait for it to end, or choose another "
+            "folder with --output"
         ) from error
     except OSError as error:
         raise RunFolderError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    with lock:
-        lock.release()  # of the two times it was acquired
+    try:
         yield
+    finally:
+        lock.release()

@@ -1,8 +1,8 @@
-"""Metric sets by name, with options where they take some: `standard:ttc_s=2`.
+"""Finds metric sets by name and options, such as `standard:ttc_s=2`.
 
-An entry of the group `charms_bench.metrics` is a `MetricSet`, or makes one from keyword options.
-What it was made with becomes part of its label, so that no table can pass other thresholds off
-as the set's own.
+An entry point of the group `charms_bench.metrics` is a `MetricSet` or a function that makes one
+from keyword options. The options become part of its label, so that a table shows which thresholds
+its values were computed with.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,19 @@ from charms_bench.world.scene import SceneSettings
 
 
 def metric_sets(texts: Sequence[str]) -> tuple[MetricSet, ...]:
-    """The metric sets of `NAME` or `NAME:OPTION=VALUE,...` each; of no texts, the usual ones.
+    """Returns the metric sets that texts like `NAME` or `NAME:OPTION=VALUE,...` ask for.
+
+    Without any text these are `paper` and `standard`.
 
     Raises:
-        InputError: An option is not written like that, or a set is asked for twice.
-        RegistryError: A set is not installed, does not take the options, or measures nothing.
+        InputError: A text is not of that form, or two ask for the same set.
+        RegistryError: A set is not installed, does not take the options, or cannot be computed.
     """
     found = tuple(map(_metric_set, texts)) or METRIC_SETS
     labels = [each.label for each in found]
     for label in labels:
         if labels.count(label) > 1:
-            raise InputError(f"metric set '{label}': asked for twice")
+            raise InputError(f"metric set '{label}': given twice")
     return found
 
 
@@ -72,11 +74,11 @@ def _options(text: str, given: str) -> dict[str, Any]:
 
 
 def _try_out(metric_set: MetricSet) -> None:
-    """Measures an episode of one quiet step, so that a broken metric is found before a run is."""
+    """Computes the set for an episode of one step, to find a broken metric before a run."""
     names = [metric.name for metric in metric_set.metrics]
     for name in names:
         if names.count(name) > 1:
-            raise RegistryError(f"metric set '{metric_set.name}': two metrics are called '{name}'")
+            raise RegistryError(f"metric set '{metric_set.name}': two metrics named '{name}'")
     head = dict.fromkeys(EPISODE_SCHEMA, 0) | {"ending": "time", "steps": 1}
     episodes = pl.DataFrame([head], schema=EPISODE_SCHEMA)
     steps = pl.DataFrame([dict.fromkeys(STEP_SCHEMA, 0) | {"step": 1}], schema=STEP_SCHEMA)
@@ -85,7 +87,7 @@ def _try_out(metric_set: MetricSet) -> None:
             (sums,) = sums_by_episode([metric], episodes, steps, SceneSettings())
             value = metric.value(sums)
             problem = "" if np.shape(value) == (1,) else f"value has shape {np.shape(value)}"
-        except Exception as error:  # whatever a plugin does wrong is a finding
+        except Exception as error:  # a plugin may raise anything
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
         if problem:
             raise RegistryError(

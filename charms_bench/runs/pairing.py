@@ -1,12 +1,12 @@
-"""Finds the cells of two runs that can be compared: the same episodes, driven by two agents."""
+"""Pairs cells of two runs for a comparison: the same episodes, driven by two agents."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.folder import differing_fields
 
 Pair = tuple[CellRows, CellRows]
 
@@ -14,24 +14,24 @@ Pair = tuple[CellRows, CellRows]
 def pairs_of(
     first: FinishedRun, second: FinishedRun | None, agents: tuple[str, str] | None
 ) -> list[Pair]:
-    """The cells to compare, traffic by traffic.
+    """Returns the pairs of cells to compare, one per traffic and pair of agents.
 
     Args:
         first: The run of the first agent.
-        second: The run of the second agent; none for another agent of the same run.
-        agents: Their names in tables; not needed for two runs of one ego each, or of the same
-            egos.
+        second: The run of the second agent; None if it is in the first run too.
+        agents: The names of both agents in tables. They are not needed if each run has one ego,
+            or if both runs have the same egos.
 
     Raises:
-        InputError: The two runs have different episodes, or have no such agents.
+        InputError: The runs are not of the same episodes, or have no such agents.
         RunFolderError: A row cannot be read.
     """
     if second is None:
         if agents is None:
             egos = [ego.title for ego in first.suite.egos]
             raise InputError(
-                f"{first.folder.path}: compared with what? Give a second run, or two of its "
-                f"agents with --agents: {', '.join(egos)}"
+                f"{first.folder.path}: needs something to compare with; give a second run, or two "
+                f"agents of this one with --agents: {', '.join(egos)}"
             )
         return _matched(first, first, [agents])
     check_same_episodes(first, second)
@@ -44,31 +44,29 @@ def pairs_of(
         return _matched(first, second, [(ego, ego) for ego in ours])
     raise InputError(
         f"{first.folder.path} has {', '.join(ours)}, {second.folder.path} has "
-        f"{', '.join(theirs)}: say with --agents which one of each to compare"
+        f"{', '.join(theirs)}: choose one agent of each with --agents"
     )
 
 
 def check_same_episodes(first: FinishedRun, second: FinishedRun) -> None:
-    """Makes sure that two runs have everything but the egos in common.
+    """Checks that two runs differ in nothing but their egos.
 
     Raises:
-        InputError: They do not; names the first field that differs.
+        InputError: They differ; names the first field that does.
     """
-    ours, theirs = (dict(_leaves(_conditions(run))) for run in (first, second))
-    for field in [*ours, *theirs]:
-        if ours.get(field) != theirs.get(field):
-            raise InputError(
-                f"{first.folder.path} and {second.folder.path} do not have the same episodes: "
-                f"{field} is {ours.get(field)} in the first and {theirs.get(field)} in the "
-                "second; run one of them again with the settings of the other"
-            )
+    for field, one, other in differing_fields(_conditions(first), _conditions(second)):
+        raise InputError(
+            f"{first.folder.path} and {second.folder.path} do not have the same episodes: "
+            f"{field} is {one} in the first and {other} in the second; run one of them again with "
+            "the settings of the other"
+        )
 
 
 def _conditions(run: FinishedRun) -> dict[str, Any]:
-    """What decides episodes and their rows, apart from the egos.
+    """Returns everything except the egos that episodes and their rows depend on.
 
-    Metrics are computed from the rows when they are compared, so both runs get the same versions
-    of them; what a row means depends on the harness's version.
+    Versions of metrics are left out, because metrics are computed from the rows of both runs when
+    they are compared.
     """
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
@@ -85,18 +83,6 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     }
 
 
-def _leaves(value: Any, at: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested dictionaries and lists, each with its place."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _leaves(inner, f"{at}.{key}".lstrip("."))
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from _leaves(inner, f"{at}[{index}]")
-    else:
-        yield at, value
-
-
 def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, str]]) -> list[Pair]:
     for run, names in zip((first, second), zip(*agents, strict=True), strict=True):
         known = {ego.title: ego for ego in run.suite.egos}
@@ -108,7 +94,7 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
     ours = {(cell.agent, cell.traffic): cell for cell in first.cells()}
     same = first is second
     theirs = ours if same else {(cell.agent, cell.traffic): cell for cell in second.cells()}
-    # Labels of traffics may differ: `check_same_episodes` has checked that they are the same.
+    # Labels of traffics may differ, but `check_same_episodes` has compared the traffics.
     traffics = zip(first.suite.traffics, second.suite.traffics, strict=True)
     pairs = [
         (ours[one, traffic.title], theirs[other, its_twin.title])
@@ -119,7 +105,7 @@ def _matched(first: FinishedRun, second: FinishedRun, agents: list[tuple[str, st
 
 
 def _told_apart(first: FinishedRun, second: FinishedRun, pair: Pair) -> Pair:
-    """The pair; agents with the same name get the names of their runs too."""
+    """Returns the pair; agents with equal names get the paths of their runs added."""
     one, other = pair
     if one.agent != other.agent:
         return pair

@@ -1,4 +1,4 @@
-"""Suites: what is evaluated, from YAML."""
+"""Suites: what an evaluation runs, read from YAML."""
 
 import hashlib
 import json
@@ -18,11 +18,11 @@ from charms_bench.world.fields import Finite, FrozenModel, Line, Name
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
 EPISODES_LIMIT = 10_000_000
-"""Of a suite, in all cells."""
+"""Most episodes of a suite, in all cells together."""
 ENTRIES_LIMIT = 100
-"""Egos of a suite, and traffics."""
+"""Most egos of a suite, and most traffics."""
 PRESENTATION = ("title", "columns", "pairs", "references")
-"""Fields of a suite that decide no row, only what is made of the rows."""
+"""Fields of a suite that decide no row, only how results are presented."""
 
 
 class EgoEntry(FrozenModel):
@@ -31,11 +31,11 @@ class EgoEntry(FrozenModel):
     agent: AgentSpec
     label: Name | None = None
     paper: dict[str, Finite] = Field(default={})
-    """What the paper reports of it, by metric."""
+    """Values that the paper reports for it, by metric."""
 
     @property
     def title(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return self.label or self.agent.name or str(self.agent.onnx)
 
 
@@ -48,19 +48,19 @@ class TrafficEntry(FrozenModel):
 
     @property
     def title(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return self.label or self.traffic.name or " + ".join(self.traffic.mixture)
 
 
 class Cell(FrozenModel):
-    """An ego in a traffic."""
+    """One ego in one traffic."""
 
     ego: EgoEntry
     traffic: TrafficEntry
 
     @property
     def paper(self) -> dict[str, float]:
-        """What the paper reports of it, by metric."""
+        """Values that the paper reports for the cell, by metric."""
         return {**self.traffic.paper, **self.ego.paper}
 
 
@@ -68,11 +68,11 @@ class Suite(FrozenModel):
     """An evaluation: every ego in every traffic, on the same episodes."""
 
     suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-    """Its name, which is also that of its tables."""
+    """Its name, and that of its tables."""
     title: Line = ""
     episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
-    """The first episode's seed; the others follow."""
+    """Seed of the first episode; the next episodes have the next seeds."""
     scene: SceneSettings = SceneSettings()
     egos: Annotated[
         tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
@@ -81,15 +81,15 @@ class Suite(FrozenModel):
         tuple[TrafficEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
     ]
     columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
-    """Metrics of the printed table; none: all that the paper reports."""
+    """Metrics of the printed table; if empty, all that the paper reports."""
     pairs: bool = False
-    """Whether tables also say how far the egos are apart, pair by pair."""
+    """Whether to compare the egos pair by pair in a table."""
     references: Annotated[
         tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
     ] = ()
-    """Human driving that each traffic is held against."""
+    """Human driving to compare each traffic with."""
     folder: Path = Field(default=Path(), exclude=True, strict=False)
-    """Where relative paths start: the suite file's folder."""
+    """Folder that relative paths start from: that of the suite file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -106,13 +106,13 @@ class Suite(FrozenModel):
             titles = [entry.title for entry in entries]
             for title in titles:
                 if titles.count(title) > 1:
-                    raise ValueError(f"two {what} are called '{title}'; give them labels")
+                    raise ValueError(f"two {what} are called '{title}'; give them different labels")
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
-            raise ValueError("pairs compares two egos or more in one traffic")
+            raise ValueError("pairs needs two or more egos and one traffic")
         if self.references and len(self.egos) > 1:
-            raise ValueError("references are for traffics; give one ego")
+            raise ValueError("references are compared with traffics; expected one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
-            raise ValueError("a reference stands here twice")
+            raise ValueError("a reference is given twice")
         return self
 
     @model_validator(mode="after")
@@ -120,34 +120,34 @@ class Suite(FrozenModel):
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(
-                f"{total:,} episodes in all cells; expected {EPISODES_LIMIT:,} at most"
+                f"{total:,} episodes in all cells; expected at most {EPISODES_LIMIT:,}"
             )
         return self
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """Every ego with every traffic."""
+        """Every ego in every traffic."""
         return tuple(
             Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics
         )
 
     def fingerprint(self) -> str:
-        """Hash of everything that decides its results but the number of episodes."""
+        """Returns the hash of everything that decides its rows, except the number of episodes."""
         fields = self.model_dump(mode="json", exclude={"episodes", *PRESENTATION})
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
 def load_suite(path: Path) -> Suite:
-    """The suite of a YAML file.
+    """Reads a suite from a YAML file.
 
     Raises:
-        SuiteError: Something in it is wrong, or an agent or traffic is not installed.
+        SuiteError: The file is wrong, or an agent or a traffic is not installed.
     """
     return suite_of(Document(path))
 
 
 def suite_of(document: Document) -> Suite:
-    """The suite of a document; see `load_suite`."""
+    """Returns the suite of a document; see `load_suite`."""
     suite = document.validate(Suite)
     both: dict[str, Sequence[EgoEntry | TrafficEntry]]
     both = {"egos": suite.egos, "traffics": suite.traffics}

@@ -219,7 +219,7 @@ def test_sigterm_waits_for_a_checkpoint_and_then_does_what_it_would_have_done() 
 
 
 def test_a_training_keeps_out_of_a_folder_in_use(suite: Path, tmp_path: Path) -> None:
-    with locked(tmp_path), pytest.raises(RunFolderError, match="another run is at work there"):
+    with locked(tmp_path), pytest.raises(RunFolderError, match="another run is using this folder"):
         pipeline.run(suite, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [".lock"]
 

@@ -1,11 +1,11 @@
 """The ten nastiest inputs, as docs/hostile-input.md has them."""
 
 NASTIEST = {
-    "suite: a billion laughs": "A suite of 59 lists, each of four times the one before",
+    "suite: a billion laughs": "A suite of 59 lists, each with four copies of the one before",
     "suite: code: apply": "A suite whose title is `!!python/object/apply:os.mkdir [canary]`",
     "a link to /dev/zero as a network": "A network that is a link to `/dev/zero`",
-    "network: weights elsewhere, disguised": "A network with its weights in another file, written "
-    "so that no search for the bytes finds it",
+    "network: weights elsewhere, disguised": "A network whose weights are in another file, "
+    "encoded so that no search for bytes finds its name",
     "network: a loop without end": "A network with a loop of 2^62 rounds",
     "network: a product of 80 GB": "A network of 1 MB that multiplies its way to 80 GB",
     "checkpoint: a pickle that makes a folder": "A checkpoint with a pickle that calls `os.mkdir`",

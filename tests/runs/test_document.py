@@ -1,4 +1,4 @@
-"""YAML from users: what is wrong is said with file, line and field."""
+"""YAML from users: errors name file, line and field."""
 
 from pathlib import Path
 
@@ -44,7 +44,7 @@ def complaint(tmp_path: Path, text: str) -> str:
         ("agent: stackelberg", "agent: 7", "suite.yaml:8: egos[1].agent"),
         ("stackelberg", "idm_mobil", "two egos are called 'idm_mobil'"),
         ("suite: small", "suite: ../small", "suite.yaml:1: suite: String should match"),
-        ("lanes: 3", "lanes: 3\n  lanes: 4", "suite.yaml:6: the key 'lanes' stands here twice"),
+        ("lanes: 3", "lanes: 3\n  lanes: 4", "suite.yaml:6: the key 'lanes' is given twice"),
         ("lanes: 3", "lanes: [3", "is not YAML"),
         ("lanes: 3", "lanes: &a 3\n  density: *a", "suite.yaml:6: aliases (*name) are not"),
         ("lanes: 3", "lanes: !!python/name:os.system 3", "suite.yaml:5: tags (!name) are not"),
@@ -63,10 +63,10 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         Document(tmp_path / "nowhere.yaml")
 
 
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "suite.yaml"
     path.write_bytes(b"suite: \xff\xfe")
-    with pytest.raises(SuiteError, match="is no UTF-8 text"):
+    with pytest.raises(SuiteError, match="is not UTF-8 text"):
         Document(path)
 
 

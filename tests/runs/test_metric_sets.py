@@ -49,7 +49,7 @@ def test_a_plugins_set_has_its_own_version() -> None:
         (["standard:ttc_s=[1"], "ttc_s: cannot be read: expected ',' or"),
         (["standard:ttc=2"], r"cannot be made \(options: ttc\): TypeError: .*'ttc'"),
         (["paper:ttc_s=2"], "metric set 'paper' takes no options; given: ttc_s"),
-        (["paper", "paper"], "metric set 'paper-1': asked for twice"),
+        (["paper", "paper"], "metric set 'paper-1': given twice"),
         (["outside_no_metrics"], "is a NoAgent, not a MetricSet"),
         (["outside_broken_metrics"], "'broken': fuel: ColumnNotFoundError: .*\"fuel\""),
     ],

@@ -1,4 +1,4 @@
-"""Comparisons of runs: what is compared with what, and what is refused."""
+"""Pairs of cells to compare: which cells belong together, and which runs are refused."""
 
 import json
 from collections.abc import Callable
@@ -160,9 +160,9 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("idm",), "idm: compared with what? Give a second run, or two of its agents with"),
+        (("idm",), "idm: needs something to compare with; give a second run, or two agents of"),
         (("idm", "nowhere"), "nowhere/manifest.json: cannot be read"),
-        (("idm", "both"), "say with --agents which one of each to compare"),
+        (("idm", "both"), "choose one agent of each with --agents"),
         (("idm", "--agents", "idm_mobil", "idm"), "no ego named 'idm'. Known: idm_mobil"),
         (("idm", "idm", "--metric", "speed"), "no metric named 'speed'. Known: collision_rate"),
     ],

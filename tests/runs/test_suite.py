@@ -68,7 +68,7 @@ def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:
     [
         (["i42"], "no reference named 'i42'; .* Known: i24, i75, us101. Did you mean 'i24'"),
         ([{"name": "i24", "recordings": "highd"}], "give a name, or a folder of recordings"),
-        (["i24", "us101", "i24"], "a reference stands here twice"),
+        (["i24", "us101", "i24"], "a reference is given twice"),
     ],
 )
 def test_a_reference_is_a_shipped_name_or_a_folder(references: list[object], message: str) -> None:
@@ -78,7 +78,7 @@ def test_a_reference_is_a_shipped_name_or_a_folder(references: list[object], mes
 
 def test_references_are_for_one_ego() -> None:
     egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
-    with pytest.raises(ValueError, match="references are for traffics; give one ego"):
+    with pytest.raises(ValueError, match="references are compared with traffics; expected one ego"):
         Suite.model_validate({**MINIMAL, "egos": egos, "references": ["i24"]})
 
 

@@ -193,7 +193,10 @@ def test_sha256sum_says_the_same(finished: RunFolder) -> None:
 
 def test_a_folder_in_use_is_left_alone(folder: RunFolder) -> None:
     before = files(folder.path)
-    with locked(folder.path), pytest.raises(RunFolderError, match="another run is at work there"):
+    with (
+        locked(folder.path),
+        pytest.raises(RunFolderError, match="another run is using this folder"),
+    ):
         run(Suite.model_validate({**SMALL, "episodes": 8}), folder.path)
     assert files(folder.path) == before
 
@@ -226,7 +229,7 @@ def test_a_terminated_run_keeps_a_second_one_out_and_says_what_is_left(
     output = tmp_path / "run"
     first = start(suite_file, output, "--episodes", 100_000)
     wait_for_shards(first, output, 1)
-    with pytest.raises(RunFolderError, match="another run is at work there; wait for it"):
+    with pytest.raises(RunFolderError, match="another run is using this folder; wait for it"):
         run(load_suite(suite_file), output)
     first.send_signal(signal.SIGTERM)
     code, said = ended(first)
