@@ -41,24 +41,23 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
         RunFolderError: The table of metrics, which every run has, is missing, or one is damaged.
     """
     tables, name = folder / "tables", suite.suite
-    metrics = tables / f"{name}.csv"
-    if not metrics.exists():
-        raise RunFolderError(
-            f"{metrics}: no such file; a run writes its tables when it is finished, and "
-            f"`charms-bench rescore {folder}` writes them again"
-        )
 
-    def read(path: Path, keys: tuple[str, ...], long: Mapping[str, str]) -> pl.DataFrame | None:
+    def read(ending: str, keys: tuple[str, ...], long: Mapping[str, str]) -> pl.DataFrame | None:
+        path = tables / f"{name}{ending}.csv"
         return read_table(path, long_schema(keys, long)) if path.exists() else None
 
-    pairs = read(tables / f"{name}-pairs.csv", pairs_table.KEYS, pairs_table.LONG)
-    realism = read(tables / f"{name}-realism.csv", realism_table.KEYS, realism_table.LONG)
+    metrics = read("", suite_table.KEYS, suite_table.LONG)
+    if metrics is None:
+        raise RunFolderError(
+            f"{tables / name}.csv: no such file; a run writes its tables when it is finished, and "
+            f"`charms-bench rescore {folder}` writes them again"
+        )
+    pairs = read("-pairs", pairs_table.KEYS, pairs_table.LONG)
+    realism = read("-realism", realism_table.KEYS, realism_table.LONG)
     return RunTables(
-        metrics=suite_table.from_frame(
-            read_table(metrics, long_schema(suite_table.KEYS, suite_table.LONG)), suite
-        ),
-        pairs=None if pairs is None else pairs_table.from_frame(pairs, suite),
-        realism=None if realism is None else realism_table.from_frame(realism, suite),
+        suite_table.from_frame(metrics, suite),
+        None if pairs is None else pairs_table.from_frame(pairs, suite),
+        None if realism is None else realism_table.from_frame(realism, suite),
     )
 
 

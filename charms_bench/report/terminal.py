@@ -39,8 +39,9 @@ def _grid(table: Table, stacked: bool) -> RichTable:
     has_interval = [
         not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
     ]
-    for key in table.keys:
-        made.add_column(key, no_wrap=not stacked)
+    for i, key in enumerate(table.keys):
+        longest = max((len(row.labels[i]) for row in table.rows), default=0)
+        made.add_column(key, min_width=min(longest, WIDEST))
     for i, column in enumerate(table.columns):
         is_text = any(isinstance(row.cells[i], str) for row in table.rows)
         # Spaces wrap, underscores do not.
@@ -94,17 +95,14 @@ def drawn(table: Table, width: int = 100) -> Group:
     return Group(*parts, Text(f"\n{legend}"))
 
 
-class _Line:
-    """A printed line: label, value, interval and reference, and the number to draw, if any."""
-
-    def __init__(self, texts: tuple[str, str, str, str], number: Number | None = None) -> None:
-        self.texts, self.number = texts, number
+_Line = tuple[tuple[str, str, str, str], Number | None]
+"""A printed line: label, value, interval and reference; and the number to draw, if any."""
 
 
 def _drawn(table: Table, width: int) -> RichTable:
     """A block of lines for each column: its scale, then a bar per row."""
     blocks = [_block(table, i) for i in range(len(table.columns))]
-    taken = [max(len(line.texts[i]) for block in blocks for line in block) for i in range(4)]
+    taken = [max(len(texts[i]) for block in blocks for texts, _ in block) for i in range(4)]
     label_width = min(taken[0], max(NARROWEST, width - sum(taken[1:]) - 2 * NARROWEST - 4 * GAP))
     room = min(WIDEST, max(NARROWEST, width - label_width - sum(taken[1:]) - 4 * GAP))
     made = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=False)
@@ -114,34 +112,33 @@ def _drawn(table: Table, width: int) -> RichTable:
     made.add_column(width=room, no_wrap=True)
     made.add_column(width=taken[3], justify="right", no_wrap=True)
     for index, (column, block) in enumerate(zip(table.columns, blocks, strict=True)):
-        numbers = [line.number for line in block if line.number]
+        numbers = [number for _, number in block if number]
         ends = [e for n in numbers for e in (n.value, n.low, n.high, n.reference)]
         scale = Scale.over(ends, room, zero=column.signed)
         if index:
             made.add_row()
-        for line in block:
-            label, *texts, reference = map(Text, line.texts)
-            if line is block[0]:
-                label.stylize("bold")
-            picture = bar(scale, line.number) if line.number else Text()
-            made.add_row(label, *texts, _axis(scale) if line is block[0] else picture, reference)
+        for line, (texts, number) in enumerate(block):
+            label, value, interval, reference = map(Text, texts)
+            picture = bar(scale, number) if number else Text() if line else _axis(scale)
+            label.stylize("" if line else "bold")
+            made.add_row(label, value, interval, picture, reference)
     return made
 
 
 def _block(table: Table, place: int) -> list[_Line]:
     column, numbers = table.columns[place], table.column(place)
     reported = any(number.reference is not None for number in numbers)
-    lines = [_Line((column.name, "", column.unit, table.reference if reported else ""))]
+    head = (column.name, "", column.unit, table.reference if reported else "")
+    lines: list[_Line] = [(head, None)]
     above = None
     for row, number, cell in zip(table.rows, numbers, write_column(column, numbers), strict=True):
         *outer, label = row.labels
         if outer and outer != above:
-            lines.append(_Line((f"  {' '.join(outer)}", "", "", "")))
+            lines.append(((f"  {' '.join(outer)}", "", "", ""), None))
         above = outer
         text = "  " * (1 + bool(outer)) + label
-        lines.append(
-            _Line((text, _value(cell), cell.interval(_between(cell)), cell.reference), number)
-        )
+        texts = (text, _value(cell), cell.interval(_between(cell)), cell.reference)
+        lines.append((texts, number))
     return lines
 
 

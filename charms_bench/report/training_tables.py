@@ -101,28 +101,23 @@ def stored_training(folder: Path) -> Training:
         try:
             columns = ColumnsFile.model_validate_json(read_file(folder / COLUMNS))
         except ValidationError as error:
-            found = error.errors()[0]
-            where = ".".join(map(str, found["loc"]))
-            raise RunFolderError(f"{folder / COLUMNS}: {where}: {found['msg']}") from error
-    stages = _with_stages(folder / STAGES) if holds(folder, STAGES) else None
-    curves = _with_stages(folder / CURVES) if holds(folder, CURVES) else None
-    return Training(
-        None if stages is None else stages_table(stages, columns.stages), curves, columns
-    )
-
-
-def _with_stages(path: Path) -> pl.DataFrame:
-    table = read_csv(path)
-    if "stage" not in table.columns:
-        found = ", ".join(table.columns)
-        raise RunFolderError(f"{path}: expected a column 'stage', found {found}")
-    return table
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise RunFolderError(f"{folder / COLUMNS}: {where}: {first['msg']}") from error
+    found = {}
+    for path in (folder / name for name in (STAGES, CURVES) if holds(folder, name)):
+        found[path.name] = read_csv(path)
+        if "stage" not in found[path.name].columns:
+            names = ", ".join(found[path.name].columns)
+            raise RunFolderError(f"{path}: expected a column 'stage', found {names}")
+    stages = stages_table(found[STAGES], columns.stages) if STAGES in found else None
+    return Training(stages, found.get(CURVES), columns)
 
 
 def stages_table(stages: pl.DataFrame, described: Mapping[str, StageColumn]) -> Table:
     """The table of `stages.csv`."""
     columns = tuple(
-        Column(name, each.unit, each.definition, form=each.form, group="training")
+        Column(name, each.unit, each.definition, form=each.form)
         for name in stages.columns
         if name != "stage"
         for each in [described.get(name, StageColumn(definition="As the pipeline calls it"))]

@@ -37,12 +37,7 @@ def draw_quantity(
         panel.stairs(area, edges, fill=True, color=GREY, label="people", zorder=1)
         panel.stairs(area, edges, color=EDGE, linewidth=0.8, zorder=1)
         for k, (traffic, line) in enumerate(zip(traffics, lines, strict=True)):
-            panel.plot(
-                edges[:-1] + width / 2,
-                line,
-                label=traffic.traffic,
-                **series(k),
-            )
+            panel.plot(edges[:-1] + width / 2, line, label=traffic.traffic, **series(k))
         panel.set_title(f"{name}: {counts.sum():,.0f} counted", fontsize=10)
         panel.set(xlabel=unit, xlim=(edges[used[0]], edges[used[-1] + 1]))
         # On a linear scale, the peak of a traffic that drives at one speed hides the people.
