@@ -1,17 +1,15 @@
-"""What can go wrong through no bug of ours.
+"""The errors that users can cause; the command line prints their message and exits with 2.
 
-    CharmsBenchError
-    ├── InputError          a file, name, option or value from outside is wrong
-    │   ├── SuiteError      a suite file; names file and line
-    │   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
-    │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
-    │   ├── RunFolderError  a run folder cannot be read, written or continued
-    │   └── DataError       recorded driving is missing, damaged or of no use
-    ├── AgentError          an agent raised or answered with something unusable
-    └── WorkerError         a worker process died again and again, or took too long
-        └── ClusterError    a cluster cannot be reached or used, or is gone
-
-The command line prints the message of any of these and exits with 2.
+CharmsBenchError
+├── InputError          a file, name, option or value from outside is wrong
+│   ├── SuiteError      a suite file; names file and line
+│   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
+│   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
+│   ├── RunFolderError  a run folder cannot be read, written or continued
+│   └── DataError       recorded driving is missing, damaged or unusable
+├── AgentError          an agent raised an exception or returned something unusable
+└── WorkerError         a worker process died again and again, or took too long
+    └── ClusterError    a cluster cannot be reached or used, or is gone
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,15 +21,15 @@ if TYPE_CHECKING:
 
 
 class CharmsBenchError(Exception):
-    """The base of every error a user can cause; its text is the whole message."""
+    """The base class of these errors; the text is the complete message."""
 
 
 class InputError(CharmsBenchError):
-    """Something from outside is wrong: what, where, what was expected, what to do."""
+    """A file, name, option or value from outside is wrong."""
 
 
 class SuiteError(InputError):
-    """A suite file does not say something that can be run."""
+    """A suite file cannot be run."""
 
 
 class RegistryError(InputError):
@@ -47,11 +45,11 @@ class RunFolderError(InputError):
 
 
 class DataError(InputError):
-    """Recorded driving cannot be read or learnt from."""
+    """Recorded driving cannot be read or used."""
 
 
 class AgentError(CharmsBenchError):
-    """An agent raised, or returned the wrong shape, type or range."""
+    """An agent raised an exception, or returned a wrong shape, type or value."""
 
 
 class WorkerError(CharmsBenchError):
@@ -63,14 +61,14 @@ class ClusterError(WorkerError):
 
 
 def suggestion(name: str, known: Mapping[str, object]) -> str:
-    """What to say to whoever misspelt one of the known names."""
+    """The known names, and the one that a misspelt name probably means."""
     close = get_close_matches(name, known, n=1)
     hint = f" Did you mean '{close[0]}'?" if close else ""
     return f"Known: {', '.join(known) or 'none'}.{hint}"
 
 
 def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
-    """Where the first thing stands that a model finds wrong, and what to say of it."""
+    """The location and the description of the first problem that a model reports."""
     problems = error.errors(include_url=False)
     first = problems[0]
     found = _shortened(first["input"])

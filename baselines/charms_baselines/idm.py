@@ -37,17 +37,13 @@ def motion(b: int, i: int, scene: Scene) -> Motion:
 @compiled
 def motion_ahead(b: int, i: int, scene: Scene) -> Motion:
     """The motion of a leader; if there is none (-1), it is infinitely far ahead."""
-    if i < 0:
-        return Motion(math.inf, 0.0, 1.0, 0.0, 0.0)
-    return motion(b, i, scene)
+    return Motion(math.inf, 0.0, 1.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
 
 
 @compiled
 def motion_behind(b: int, i: int, scene: Scene) -> Motion:
     """The motion of a follower; if there is none (-1), it is infinitely far behind."""
-    if i < 0:
-        return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0)
-    return motion(b, i, scene)
+    return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
 
 
 @compiled

@@ -56,7 +56,6 @@ def agent_rules(agent: Agent) -> list[Rule]:
     own: tuple[Callable[..., None], ...] = (
         model_returns_one_acceleration_and_lane_per_vehicle,
         model_drives_each_scene_independently,
-        model_is_deterministic,
         model_does_not_change_the_scene,
     )
     if isinstance(agent, Policy):
@@ -64,10 +63,14 @@ def agent_rules(agent: Agent) -> list[Rule]:
             policy_names_an_observation_and_a_rate,
             policy_returns_one_action_per_vehicle,
             policy_decides_for_each_vehicle_independently,
-            policy_is_deterministic,
             policy_does_not_change_its_observations,
         )
-    rules = (*own, agent_answers_the_same_in_another_process, agent_answers_in_time)
+    rules = (
+        *own,
+        agent_is_deterministic,
+        agent_answers_the_same_in_another_process,
+        agent_answers_in_time,
+    )
     return [_bound(rule, agent) for rule in rules]
 
 
@@ -107,14 +110,6 @@ def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
     assert not differing, f"{differing} of {len(alone)} actions differ if the vehicle is alone"
 
 
-def policy_is_deterministic(policy: Policy) -> None:
-    """Two calls with the same observations return the same actions."""
-    observations = _observations(policy)
-    first, second = (np.array(policy.decide(observations.copy())) for _ in range(2))
-    differing = (first != second).sum()
-    assert not differing, f"{differing} actions differ between two calls"
-
-
 def policy_does_not_change_its_observations(policy: Policy) -> None:
     """`decide` does not write to its observations."""
     observations = _observations(policy)
@@ -144,12 +139,6 @@ def model_drives_each_scene_independently(model: DriverModel) -> None:
         assert same, f"scene {row} is driven differently if it is alone"
 
 
-def model_is_deterministic(model: DriverModel) -> None:
-    """The same scene is driven in the same way twice."""
-    first, second = (_asked(model)() for _ in range(2))
-    assert (first == second).all(), "two calls on the same scene differ"
-
-
 def model_does_not_change_the_scene(model: DriverModel) -> None:
     """`drive` writes to `timer_s` only."""
     scene, before = example_scene(), example_scene()
@@ -157,6 +146,12 @@ def model_does_not_change_the_scene(model: DriverModel) -> None:
     for name in set(Scene._fields) - _WRITABLE - {"constants"}:
         same = np.array_equal(getattr(scene, name), getattr(before, name))
         assert same, f"drive changed scene.{name}"
+
+
+def agent_is_deterministic(agent: Agent) -> None:
+    """Asked twice about the same observations or scenes, it answers the same."""
+    differing = (_asked(agent)() != _asked(agent)()).sum()
+    assert not differing, f"{differing} answers differ between two calls"
 
 
 def agent_answers_the_same_in_another_process(agent: Agent) -> None:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -73,15 +73,9 @@ class Comparison:
     differences: tuple[Difference, ...] = ()
 
     def __add__(self, other: "Comparison") -> "Comparison":
-        return Comparison(
-            self.case,
-            self.episodes + other.episodes,
-            self.steps + other.steps,
-            self.lane_changes + other.lane_changes,
-            self.crashed + other.crashed,
-            max(self.largest, other.largest),
-            self.differences + other.differences,
-        )
+        added = ("episodes", "steps", "lane_changes", "crashed", "differences")
+        sums = {name: getattr(self, name) + getattr(other, name) for name in added}
+        return replace(self, largest=max(self.largest, other.largest), **sums)
 
 
 class _DefaultCases(FrozenModel):

@@ -66,8 +66,8 @@ def scribble(observations: Observations) -> Actions:
         ),
         (
             lambda o: RNG.integers(0, 5, len(o)),
-            "policy_is_deterministic",
-            "actions differ between two calls",
+            "agent_is_deterministic",
+            "answers differ between two calls",
         ),
         (scribble, "policy_does_not_change_its_observations", "changed its observations"),
     ],
@@ -116,8 +116,8 @@ def push(scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         ),
         (
             lambda s, v: (RNG.random(v[0].size), s.lane[v]),
-            "model_is_deterministic",
-            "two calls on the same scene differ",
+            "agent_is_deterministic",
+            "answers differ between two calls",
         ),
         (push, "model_does_not_change_the_scene", r"drive changed scene\.x"),
     ],
