@@ -130,13 +130,11 @@ def find_cells(run: FinishedRun, ego: str | None, traffic: str | None) -> list[i
     Raises:
         RunFolderError: The run has no ego or no traffic with that title.
     """
-    wanted = {
-        "ego": (ego, [entry.title for entry in run.suite.egos]),
-        "traffic": (traffic, [entry.title for entry in run.suite.traffics]),
-    }
-    for what, (title, titles) in wanted.items():
+    asked = (("ego", ego, run.suite.egos), ("traffic", traffic, run.suite.traffics))
+    for what, title, entries in asked:
+        titles = {entry.title: entry for entry in entries}
         if title is not None and title not in titles:
-            known = suggestion(title, dict.fromkeys(titles))
+            known = suggestion(title, titles)
             raise RunFolderError(f"{run.folder.path}: no {what} called '{title}'. {known}")
     return [
         index
@@ -213,10 +211,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
                 t_s=np.arange(length) / run.suite.scene.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=again,
-                **{
-                    name: np.stack([frame[name][b] for frame in frames[:length]])
-                    for name in frames[0]
-                },
+                **{k: np.stack([frame[k][b] for frame in frames[:length]]) for k in frames[0]},
             )
         )
     return replays
@@ -261,8 +256,7 @@ def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
 def _frame(simulation: Simulation) -> dict[str, Any]:
     """Returns copies of the arrays `[B, N]` that a replay keeps."""
     scene = {name: getattr(simulation.scene, name).copy() for name in _OF_SCENE}
-    taken = {"action": simulation.action.copy(), "has_action": simulation.has_action.copy()}
-    return scene | taken
+    return scene | {name: getattr(simulation, name).copy() for name in ("action", "has_action")}
 
 
 def _check(run: FinishedRun, cell: int, stored: pl.DataFrame, again: pl.DataFrame) -> None:
