@@ -1,10 +1,14 @@
 """What a stage's network depends on."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from charms_agents.training.job import ReinforcementJob
+
+pytest.importorskip("torch", reason="needs the extra 'train'")
+pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+
+from charms_agents.training.job import Job
+from charms_agents.training.reinforcement import reinforcement_job
 from charms_agents.training.settings import load_training
 
 from charms_bench.plugins.registry import make_agent
@@ -13,23 +17,22 @@ from charms_bench.plugins.specs import TrafficSpec
 SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
 
 
-def job_of(shares: dict[str, float], **options: float) -> ReinforcementJob:
-    """The job of `prior_level_k` in a mixture, with other options."""
+def job_of(shares: dict[str, float], weights_of: str = "", **options: float) -> Job:
+    """The job of `prior_level_k` in a mixture, with other options and weights in the traffic."""
     suite, name = load_training(SUITE), "prior_level_k"
     changes = {"traffic": TrafficSpec(mixture=shares), **options}
     stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
-    drivers = {driver: make_agent(driver) for driver in shares}
-    return ReinforcementJob(name, suite.model_copy(update={"stages": stages}), drivers)
+    drivers = {driver: make_agent(weights_of or driver) for driver in shares}
+    return reinforcement_job(name, suite.model_copy(update={"stages": stages}), drivers)
 
 
 def test_who_drives_the_others_decides_the_network() -> None:
-    other_weights = {"prior_level_k": make_agent("charms")}
     keys = [
         job_of({"level_0": 1.0}).key,
         job_of({"level_0": 0.5, "idm_mobil": 0.5}).key,
         job_of({"level_0": 0.25, "idm_mobil": 0.75}).key,
         job_of({"prior_level_k": 1.0}).key,
-        replace(job_of({"prior_level_k": 1.0}), drivers=other_weights).key,
+        job_of({"prior_level_k": 1.0}, weights_of="charms").key,
     ]
     assert len(set(keys)) == 5
 

@@ -14,12 +14,14 @@ from rich.console import Console
 
 from charms_agents.human.samples import SampleStore
 from charms_agents.training.curves import write_curves
-from charms_agents.training.job import HumanJob, Job, ReinforcementJob, StageFolder
+from charms_agents.training.job import Job, StageFolder
 from charms_agents.training.progress import progress
+from charms_agents.training.reinforcement import reinforcement_job
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import COLUMNS, write_summary
+from charms_agents.training.supervised import human_job
 from charms_bench.errors import InputError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
@@ -109,14 +111,14 @@ def _make_job(
     if name in suite.human_stages:
         assert samples is not None
         start = suite.human_stages[name].fine_tunes
-        return HumanJob(name, suite, samples, finished[start].network if start else None)
+        return human_job(name, suite, samples, finished[start].network if start else None)
     drivers = {
         driver: OnnxPolicy(finished[driver].network)
         if driver in suite.stages
         else make_agent(driver)
         for driver in suite.traffic_of(suite.stages[name]).agents
     }
-    return ReinforcementJob(name, suite, drivers)
+    return reinforcement_job(name, suite, drivers)
 
 
 @contextmanager

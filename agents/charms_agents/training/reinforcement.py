@@ -1,8 +1,10 @@
-"""Reinforcement learning as a learner of a stage: Double DQN in the stage's traffic."""
+"""Stages that learn by reinforcement: Double DQN in the stage's traffic."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -13,23 +15,106 @@ from torch.nn import Sequential
 
 from charms_agents.training.curve import LearningCurve, Point
 from charms_agents.training.double_dqn import DoubleDQN
-from charms_agents.training.job import Arrays, ReinforcementJob
-from charms_agents.training.rewards import StyleReward
+from charms_agents.training.job import Arrays, Job
+from charms_agents.training.rewards import SAFE_TTC_S, StyleReward
+from charms_agents.training.settings import (
+    EPISODES_OF_A_SEED,
+    FIRST_TRAINING_SEED,
+    Hyperparameters,
+    Stage,
+    TrainingSuite,
+)
 from charms_agents.training.vec_env import EpisodesVecEnv
 from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
+from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.world.scene import Observations
 
 
+def reinforcement_job(name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Job:
+    """The job of a stage that learns in a simulation.
+
+    Args:
+        name: The stage.
+        suite: The suite of the stage.
+        drivers: The agents that drive the traffic, by name.
+    """
+    stage = suite.stages[name]
+    first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
+    weights = suite.weights[stage.weights].model_dump()
+    inputs: dict[str, Any] = {
+        "stage": name,
+        "steps": stage.steps,
+        "style": {"svo": stage.svo, "weights": {"name": stage.weights, **weights}},
+        "seed": suite.seed,
+        "first_episode_seed": first_seed,
+        "hyperparameters": suite.hyperparameters_of(stage).inputs,
+        "curve_steps": suite.curve_steps,
+        "scene": stage.scene.model_dump(mode="json"),
+        "traffic": _traffic_inputs(stage, drivers),
+        "charms_bench": version("charms-bench"),
+    }
+    # An option at the paper's value is left out, so that stages without it keep their keys.
+    if stage.safety_horizon_s != SAFE_TTC_S:
+        inputs["safety_horizon_s"] = stage.safety_horizon_s
+    if stage.safe_headway_m:
+        inputs["safe_headway_m"] = stage.safe_headway_m
+    if stage.lane_change_cost:
+        inputs["lane_change_cost"] = stage.lane_change_cost
+    if stage.svo_angle_rad is not None:
+        inputs["style"]["svo_angle_rad"] = stage.svo_angle_rad
+    return Job(
+        name,
+        style=f"{stage.weights}, {stage.svo}",
+        total=stage.steps,
+        decision_hz=Policy.decision_hz,
+        checkpoint_s=suite.checkpoint_s,
+        inputs=inputs,
+        make_learner=partial(Reinforcement, suite, stage, drivers, first_seed),
+    )
+
+
+def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
+    hashes = {
+        name: driver.weights_sha256 if isinstance(driver, Policy) else ""
+        for name, driver in drivers.items()
+    }
+    if len(hashes) == 1:
+        ((name, sha256),) = hashes.items()
+        return {"agent": name, "weights_sha256": sha256}
+    spec = stage.traffic.model_dump(mode="json", exclude_defaults=True)
+    return {**spec, "weights_sha256": hashes}
+
+
 class Reinforcement(BaseCallback):
-    """Learns a stage's network by Double DQN, with Stable-Baselines3's loop."""
+    """Learns a stage's network by Double DQN, with Stable-Baselines3's loop.
+
+    Args:
+        suite: The suite.
+        stage: The stage.
+        drivers: The agents that drive the traffic, by name.
+        first_seed: Seed of the first episode; each further episode adds 1.
+    """
 
     point = Point
 
-    def __init__(self, job: ReinforcementJob) -> None:
+    def __init__(
+        self, suite: TrainingSuite, stage: Stage, drivers: Mapping[str, Agent], first_seed: int
+    ) -> None:
         super().__init__()
-        self._job, self._curve = job, LearningCurve()
-        self._episodes = _episodes(job)
-        self._agent = _agent(job, self._episodes)
+        self._steps, self._curve_steps = stage.steps, suite.curve_steps
+        self._curve = LearningCurve()
+        reward = StyleReward(
+            suite.weights[stage.weights],
+            stage.angle_rad,
+            stage.safety_horizon_s,
+            stage.safe_headway_m,
+            stage.lane_change_cost,
+        )
+        h, traffic = suite.hyperparameters_of(stage), suite.traffic_of(stage)
+        self._episodes = HighwayVectorEnv(
+            stage.scene, h.scenes, traffic, drivers, reward, first_seed
+        )
+        self._agent = _agent(h, self._episodes, suite.seed)
         self._agent.set_logger(Logger(None, []))  # by default it would write a folder
         self._pause: Callable[[], None] = lambda: None
 
@@ -55,10 +140,10 @@ class Reinforcement(BaseCallback):
 
     def learn(self, pause: Callable[[], None]) -> None:
         """Learns until the stage's last step; calls `pause` before each rollout."""
-        self._pause, steps = pause, self._job.total
-        if self.done < steps:
+        self._pause = pause
+        if self.done < self._steps:
             self._agent.learn(
-                steps - self.done,
+                self._steps - self.done,
                 callback=self,
                 log_interval=None,  # type: ignore[arg-type]  # which it allows
                 reset_num_timesteps=False,
@@ -78,7 +163,7 @@ class Reinforcement(BaseCallback):
 
     def _close_point_when_due(self) -> None:
         last = self.curve[-1].steps if self.curve else 0
-        if self.done - last >= self._job.suite.curve_steps:
+        if self.done - last >= self._curve_steps:
             self._curve.close(self.done, self._agent.loss, self._agent.exploration_rate)
 
     def arrays(self) -> Arrays:
@@ -110,32 +195,11 @@ class Reinforcement(BaseCallback):
         return {"gradient_steps": self._agent._n_updates, "curve": curve}
 
 
-def _episodes(job: ReinforcementJob) -> HighwayVectorEnv[Any]:
-    """The environment of a stage."""
-    suite, stage = job.suite, job.stage
-    reward = StyleReward(
-        suite.weights[stage.weights],
-        stage.angle_rad,
-        stage.safety_horizon_s,
-        stage.safe_headway_m,
-        stage.lane_change_cost,
-    )
-    return HighwayVectorEnv(
-        stage.scene,
-        job.hyperparameters.scenes,
-        suite.traffic_of(stage),
-        job.drivers,
-        reward,
-        job.first_episode_seed,
-    )
-
-
-def _agent(job: ReinforcementJob, episodes: HighwayVectorEnv[Any]) -> DoubleDQN:
+def _agent(h: Hyperparameters, episodes: HighwayVectorEnv[Any], seed: int) -> DoubleDQN:
     """The untrained Double DQN of a stage."""
-    h = job.hyperparameters
     return DoubleDQN(
         EpisodesVecEnv(episodes),
-        job.suite.seed,
+        seed,
         h.return_steps,
         h.standardised,
         learning_rate=h.learning_rate_at,

@@ -103,7 +103,7 @@ class StyleReward:
         followers = scene.followers[rows, ego]
         expected = np.zeros(followers.shape)
         if self._others:
-            expect(scene, followers, expected)
+            _expect(scene, followers, expected)
         egos = simulation.ego_vehicles
         consistent = simulation.has_action[egos] & (simulation.action[egos] == actions)
         lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
@@ -159,11 +159,6 @@ def others(scene: Scene, prepared: Prepared) -> Floats:
     result = np.empty(scene.ego.size)
     _others(scene, prepared.lane, prepared.followers, prepared.expected, result)
     return result
-
-
-def expect(scene: Scene, followers: Ints, expected: Floats) -> None:
-    """Fills `expected` (B, L), the expected accelerations of the followers on each lane."""
-    _expect(scene, followers, expected)
 
 
 @compiled
@@ -230,6 +225,7 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
 
 @compiled
 def _expect(scene: Scene, followers: Ints, expected: Floats) -> None:
+    """Fills `expected` (B, L), the expected accelerations of the followers on each lane."""
     for b in range(followers.shape[0]):
         for lane in range(followers.shape[1]):
             if followers[b, lane] >= 0:

@@ -4,83 +4,27 @@ import hashlib
 import json
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
-from torch.nn import Sequential
 
-from charms_agents.training.curve import Epoch, Point, write_csv
+from charms_agents.training.curve import write_csv
 from charms_agents.training.export import export
-from charms_agents.training.job import Arrays, HumanJob, Job, ReinforcementJob, StageFolder
-from charms_agents.training.network import read_network, untrained
+from charms_agents.training.job import Job, Learner, StageFolder
 from charms_agents.training.progress import Tell
-from charms_agents.training.reinforcement import Reinforcement
-from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
-from charms_bench.world.files import write_atomically
-from charms_bench.world.scene import Observations
+from charms_bench.world.files import write_bytes
 
 _VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
 
 
 class Interrupted(Exception):
     """The training was asked to stop and has written a checkpoint."""
-
-
-class Learner(Protocol):
-    """A network while it learns."""
-
-    @property
-    def point(self) -> type[Point | Epoch]:
-        """The kind of points in the learning curve."""
-
-    @property
-    def curve(self) -> Sequence[Point | Epoch]:
-        """The points so far."""
-
-    @property
-    def done(self) -> int:
-        """Steps or epochs so far."""
-
-    @property
-    def network(self) -> Sequential:
-        """The network so far."""
-
-    @property
-    def observations(self) -> Observations:
-        """(M, 7, 5) observations on which the exported network is compared with this one."""
-
-    def learn(self, pause: Callable[[], None]) -> None:
-        """Learns to the end; calls `pause` wherever `arrays` can be called."""
-
-    def arrays(self) -> Arrays:
-        """Everything that further learning depends on, as plain arrays."""
-
-    def load_arrays(self, arrays: Arrays) -> None:
-        """Takes over what `arrays` returned for the same job."""
-
-    def results(self) -> dict[str, Any]:
-        """What the manifest says of the learning."""
-
-
-def make_learner(job: Job) -> Learner:
-    """The learner of a job, before it has learnt anything.
-
-    Raises:
-        CharmsBenchError: The samples or the network to start from cannot be used.
-    """
-    if isinstance(job, HumanJob):
-        layers, seed = job.suite.hyperparameters.hidden_layers, job.suite.seed
-        start = read_network(job.start) if job.start else untrained(layers, seed)
-        return Fit(start, job.samples.load(), job.settings, seed)
-    assert isinstance(job, ReinforcementJob)
-    return Reinforcement(job)
 
 
 def train_stage(
@@ -108,9 +52,9 @@ def train_stage(
     for partial in folder.path.glob(".*.partial"):
         partial.unlink(missing_ok=True)  # from a training that was killed while it wrote
     torch.set_num_threads(1)
-    learner = make_learner(job)
+    learner = job.make_learner()
     wall_s = _Life(job, folder, learner, tell, stop).run()
-    facts = {"stage": job.name, "style": job.style, "decision_hz": job.decision_hz}
+    facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
     checked = export(learner.network, folder.network, facts, learner.observations)
     manifest = {
         **job.inputs,
@@ -129,7 +73,7 @@ def train_stage(
     }
     text = json.dumps(manifest, indent=2) + "\n"
     # Written last: from now on, the stage is finished.
-    write_atomically(folder.manifest, lambda path: path.write_text(text, encoding="utf-8"))
+    write_bytes(folder.manifest, text.encode())
     return folder
 
 
@@ -170,7 +114,7 @@ class _Life:
         if self._stop():
             self._save()
             raise Interrupted
-        if time.monotonic() - self._saved_at >= self._job.suite.checkpoint_s:
+        if time.monotonic() - self._saved_at >= self._job.checkpoint_s:
             self._save()
 
     def _report(self) -> None:

@@ -1,4 +1,4 @@
-"""All finished stages in a table: how long each took, and what came of it."""
+"""The table `stages.csv` of all finished stages, with their times and results."""
 
 import json
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ SCHEMA = pl.Schema(
     {
         "stage": pl.String(),
         "style": pl.String(),
-        "steps": pl.Int64(),  # decisions; null for what learns from human driving
+        "steps": pl.Int64(),  # decisions; null for stages that learn from human driving
         "wall_s": pl.Float64(),
         "steps_per_s": pl.Float64(),
         "return": pl.Float64(),  # of the learning curve's last point, exploring
@@ -67,11 +67,11 @@ COLUMNS = ColumnsFile(
         ),
     },
 )
-"""What the columns of `stages.csv` and `curves.csv` are, for whoever shows them."""
+"""Meaning, unit and format of the columns of `stages.csv` and `curves.csv`."""
 
 
 def write_summary(output: Path, folders: Mapping[str, StageFolder]) -> pl.DataFrame:
-    """Writes `stages.csv`, one row per stage, and `columns.json`; returns the former's table."""
+    """Writes `stages.csv`, one row per stage, and `columns.json`; returns the stages."""
     rows = [_row(name, folder) for name, folder in folders.items()]
     table = pl.DataFrame(rows, schema=SCHEMA)
     columns = COLUMNS.model_dump_json(indent=2, exclude_defaults=True)
