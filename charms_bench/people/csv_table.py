@@ -1,7 +1,7 @@
 """Reads CSV files of numbers; errors name the file, the line and the column."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +23,14 @@ class Numbers(NamedTuple):
     high: float
     unit: str = ""
     whole: bool = False
+
+    def allows(self, cell: str) -> bool:
+        """Whether the text of a cell is an allowed number."""
+        try:
+            value = math.nan if "_" in cell else float(cell)
+        except ValueError:
+            return False
+        return self.low <= value <= self.high and not (self.whole and value != math.floor(value))
 
     def __str__(self) -> str:
         kind = "a whole number" if self.whole else "a number"
@@ -130,27 +138,11 @@ def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: s
                     f"{path}: line {number}: {len(fields)} fields, but the header has "
                     f"{len(header)}; is the file cut short?"
                 )
-            for name, cell, cells in _cells(header, fields, columns):
-                if not _is_one_of(cell, cells):
+            for name, cell in zip(header, fields, strict=True):
+                cells = columns.get(name)
+                if isinstance(cells, Numbers) and not cells.allows(cell):
                     found = f"'{cell[:40]}'" if cell else "nothing"
                     return DataError(
                         f"{path}: line {number}: column '{name}': expected {cells}, found {found}"
                     )
     return DataError(f"{path}: {otherwise}")
-
-
-def _cells(
-    header: list[str], fields: list[str], columns: Columns
-) -> Iterator[tuple[str, str, Numbers]]:
-    for name, cell in zip(header, fields, strict=True):
-        cells = columns.get(name)
-        if isinstance(cells, Numbers):
-            yield name, cell, cells
-
-
-def _is_one_of(cell: str, cells: Numbers) -> bool:
-    try:
-        value = math.nan if "_" in cell else float(cell)
-    except ValueError:
-        return False
-    return cells.low <= value <= cells.high and not (cells.whole and value != math.floor(value))

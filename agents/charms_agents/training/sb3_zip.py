@@ -52,6 +52,10 @@ KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
 
+class _Refusal(Exception):
+    """Why a checkpoint is refused; `export_zip` adds the file's name."""
+
+
 class Checkpoint(NamedTuple):
     """The parts of a zip that are read."""
 
@@ -91,10 +95,13 @@ def export_zip(
         RunFolderError: The output cannot be written.
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
-    read = _read(checkpoint)
-    numbered, usual = _deciding(checkpoint, _tensors(checkpoint, read.weights))
-    said = _activation(checkpoint, read.data, usual)
-    network = network_of(_layers(checkpoint, numbered, observation), KINDS[said or usual])
+    try:
+        read = _read(checkpoint)
+        numbered, usual = _deciding(_tensors(read.weights))
+        said = _activation(read.data, usual)
+        network = network_of(_layers(numbered, observation), KINDS[said or usual])
+    except _Refusal as error:
+        raise ModelError(f"{checkpoint}: {error}") from error
     rows, columns = observation.shape
     sizes = [rows * columns, *(bias.size for _, bias in layers_of(network))]
     name = checkpoint.name.encode(errors="replace").decode()
@@ -123,72 +130,69 @@ def _read(path: Path) -> Checkpoint:
     """Reads a checkpoint.
 
     Raises:
-        ModelError: The file cannot be read, or is not a zip with weights of a plausible size.
+        _Refusal: The file cannot be read, or is not a zip with weights of a plausible size.
     """
     try:
         content = read_limited(path, FILE_LIMIT_BYTES)
     except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise _Refusal(f"cannot be read: {error.strerror or error}") from error
     if not is_zipfile(BytesIO(content)):
-        raise ModelError(f"{path}: not a zip; expected a file that Stable-Baselines3 saved")
+        raise _Refusal("not a zip; expected a file that Stable-Baselines3 saved")
     try:
-        members = _members(f"{path}: ", content)
+        members = _members(content)
         for name, limit in LIMITS_BYTES.items():
             read = [info for info in members if info.filename == name]
             if len(read) > 1:
-                raise ModelError(f"{path}: holds {name} {len(read)} times")
-            _check_size(path, name, read, limit)
+                raise _Refusal(f"holds {name} {len(read)} times")
+            _check_size(name, read, limit)
         names = [info.filename for info in members]
         if WEIGHTS not in names:
             found = ", ".join(name[:40] for name in sorted(names)[:8]) or "nothing"
-            raise ModelError(f"{path}: has no {WEIGHTS}; it holds: {found}")
+            raise _Refusal(f"has no {WEIGHTS}; it holds: {found}")
         with ZipFile(BytesIO(content)) as archive:
             data = archive.read(DATA) if DATA in names else b""
             return Checkpoint(sha256(content).hexdigest(), archive.read(WEIGHTS), data)
-    except ModelError:
+    except _Refusal:
         raise
     except Exception as error:  # zipfile and its decompressors raise many kinds
-        raise ModelError(f"{path}: {WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
+        raise _Refusal(f"{WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
 
 
-def _members(place: str, content: bytes) -> list[ZipInfo]:
+def _members(content: bytes, place: str = "") -> list[ZipInfo]:
     """The members of a zip; refuses a zip with very many."""
     if content.count(_MEMBER) > MEMBERS_LIMIT:
-        raise ModelError(f"{place}more than {MEMBERS_LIMIT:,} members; a policy has a few dozen")
+        raise _Refusal(f"{place}more than {MEMBERS_LIMIT:,} members; a policy has a few dozen")
     with ZipFile(BytesIO(content)) as archive:
         return archive.infolist()
 
 
-def _check_size(path: Path, name: str, members: list[ZipInfo], limit: int) -> None:
+def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
     """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much.
 
     Raises:
-        ModelError: The unpacked size or the compression is above its limit.
+        _Refusal: The unpacked size or the compression is above its limit.
     """
     unpacked = sum(info.file_size for info in members)
     if unpacked > limit:
-        raise ModelError(
-            f"{path}: {name} unpacks to {unpacked:,} bytes; expected {limit:,} at most"
-        )
+        raise _Refusal(f"{name} unpacks to {unpacked:,} bytes; expected {limit:,} at most")
     for info in members:
         if info.file_size > RATIO_LIMIT * max(info.compress_size, 1):
             place = name if info.filename == name else f"{name}: {info.filename}"
-            raise ModelError(
-                f"{path}: {place} unpacks to more than {RATIO_LIMIT} times its size; "
+            raise _Refusal(
+                f"{place} unpacks to more than {RATIO_LIMIT} times its size; "
                 "files of Stable-Baselines3 do not"
             )
 
 
-def _activation(path: Path, data: bytes, usual: str) -> str | None:
+def _activation(data: bytes, usual: str) -> str | None:
     """The torch name of the activation between layers; None if `data` cannot be read.
 
     Args:
-        path: The checkpoint.
         data: The member `data`; only its text is used.
         usual: The activation if `data` does not name one.
 
     Raises:
-        ModelError: The activation cannot be exported.
+        _Refusal: The activation cannot be exported.
     """
     try:
         said = json.loads(data)["policy_kwargs"].get("activation_fn")
@@ -198,20 +202,16 @@ def _activation(path: Path, data: bytes, usual: str) -> str | None:
         return usual
     match = _ACTIVATION.fullmatch(str(said))
     if match is None or match[1] not in KINDS:
-        raise ModelError(
-            f"{path}: has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}"
-        )
+        raise _Refusal(f"has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}")
     return match[1]
 
 
 def _deciding(
-    path: Path, tensors: dict[str, torch.Tensor]
+    tensors: dict[str, torch.Tensor],
 ) -> tuple[dict[int, dict[str, torch.Tensor]], str]:
     """The layers of the deciding network by position, and its default activation."""
     if any("features_extractor." in name for name in tensors):
-        raise ModelError(
-            f"{path}: has a features extractor with weights, like CnnPolicy; expected MlpPolicy"
-        )
+        raise _Refusal("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
     if q_network := _matching(_Q_LAYER, tensors):
         return q_network, "ReLU"
     logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
@@ -220,8 +220,8 @@ def _deciding(
     other = [name for name in tensors if not any(each.fullmatch(name) for each in patterns)]
     if not logits or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
-        raise ModelError(
-            f"{path}: expected the Q-network of a DQN, or only the policy and value networks of a "
+        raise _Refusal(
+            f"expected the Q-network of a DQN, or only the policy and value networks of a "
             f"PPO; {WEIGHTS} holds: {found}"
         )
     policy[max(policy, default=-2) + 2] = logits
@@ -240,7 +240,6 @@ def _matching(
 
 
 def _layers(
-    path: Path,
     network: dict[int, dict[str, torch.Tensor]],
     observation: Neighbours | Kinematics,
 ) -> Layers:
@@ -249,8 +248,8 @@ def _layers(
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
         set(parts) != {"weight", "bias"} for parts in network.values()
     ):
-        raise ModelError(
-            f"{path}: expected linear layers with an activation between each two; "
+        raise _Refusal(
+            f"expected linear layers with an activation between each two; "
             f"found weights at positions {sorted(network)}"
         )
     layers: Layers = []
@@ -262,80 +261,78 @@ def _layers(
     )
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]
-        _check_layer(path, index, weight, bias, width, source)
+        _check_layer(index, weight, bias, width, source)
         source = "the outputs of the layer before"
         layers.append((weight.detach().resolve_neg().numpy(), bias.detach().resolve_neg().numpy()))
         width = weight.shape[0]
     if width != len(ACTIONS):
-        raise ModelError(f"{path}: has {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
+        raise _Refusal(f"has {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
     if not all(np.isfinite(array).all() for layer in layers for array in layer):
-        raise ModelError(f"{path}: some of its weights are not finite")
+        raise _Refusal("some of its weights are not finite")
     return layers
 
 
 def _check_layer(
-    path: Path, index: int, weight: torch.Tensor, bias: torch.Tensor, width: int, source: str
+    index: int, weight: torch.Tensor, bias: torch.Tensor, width: int, source: str
 ) -> None:
     for tensor in (weight, bias):
         plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
         if not plain or tensor.dtype != torch.float32:
-            raise ModelError(f"{path}: layer {index} is {tensor.dtype}; expected torch.float32")
+            raise _Refusal(f"layer {index} is {tensor.dtype}; expected torch.float32")
     if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.numel():
         shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
-        raise ModelError(f"{path}: layer {index} is not linear: {shapes}")
+        raise _Refusal(f"layer {index} is not linear: {shapes}")
     if weight.shape[1] != width:
-        raise ModelError(
-            f"{path}: layer {index} takes {weight.shape[1]} numbers; expected {width}, {source}"
-        )
+        raise _Refusal(f"layer {index} takes {weight.shape[1]} numbers; expected {width}, {source}")
     # A view can repeat a few stored numbers any number of times.
     if weight.numel() * weight.element_size() > weight.untyped_storage().nbytes():
-        raise ModelError(f"{path}: layer {index} repeats stored numbers")
+        raise _Refusal(f"layer {index} repeats stored numbers")
 
 
-def _tensors(path: Path, weights: bytes) -> dict[str, torch.Tensor]:
+def _tensors(weights: bytes) -> dict[str, torch.Tensor]:
     """The tensors of a `policy.pth`; no other objects are ever made."""
     if not is_zipfile(BytesIO(weights)):
-        raise ModelError(f"{path}: {WEIGHTS} is not in the format of torch 1.6 and later")
+        raise _Refusal(f"{WEIGHTS} is not in the format of torch 1.6 and later")
     try:
-        members = _members(f"{path}: {WEIGHTS}: ", weights)
-        _check_size(path, WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
+        members = _members(weights, f"{WEIGHTS}: ")
+        _check_size(WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
         with ZipFile(BytesIO(weights)) as archive:
             for info in members:
                 if info.filename.endswith(".pkl"):
-                    _check_pickle(path, info, archive)
+                    _check_pickle(info, archive)
         loaded = torch.load(BytesIO(weights), weights_only=True, map_location="cpu")
-    except ModelError:
+    except _Refusal:
         raise
     except Exception as error:  # torch raises many kinds
         reason = str(error).strip().partition("\n")[0]
-        raise ModelError(
-            f"{path}: {WEIGHTS} is damaged, or holds something other than tensors, which is not "
+        raise _Refusal(
+            f"{WEIGHTS} is damaged, or holds something other than tensors, which is not "
             f"loaded: {type(error).__name__}: {reason[:200]}"
         ) from error
     if not isinstance(loaded, dict) or not all(
         isinstance(name, str) and isinstance(tensor, torch.Tensor)
         for name, tensor in loaded.items()
     ):
-        raise ModelError(f"{path}: {WEIGHTS} does not hold named tensors")
+        raise _Refusal(f"{WEIGHTS} does not hold named tensors")
     return loaded
 
 
-def _check_pickle(path: Path, info: ZipInfo, archive: ZipFile) -> None:
+def _check_pickle(info: ZipInfo, archive: ZipFile) -> None:
     """Refuses a pickle that refers to anything but tensors.
 
     torch would not make other objects either, but it would make a bytearray of any size.
 
     Raises:
-        ModelError: The pickle refers to something else, or is too large.
+        _Refusal: The pickle refers to something else, or is too large.
         ValueError: The member is not a pickle.
     """
     if info.file_size > PICKLE_LIMIT_BYTES:
         what = f"{WEIGHTS}: {info.filename[:40]}"
-        raise ModelError(f"{path}: {what} is larger than {PICKLE_LIMIT_BYTES:,} bytes")
+        raise _Refusal(f"{what} is larger than {PICKLE_LIMIT_BYTES:,} bytes")
     for opcode, argument, _ in pickletools.genops(archive.read(info)):
         names = "GLOBAL" in opcode.name or opcode.name.startswith(("EXT", "INST"))
         if names and not _OF_TENSORS.fullmatch(str(argument)):
-            raise ModelError(
-                f"{path}: {WEIGHTS} holds something other than tensors, which is not loaded: "
+            raise _Refusal(
+                f"{WEIGHTS} holds something other than tensors, which is not loaded: "
                 f"{str(argument or opcode.name)[:80]}"
             )
