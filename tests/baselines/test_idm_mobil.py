@@ -15,7 +15,7 @@ def drive(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return IdmMobil().drive(scene, all_vehicles(scene))
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(scenes(), st.sampled_from([0.0, 0.5]))
 def test_answers_are_those_of_the_plain_version(scene: Scene, politeness: float) -> None:
     parameters = scene.constants.idm_mobil._replace(politeness=politeness)

@@ -11,7 +11,7 @@ from charms_bench.errors import InputError
 from charms_bench.world.scene import Scene
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(scenes())
 def test_answers_are_those_of_the_plain_version(scene: Scene) -> None:
     acceleration, target_lane = Stackelberg().drive(scene, all_vehicles(scene))

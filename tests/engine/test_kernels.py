@@ -145,7 +145,7 @@ def test_an_impact_displaces_a_vehicle_once_and_leaves_it_crashed() -> None:
     assert not scene.impact[0, 0]
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(scenes(most_vehicles=5))
 def test_collisions_are_those_of_highway_env(scene: Scene) -> None:
     scene.x[0] = scene.x[0] % 15 + 0.1 * np.arange(scene.x.shape[1])

@@ -34,7 +34,7 @@ def reset(engine: Engine, settings: SceneSettings, ego: str, seeds: list[int]) -
         ("charms", 3, 20, 1.0, "idm_mobil"),
         ("charms", 3, 20, 3.0, "commands"),
         ("charms", 2, 10, 1.0, "stackelberg"),
-        ("charms", 5, 39, 3.0, "stackelberg"),
+        ("charms", 5, 24, 3.0, "stackelberg"),
     ],
 )
 def test_both_engines_move_alike(
@@ -48,7 +48,7 @@ def test_both_engines_move_alike(
         reset(engine, settings, ego, seeds=[0, 1])
     ours, theirs = (engine.scene for engine in engines)
     rng = np.random.default_rng(0)
-    for step in range(150):
+    for step in range(100):
         if ego == "commands" and step % 5 == 0:
             actions = rng.integers(len(ACTIONS), size=2)
             for engine in engines:
