@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("dask", reason="needs the extra 'cluster'")
 
+from command_line import charms_bench
 from dask_cluster import PATIENCE_S, DaskCluster, wait_until
 
 from charms_bench.errors import ClusterError, InputError
@@ -50,7 +51,7 @@ def suite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def at_home(suite_file: Path) -> dict[str, str]:
     """The files that the suite gives on this machine."""
     output = suite_file.parent / "home"
-    assert finished(start(suite_file, output, "--workers", "1")) == (0, "")
+    assert charms_bench("run", suite_file, "--workers", 1, "--output", output).returncode == 0
     return files(output)
 
 
