@@ -1,4 +1,4 @@
-"""A Dask cluster of this machine, each scheduler and worker a process of its own."""
+"""A Dask cluster on this machine; its scheduler and workers are processes."""
 
 import json
 import os
@@ -12,7 +12,7 @@ PATIENCE_S = 900.0
 
 
 class DaskCluster:
-    """A scheduler, and the workers that are started for it, in a folder of their own."""
+    """A scheduler and its workers, with their files in one folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -24,11 +24,11 @@ class DaskCluster:
         self.address: str = json.loads(said.read_text())["address"]
 
     def start_worker(self, *options: str, packages: Path | None = None) -> subprocess.Popen[bytes]:
-        """A worker that has joined.
+        """Starts a worker and waits until it has joined.
 
         Args:
             options: Of `dask worker`.
-            packages: A folder whose packages it finds before those installed.
+            packages: A folder that is searched for packages before the installed ones.
         """
         always = ("--nthreads", "1", "--no-dashboard", "--local-directory", str(self.folder))
         worker, log = self._start("worker", self.address, *always, *options, packages=packages)

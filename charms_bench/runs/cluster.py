@@ -30,10 +30,10 @@ _POLL_S = 1.0
 
 
 def on_cluster(address: str) -> SimulateAll:
-    """Returns what simulates shards on the Dask cluster whose scheduler is at `address`.
+    """Returns a function that simulates shards on the Dask cluster with its scheduler at `address`.
 
     Raises:
-        InputError: The address is not one of a scheduler, or Dask is not installed.
+        InputError: The address has another form, or Dask is not installed.
     """
     _check_address(address)
     try:
@@ -137,9 +137,7 @@ def _common_platform(client: "Client", distributions: Sequence[str]) -> dict[str
         if different:
             others = sum(map(bool, found.values())) - 1
             more = f" ({others} more differ)" if others else ""
-            raise ClusterError(
-                f"{where}: {different}; install the same there as on this machine{more}"
-            )
+            raise ClusterError(f"{where}: {different}; install the same software there{more}")
     return here
 
 

@@ -67,12 +67,14 @@ def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
         _check_platform(job, worker.address)
 
         from charms_bench.runs.shard import installed, simulate
+        from charms_bench.world.files import write_bytes
 
         task: ShardTask = pickle.loads(pickled)
         if task.network is not None:
             sha256 = task.software.agents[task.ego.key]["weights_sha256"]
             network = Path(worker.local_directory, "networks", f"{sha256}.onnx")
-            _write_once(network, job.networks[sha256])
+            if not network.exists():
+                write_bytes(network, job.networks[sha256])
             task = replace(task, network=network)
         found = installed(task.ego, task.traffic, task.network)
         _refuse(worker.address, found.differences(task.software))
@@ -90,13 +92,4 @@ def _check_platform(job: Job, address: str) -> None:
 
 def _refuse(address: str, different: str) -> None:
     if different:
-        raise ClusterError(
-            f"worker {address}: {different}; install the same there as on this machine"
-        )
-
-
-def _write_once(path: Path, data: bytes) -> None:
-    from charms_bench.world.files import write_bytes
-
-    if not path.exists():
-        write_bytes(path, data)
+        raise ClusterError(f"worker {address}: {different}; install the same software there")

@@ -70,7 +70,7 @@ def in_processes(
                     what = f"a worker process {how} at {title(done.task)}"
                     if done.tries == TRIES:
                         raise WorkerError(f"{what}, and so did {TRIES - 1} before it") from None
-                    notice(f"{what}; another one takes over")
+                    notice(f"{what}; another worker takes its place")
                     waiting.appendleft((done.task, done.tries + 1))
                     continue
                 idle.append(done.worker)
@@ -78,8 +78,8 @@ def in_processes(
                     raise result
                 yield done.task, result
     finally:
-        for hurried in busy.values():
-            hurried.worker.process.kill()
+        for each in busy.values():
+            each.worker.process.kill()
         for worker in [*idle, *(each.worker for each in busy.values())]:
             worker.end()
 

@@ -1,4 +1,4 @@
-"""Bad words on the command line itself."""
+"""Bad arguments on the command line."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Zips for `export` that unpack without end, or would run code where they are trusted."""
+"""Zips for `export` that unpack to enormous sizes, or run code in a reader that trusts them."""
 
 import io
 import os
@@ -42,7 +42,7 @@ def checkpoint(policy: Any = None, **members: bytes) -> bytes:
 
 
 def pickled(code: bytes) -> bytes:
-    """A `policy.pth` with a pickle of one's own."""
+    """A `policy.pth` with the given pickle."""
     records = {"archive/data.pkl": code, "archive/version": b"3\n", "archive/data/0": bytes(16)}
     return checkpoint(zipped(**{name.replace(".", "__"): data for name, data in records.items()}))
 
@@ -52,7 +52,7 @@ def large(size: int) -> bytes:
 
 
 def tensor_of(numbers: int) -> bytes:
-    """A pickle of weights whose storage is said to hold so many numbers."""
+    """A pickle of weights whose storage claims to hold this many numbers."""
     storage = b"X\x07\0\0\0storagectorch\nFloatStorage\nX\x01\0\0\x000X\x03\0\0\0cpu"
     tensor = b"ctorch._utils\n_rebuild_tensor_v2\n((" + storage + large(numbers) + b"tQK\0"
     tensor += b"(K\x05t(K\x01t\x89ccollections\nOrderedDict\n)RtR"
@@ -80,7 +80,7 @@ def many_members(count: int) -> bytes:
 
 
 def quoted(name: bytes) -> bytes:
-    """A checkpoint with another name in place of `policy.pth`."""
+    """A checkpoint whose member `policy.pth` has another name."""
     return patched(checkpoint(), b"policy.pth", name)
 
 

@@ -1,4 +1,4 @@
-"""What somebody hostile, or unlucky, gives the command line."""
+"""Input for the command line from somebody hostile, or unlucky."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""ONNX files that read other files, run without end, or are not what they say."""
+"""ONNX files that read other files, run without end, or are not what they claim to be."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -25,7 +25,7 @@ def network(
     facts: dict[str, str] | None = None,
     **more: Any,
 ) -> Any:
-    """A model, by default of one linear layer, that takes part as it is."""
+    """A model, by default a valid one with one linear layer."""
     graph = helper.make_graph(
         list(nodes),
         "policy",
@@ -41,7 +41,7 @@ def network(
 
 
 def outside(place: str) -> Any:
-    """Weights that are said to lie in another file."""
+    """A model whose weights are in another file."""
     tensor = TensorProto(name="weights", data_type=FLOAT, dims=[35, 5])
     tensor.data_location = TensorProto.EXTERNAL
     tensor.external_data.add(key="location", value=place)
@@ -49,7 +49,7 @@ def outside(place: str) -> Any:
 
 
 def disguised(place: str) -> bytes:
-    """The same, with the word `location` written so that no search for bytes finds its length."""
+    """The same, encoded so that no search for bytes finds the name of the file."""
     plain = outside(place).SerializeToString()
     entry = b"\x0a\x08location\x12" + bytes([len(place)]) + place.encode()
     other = b"\x12" + bytes([len(place)]) + place.encode() + b"\x0a\x08location"

@@ -1,4 +1,4 @@
-"""Folders for `data` with tables that are none, or that announce more than there is."""
+"""Recordings for `data` whose tables are damaged, or announce more than they hold."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ def _recording(folder: Path) -> None:
 
 
 def _edit(name: str, old: str, new: str) -> Callable[[Path], object]:
-    """A recording in one file of which something else stands."""
+    """Replaces a text in one file of a recording."""
 
     def make(folder: Path) -> None:
         _recording(folder)

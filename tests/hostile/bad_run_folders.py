@@ -1,4 +1,4 @@
-"""Run folders that somebody has altered, and whose names lead elsewhere."""
+"""Run folders that somebody has altered, and bad arguments for intact ones."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from command_line import charms_bench
 
 @cache
 def _whole() -> Path:
-    """A finished run that nobody has touched."""
+    """Returns the folder of a finished run, unaltered."""
     folder = Path(mkdtemp(prefix="charms-bench-"))
     (folder / "suite.yaml").write_text(SUITE)
     answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
@@ -48,7 +48,7 @@ def _shard(kind: str) -> Callable[[Path], Path]:
 
 
 def _instead(kind: str, make_file: Callable[[Path], object]) -> Callable[[Path], object]:
-    """Something else in place of a shard's file of one kind."""
+    """Replaces one file of a shard."""
 
     def make(run: Path) -> None:
         path = _shard(kind)(run)
@@ -158,7 +158,7 @@ WHOLE: tuple[Sequence[object], ...] = (
     ("report", "run", "--episode", f"run:0:{LONG}"),
     ("report", "run", "--episode", "0", "--top", "-1"),
 )
-"""Bad words about a run that is as it should be."""
+"""Bad arguments for an intact run."""
 
 
 def _bad_words(words: Sequence[object]) -> BadInput:

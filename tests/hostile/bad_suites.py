@@ -1,4 +1,4 @@
-"""Suites that are no YAML, the wrong YAML, or YAML that would have something happen."""
+"""Suites that are not YAML, are invalid, or try to run code."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -130,7 +130,7 @@ NOT_YAML: dict[str, str | bytes] = {
 }
 
 _JUNK = ("many", "-1", ".nan", ".inf", "1.5e+308", "[]", "{}", "~", "true", '""', HUGE)
-"""None of these is an acceptable number, but the large one where the field has no limit."""
+"""None of these is a valid number, except the large one in a field without a limit."""
 _NUMBERS = ("episodes", "seed", "lanes", "traffic_vehicles", "ego_slots", "simulation_hz",
             "decision_hz", "duration_s")  # fmt: skip
 _TRAINING_NUMBERS = ("batch_size", "discount", "replay_buffer", "steps_per_gradient_step",
@@ -138,7 +138,7 @@ _TRAINING_NUMBERS = ("batch_size", "discount", "replay_buffer", "steps_per_gradi
 
 
 def _with(text: str, field: str, value: str) -> str:
-    """The suite with another value of the first field of that name."""
+    """Returns the suite with another value for the first field of that name."""
     lines = text.splitlines(keepends=True)
     at = next(k for k, line in enumerate(lines) if line.lstrip(" -").startswith(f"{field}:"))
     lines[at] = lines[at].partition(f"{field}:")[0] + f"{field}: {value}\n"
@@ -222,7 +222,7 @@ VALUES = {
     for value in values
 }
 MORE = {
-    "a folder of one's own": BASE + "folder: /etc\n",
+    "its own folder": BASE + "folder: /etc\n",
     "an unknown key": BASE + "suiet: x\n",
     "a metric nobody knows": BASE.replace("idm_mobil\nt", "idm_mobil\n    paper: {x: 1}\nt"),
     "a paper's infinity": BASE.replace(
@@ -272,7 +272,7 @@ def _bad(title: str, text: str | bytes) -> BadInput:
 
 
 def _special(title: str, make_file: Callable[[Path], object]) -> tuple[BadInput, BadInput]:
-    """A file that is none, as a suite and as a network."""
+    """A special file, given as a suite and as a network."""
 
     def as_suite(folder: Path) -> Sequence[str]:
         make_file(folder / "special")

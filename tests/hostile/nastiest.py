@@ -1,4 +1,4 @@
-"""The ten nastiest inputs, as docs/hostile-input.md has them."""
+"""The ten nastiest inputs, as docs/hostile-input.md describes them."""
 
 NASTIEST = {
     "suite: a billion laughs": "A suite of 59 lists, each with four copies of the one before",
@@ -17,5 +17,5 @@ NASTIEST = {
 
 
 def described(title: str, said: str) -> str:
-    """An entry of the page."""
+    """Returns the entry of an input on the page."""
     return f"- {NASTIEST[title]}:\n\n  ```text\n  {said}\n  ```\n"

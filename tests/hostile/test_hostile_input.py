@@ -1,4 +1,4 @@
-"""Whatever is put in: exit code 2, one message, no traceback, and nothing that was asked for."""
+"""Bad input: exit code 2, one message, no traceback, and no effect."""
 
 import subprocess
 import sys
@@ -41,11 +41,11 @@ SAMPLED = [
     )
     for k, case in enumerate(ALL)
 ]
-"""A fifth, and all of them among the slow tests."""
+"""A fifth of the cases; the slow tests run the others too."""
 
 
 def refuses(case: BadInput, folder: Path) -> str:
-    """Runs a case, sees to it that it was refused as it should be, and returns what was said."""
+    """Runs a case, checks that it was refused, and returns the message."""
     arguments = case.make(folder)
     answer = charms_bench(*arguments, cwd=folder)
     assert answer.returncode == 2, answer

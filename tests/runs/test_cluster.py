@@ -1,4 +1,4 @@
-"""Runs on a cluster as docs/cluster.md starts one: the bytes of home, whatever workers do."""
+"""Runs on a cluster, started as in docs/cluster.md: they write the bytes of a local run."""
 
 import hashlib
 import os
@@ -49,7 +49,7 @@ def suite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def at_home(suite_file: Path) -> dict[str, str]:
-    """The files that the suite gives on this machine."""
+    """The files of a run on this machine."""
     output = suite_file.parent / "home"
     assert charms_bench("run", suite_file, "--workers", 1, "--output", output).returncode == 0
     return files(output)
@@ -66,7 +66,7 @@ def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
 def start(
     suite: Path, output: Path, *options: str, before: str = "", connect_s: int = 30
 ) -> subprocess.Popen[str]:
-    """A run that is under way; `before` is Python to run first."""
+    """Starts a run; `before` is Python code to run first."""
     main = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {before}"
     arguments = ["run", str(suite), "--output", str(output), "--json", *options]
     return subprocess.Popen(
@@ -79,7 +79,7 @@ def start(
 
 
 def finished(run: subprocess.Popen[str]) -> tuple[int, str]:
-    """Its exit code and what it said, but for how far it was."""
+    """Returns its exit code and its messages without progress."""
     _, said = run.communicate(timeout=PATIENCE_S)
     return run.returncode, re.sub(r"[\d,]+ of [\d,]+ episodes\n", "", said)
 
@@ -93,7 +93,7 @@ def files(folder: Path) -> dict[str, str]:
 
 
 def landed(output: Path) -> int:
-    """How many shards are in a run folder."""
+    """Returns the number of shards in a run folder."""
     return len(list(output.glob("checksums/*.sha256")))
 
 
@@ -114,7 +114,7 @@ def test_a_worker_that_is_killed_changes_no_byte(
     "address",
     ["localhost:8786", "tcp://localhost", "http://h:8786", "tcp://h:86000", "tcp://h:1/x", "tcp:"],
 )
-def test_an_address_that_is_none_says_how_one_looks(address: str) -> None:
+def test_an_invalid_address_is_refused_with_the_expected_form(address: str) -> None:
     with pytest.raises(InputError, match=re.escape(f"{address}: expected tcp://HOST:PORT or tls:")):
         on_cluster(address)
 
@@ -151,7 +151,7 @@ def test_what_a_cluster_cannot_do_is_refused(
     assert (code, message in said) == (2, True)
 
 
-def test_differences_are_said_as_what_was_found_and_what_was_expected() -> None:
+def test_a_difference_names_what_was_found_and_what_was_expected() -> None:
     found = {"numba": "0.60.0", "polars": None, "python": "3.11.7"}
     expected = {"numba": "0.68.1", "polars": "2.1.0", "python": "3.11.7"}
     assert differences(found, expected) == (

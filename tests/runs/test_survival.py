@@ -1,4 +1,4 @@
-"""Runs that are killed, torn, altered, crowded out or out of room: a message, and they go on."""
+"""Runs that are killed, damaged, locked or out of space: a message, and the command continues."""
 
 import errno
 import hashlib
@@ -51,7 +51,7 @@ main()
 def start(
     suite: Path, output: Path, *options: object, env: dict[str, str] | None = None
 ) -> subprocess.Popen[str]:
-    """A run of many small shards, in a process group of its own."""
+    """Starts a run of many small shards in its own process group."""
     arguments = ["run", suite, "--output", output, "--workers", 1, *options]
     return subprocess.Popen(
         [sys.executable, "-c", SMALL_SHARDS, *map(str, arguments)],
@@ -64,7 +64,7 @@ def start(
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit code, and what it said."""
+    """Returns the exit code and the messages."""
     _, said = process.communicate(timeout=600)
     assert "Traceback" not in said, said
     return process.returncode, said

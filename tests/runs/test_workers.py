@@ -1,4 +1,4 @@
-"""Worker processes that die, hang and raise."""
+"""Worker processes that die, hang or raise an error."""
 
 import os
 import signal
