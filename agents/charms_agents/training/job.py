@@ -54,8 +54,8 @@ class Learner(Protocol):
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same job."""
 
-    def results(self) -> dict[str, Any]:
-        """What the manifest says of the learning."""
+    def results(self, wall_s: float) -> dict[str, Any]:
+        """What the manifest says of the learning, which took `wall_s` seconds."""
 
 
 @dataclass(frozen=True)

@@ -184,15 +184,19 @@ class Reinforcement(BaseCallback):
         self._agent._last_obs = self._episodes.restore(state)
         self._agent._last_episode_starts = np.zeros(self._episodes.num_envs, dtype=np.bool_)
 
-    def results(self) -> dict[str, Any]:
-        """What the manifest says of the learning: gradient steps, and points with episodes."""
+    def results(self, wall_s: float) -> dict[str, Any]:
+        """What the manifest says of the learning: gradient steps, points and speed."""
         points = [point for point in self.curve if point.return_mean is not None]
         curve = {}
         if points:
             best = max(points, key=lambda point: point.return_mean or 0.0)
             chosen = {"first": points[0], "best": best, "last": points[-1]}
             curve = {name: asdict(point) for name, point in chosen.items()}
-        return {"gradient_steps": self._agent._n_updates, "curve": curve}
+        return {
+            "gradient_steps": self._agent._n_updates,
+            "curve": curve,
+            "steps_per_s": round(self.done / wall_s, 1),
+        }
 
 
 def _agent(h: Hyperparameters, episodes: HighwayVectorEnv[Any], seed: int) -> DoubleDQN:

@@ -62,9 +62,8 @@ def train_stage(
         "suite_sha256": suite_sha256,
         "onnx_sha256": hashlib.sha256(folder.network.read_bytes()).hexdigest(),
         "export_check": checked,
-        **learner.results(),
+        **learner.results(wall_s),
         "wall_s": round(wall_s, 1),
-        "steps_per_s": round(job.total / wall_s, 1),
         "versions": {
             "python": platform.python_version(),
             **{name: version(name) for name in _VERSIONS},

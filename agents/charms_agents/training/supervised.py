@@ -168,7 +168,7 @@ class Fit:
         load_optimizer(self._optimizer, arrays)
         self.curve = [Epoch(**point) for point in json.loads(str(arrays["curve"]))]
 
-    def results(self) -> dict[str, Any]:
+    def results(self, wall_s: float) -> dict[str, Any]:
         """What the manifest says of the learning: samples, and the first and last point."""
         used = {"training": len(self._training[1]), "held_out": len(self._held_out[1])}
         return {"used": used, "before": asdict(self.curve[0]), "after": asdict(self.curve[-1])}
