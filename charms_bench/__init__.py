@@ -7,11 +7,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from charms_bench.api import Run as Run
+    from charms_bench.api import open_run as open_run
+    from charms_bench.api import open_training as open_training
+    from charms_bench.api import run as run
+    from charms_bench.api import train as train
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
     from charms_bench.plugins.traffic import Mixture as Mixture
     from charms_bench.plugins.traffic import Traffic as Traffic
+    from charms_bench.report.table import Table as Table
+    from charms_bench.report.training_tables import Training as Training
     from charms_bench.world.actions import ACTIONS as ACTIONS
     from charms_bench.world.actions import FASTER as FASTER
     from charms_bench.world.actions import IDLE as IDLE
@@ -25,9 +32,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
+    "api": "Run open_run open_training run train",
     "errors": "CharmsBenchError",
     "plugins.agent": "DriverModel Policy",
     "plugins.traffic": "Mixture Traffic",
+    "report.table": "Table",
+    "report.training_tables": "Training",
     "world.actions": "ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT SLOWER",
     "world.compiled": "compiled",
     "world.kinematics": "Kinematics",

@@ -1,49 +1,43 @@
-"""The command line, a module a group of commands.
+"""The command line: a thin layer over `charms_bench.api`, one module per group of commands.
 
-Heavy imports stay inside commands, so that `--help` is quick.
+Commands import what they need when they run, so that `--help` is quick.
 """
 
 import io
 import os
 import sys
 
-from charms_bench.cli.terminal import app, err, plain
+from charms_bench.cli.terminal import app, err, say
 from charms_bench.errors import CharmsBenchError
 
-# In the order of `--help`; importing a module adds its commands to `app`, hence noqa.
+# In the order of `--help`. Importing a module adds its commands to `app`.
 # isort: off
-from charms_bench.cli import run  # noqa: F401
-from charms_bench.cli import show  # noqa: F401
-from charms_bench.cli import plugins  # noqa: F401
-from charms_bench.cli import new_agent  # noqa: F401
-from charms_bench.cli import engines  # noqa: F401
+from charms_bench.cli import evaluations  # noqa: F401
 from charms_bench.cli import episodes  # noqa: F401
-from charms_bench.cli import compare  # noqa: F401
-from charms_bench.cli import report  # noqa: F401
-from charms_bench.cli import rescore  # noqa: F401
+from charms_bench.cli import plugins  # noqa: F401
+from charms_bench.cli import engines  # noqa: F401
 from charms_bench.cli import data  # noqa: F401
-from charms_bench.cli import export  # noqa: F401
 
 # isort: on
 
-
 MESSAGE_LIMIT = 1000
-"""Characters of an error."""
+"""Characters of an error message: a file from outside can make it very long."""
 
 
 def main() -> None:
-    """Runs the command line; a user's mistake is a message and exit code 2."""
+    """Runs the command line; a mistake of the user is a message and exit code 2."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a log in ASCII gets question marks, no traceback
+            stream.reconfigure(errors="replace")  # a log in ASCII gets question marks
     try:
         app()
     except CharmsBenchError as error:
         what = "; ".join([str(error), *getattr(error, "__notes__", ())])
-        if len(what) > MESSAGE_LIMIT:  # somebody's file says something very long
+        if len(what) > MESSAGE_LIMIT:
             what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
-        err.print(f"[bold red]error:[/] {plain(what)}", soft_wrap=True, highlight=False)
+        err.print("[bold red]error:[/] ", end="")
+        say(what, err)
         sys.exit(2)
-    except BrokenPipeError:  # whoever reads has seen enough, `charms-bench ... | head`
+    except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -1,14 +1,12 @@
 """`data`: recordings of human driving."""
 
-import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import Json, app, out, plain, progress
+from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, say
 
 if TYPE_CHECKING:
     from charms_bench.people.survey import Learnable
@@ -17,35 +15,33 @@ if TYPE_CHECKING:
 @app.command()
 def data(
     folder: Annotated[Path, typer.Argument(help="Recordings in highD's format.")],
-    figure: Annotated[
-        Path | None, typer.Option(help="Draw them into this .png, .pdf or .svg.")
-    ] = None,
+    figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Say what recordings of human driving hold, and what can be learnt from them."""
+    """Summarise recordings of human driving."""
     from charms_bench.people.highd import find_trios
     from charms_bench.people.survey import survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
+    from charms_bench.report.progress import progress
 
     if figure is not None:
         check_figure(figure)
     samplers = {name: load(SAMPLERS, name)() for name in plugins(SAMPLERS)}
-    with progress("recordings", len(find_trios(folder))) as bar:
-        found, learnable = survey(folder, samplers, lambda count: bar("", count))
+    with progress("recordings", len(find_trios(folder))) as tell:
+        found, learnable = survey(folder, samplers, lambda count: tell("", count))
     if figure is not None:
         draw(found, learnable, figure)
     facts = found.facts()
     if as_json:
-        samples = {name: asdict(each) for name, each in learnable.items()}
-        print(json.dumps({**facts, "samplers": samples}, indent=2))
+        print_json({**facts, "samplers": {name: asdict(each) for name, each in learnable.items()}})
         return
     _print_facts(facts)
     for name, each in learnable.items():
         _print_learnable(name, each)
     if figure is not None:
-        out.print(f"Figure: {plain(str(figure))}", highlight=False, soft_wrap=True)
+        say(f"Figure: {figure}")
 
 
 def _print_facts(found: dict[str, Any]) -> None:
@@ -55,51 +51,42 @@ def _print_facts(found: dict[str, Any]) -> None:
         )
 
     rates = ", ".join(f"{rate:g}" for rate in found["frame_rates_hz"])
+    lanes = ", ".join(f"{n} with {lanes} lanes" for lanes, n in found["carriageways"].items())
+    speeds = quantiles(found["speed_quantiles_mps"])
     facts = {
         "recordings": f"{found['recordings']:,} at {rates} Hz, {found['recorded_h']:.2f} h",
         "vehicles": f"{found['cars']:,} cars, {found['trucks']:,} trucks, {found['rows']:,} rows",
-        "carriageways": ", ".join(
-            f"{n} with {lanes} lanes" for lanes, n in found["carriageways"].items()
-        ),
+        "carriageways": lanes,
         "lane changes": f"{found['lane_changes']:,}",
         "laneId against y": f"{found['lane_id_disagreements']:,} rows disagree",
-        "speed, m/s": f"mean {found['speed_mean_mps']:.1f}; "
-        + quantiles(found["speed_quantiles_mps"]),
+        "speed, m/s": f"mean {found['speed_mean_mps']:.1f}; {speeds}",
         "lane offset, m": f"mean {found['offset_mean_m']:+.2f} to the right of the lane's centre",
         "following, m": quantiles(found["following_distance_m"]) or "no vehicle follows another",
         "decisions": f"{found['decisions']:,}",
     }
-    _print_pairs(facts)
+    _print_table("fact", [{"fact": fact, "found": value} for fact, value in facts.items()])
 
 
 def _print_learnable(name: str, found: "Learnable") -> None:
-    from rich.table import Table
-
-    out.print(f"\n{plain(name)}: what can be learnt", style="bold", highlight=False)
-    samples = f"{found.training:,} for training, {found.held_out:,} held out"
-    two_actions = f"{found.two_actions:.1%} of the accepted decisions"
-    _print_pairs(
-        {"accepted": f"{found.accepted:,}", "two actions": two_actions, "samples": samples}
+    say(
+        f"\n{name}: {found.accepted:,} decisions are accepted, {found.two_actions:.1%} of them "
+        f"with two actions; {found.training:,} samples for training, {found.held_out:,} held out"
     )
-    table = Table("label", box=None)
-    for title in found.label_shares:
-        table.add_column(plain(title), justify="right")
-    for action in next(iter(found.label_shares.values()), {}):
-        shares = (labels[action] for labels in found.label_shares.values())
-        table.add_row(action, *(f"{share:.1%}" for share in shares))
-    out.print(table)
-    table = Table("rejected because", box=None)
-    table.add_column("decisions", justify="right")
-    for reason, count in found.rejected.items():
-        if count:
-            table.add_row(plain(reason), f"{count:,}")
-    out.print(table)
+    actions = next(iter(found.label_shares.values()), {})
+    shares = [
+        {"label": action} | {title: each[action] for title, each in found.label_shares.items()}
+        for action in actions
+    ]
+    _print_table("label", shares, ".1%")
+    rejected = {reason: count for reason, count in found.rejected.items() if count}
+    records = [{"rejected because": each, "decisions": n} for each, n in rejected.items()]
+    _print_table("rejected because", records, ",.0f")
 
 
-def _print_pairs(facts: Mapping[str, str]) -> None:
-    from rich.table import Table
+def _print_table(key: str, records: list[dict[str, Any]], form: str = "") -> None:
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import grid
 
-    table = Table(box=None, show_header=False)
-    for fact, value in facts.items():
-        table.add_row(fact, value)
-    out.print(table)
+    names = [name for name in (records[0] if records else {}) if name != key]
+    columns = tuple(Column(name, form=form) for name in names)
+    out.print(grid(Table.from_records(records, "data", "", (key,), columns), stacked=False))

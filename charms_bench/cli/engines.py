@@ -1,29 +1,34 @@
-"""`verify` and `bench`: the compiled engine against highway-env."""
+"""`verify` and `bench`: the compiled engine beside highway-env."""
 
-import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import Json, Workers, app, err, out, plain, progress
+from charms_bench.cli.terminal import Json, Workers, app, err, out, print_json, say
 
 
 @app.command()
 def verify(
     suite: Annotated[
-        Path | None, typer.Option(help="Compare a suite's cells, not the built-in cases.")
+        Path | None,
+        typer.Option(help="Compare the cells of this suite instead of the built-in cases."),
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(min=1, max=1_000_000, help="Episodes of every case.")
+        int | None, typer.Option(min=1, max=1_000_000, help="Number of episodes per case.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**62, help="The first episode's seed.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**62, help="Seed of the first episode.")] = 0,
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
-    """Compare the compiled engine with highway-env, step for step; exit code 1 when they differ."""
-    from dataclasses import asdict
+    """Compare the compiled engine with highway-env, step by step.
 
+    The exit code is 1 if the engines differ.
+    """
+    from charms_bench.report.progress import progress
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import grid
     from charms_bench.runs.suite import load_suite
     from charms_bench.testing import verify as verification
 
@@ -36,66 +41,63 @@ def verify(
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
     differing = sum(len(result.differences) for result in results)
     if as_json:
-        rows = [
-            {"case": result.case.title, **asdict(result)} | {"case": result.case.title}
-            for result in results
-        ]
-        print(json.dumps(rows, indent=2))
+        print_json([{**asdict(result), "case": result.case.title} for result in results])
     else:
-        _print_comparisons(results, differing)
+        counts = ("episodes", "steps", "lane_changes", "crashed")
+        records = [
+            {"case": r.case.title, "differing": len(r.differences)}
+            | {name: getattr(r, name) for name in (*counts, "largest")}
+            for r in results
+        ]
+        columns = (
+            *(Column(name, form=",.0f") for name in counts),
+            Column("largest", form=".1e"),
+            Column("differing", form=".0f"),
+        )
+        out.print(grid(Table.from_records(records, "verify", "", ("case",), columns), out.width,
+                       stacked=False))  # fmt: skip
+        for r in results:
+            for d in r.differences:
+                say(
+                    f"{r.case.title}: episode {d.episode}, simulation step {d.step}, vehicle "
+                    f"{d.vehicle}: {d.quantity} {d.batched!r} (batched), {d.highway_env!r} "
+                    "(highway-env)"
+                )
+        total = sum(r.episodes for r in results)
+        verdict = f"{differing} of {total:,} episodes differ" if differing else "the engines agree"
+        say(f"{total:,} episodes: {verdict}.")
     if differing:
         raise typer.Exit(1)
 
 
-def _print_comparisons(results: Any, differing: int) -> None:
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 1, 0, 0))
-    for column in ("case", "episodes", "steps", "lane changes", "crashed", "largest", "differing"):
-        table.add_column(column, justify="left" if column == "case" else "right")
-    for r in results:
-        table.add_row(
-            plain(r.case.title),
-            *(f"{n:,}" for n in (r.episodes, r.steps, r.lane_changes, r.crashed)),
-            f"{r.largest:.1e}",
-            str(len(r.differences)),
-        )
-    out.print(table)
-    for r in results:
-        for d in r.differences:
-            out.print(
-                f"{plain(r.case.title)}: episode {d.episode}, simulation step {d.step}, "
-                f"vehicle {d.vehicle}: {d.quantity} {d.batched!r} (batched), "
-                f"{d.highway_env!r} (highway-env)",
-                highlight=False,
-                soft_wrap=True,
-            )
-    total = sum(r.episodes for r in results)
-    verdict = f"{differing} of {total:,} episodes differ" if differing else "the engines agree"
-    out.print(f"{total:,} episodes: {verdict}.", highlight=False)
-
-
 @app.command()
 def bench(
-    vehicles: Annotated[int, typer.Option(min=6, max=500, help="The ego included.")] = 21,
-    traffic: Annotated[str, typer.Option(help="The traffic of this engine.")] = "idm_mobil",
-    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="Of every measurement.")] = 2.0,
+    vehicles: Annotated[
+        int, typer.Option(min=6, max=500, help="Vehicles per scene, including the ego.")
+    ] = 21,
+    traffic: Annotated[str, typer.Option(help="Traffic in this project's engine.")] = "idm_mobil",
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")
+    ] = 2.0,
     rounds: Annotated[
-        int, typer.Option(min=1, max=1000, help="Measurements of each contestant.")
+        int, typer.Option(min=1, max=1000, help="Number of measurements per contestant.")
     ] = 3,
     environments: Annotated[
         int | None,
         typer.Option(
-            min=1, max=10_000, help="Gymnasium's vector environments instead, of so many each."
+            min=1,
+            max=10_000,
+            help="Measure Gymnasium vector environments with this many environments instead.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure environment steps a second: this engine, highway-env and, if installed, EnvPool."""
-    from dataclasses import asdict
+    """Measure environment steps per second.
 
-    from rich.table import Table
-
+    Measures this engine, highway-env and, if it is installed, EnvPool.
+    """
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import grid
     from charms_bench.testing.bench import bench as measure
     from charms_bench.testing.bench import bench_environments
 
@@ -107,34 +109,28 @@ def bench(
     else:
         results = measure(vehicles, traffic, seconds, rounds, tell)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    rows = [
-        asdict(r)
-        | {
-            "ns_per_vehicle_step": r.ns_per_vehicle_step,
-            "times_highway_env": r.steps_per_s / base,
-        }
-        for r in results
-    ]
-    pool = [r for r in results if r.name == "EnvPool"]
-    for row in rows:
-        rival = next((r for r in pool if r.threads == row["threads"]), None)
-        comparable = rival if rival and row["vehicles"] == rival.vehicles else None
-        row["times_envpool"] = row["steps_per_s"] / comparable.steps_per_s if comparable else None
-    if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    table = Table(box=None)
-    for column in ("engine", "vehicles", "threads", "steps/s", "x highway-env", "x EnvPool",
-                   "ns/vehicle-step"):  # fmt: skip
-        table.add_column(column, justify="left" if column == "engine" else "right")
-    for row in rows:
-        table.add_row(
-            row["name"],
-            str(row["vehicles"]),
-            str(row["threads"]),
-            f"{row['steps_per_s']:,.0f}",
-            f"{row['times_highway_env']:,.1f}",
-            f"{row['times_envpool']:.2f}" if row["times_envpool"] else "",
-            f"{row['ns_per_vehicle_step']:,.1f}",
+    pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
+    rows: list[dict[str, Any]] = []
+    for r in results:
+        rival = pool.get((r.threads, r.vehicles))
+        rows.append(
+            asdict(r)
+            | {
+                "ns_per_vehicle_step": r.ns_per_vehicle_step,
+                "times_highway_env": r.steps_per_s / base,
+                "times_envpool": r.steps_per_s / rival if rival else None,
+            }
         )
-    out.print(table)
+    if as_json:
+        print_json(rows)
+        return
+    columns = (
+        Column("vehicles", form=".0f"),
+        Column("threads", form=".0f"),
+        Column("steps_per_s", form=",.0f"),
+        Column("times_highway_env", form=",.1f"),
+        Column("times_envpool", form=".2f"),
+        Column("ns_per_vehicle_step", form=",.1f"),
+    )
+    table = Table.from_records(rows, "bench", "", ("name",), columns)
+    out.print(grid(table, out.width, stacked=False))

@@ -1,51 +1,53 @@
-"""`agents`, `traffic`, `check`: what is installed, whom it gives vehicles, what it breaks."""
+"""`agents`, `traffic`, `check`, `new-agent` and `export`: what drives, and how to add more."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import Json, app, out, plain
+from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, say
 from charms_bench.errors import InputError
+
+DECISION_HZ = {"neighbours": 3.0, "Kinematics": 1.0}
+"""The usual decision rate of networks trained on an observation: here, and in highway-env."""
 
 
 @app.command()
 def agents(as_json: Json = False) -> None:
-    """List the installed agents and traffics, without importing them."""
-    from rich.table import Table
+    """List the installed agents and traffics.
 
+    The plugins are not imported.
+    """
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import grid
 
-    found = [*plugins(AGENTS).values(), *plugins(TRAFFIC).values()]
+    facts = ("role", "version", "distribution")
+    found = [
+        {"name": plugin.name, **{fact: getattr(plugin, fact) for fact in facts}}
+        for group in (AGENTS, TRAFFIC)
+        for plugin in plugins(group).values()
+    ]
     if as_json:
-        keys = ("name", "role", "version", "distribution")
-        print(
-            json.dumps([{key: getattr(plugin, key) for key in keys} for plugin in found], indent=2)
-        )
+        print_json(found)
         return
-    table = Table("name", "role", "version", "distribution", box=None)
-    for plugin in found:
-        table.add_row(plugin.name, plugin.role, plugin.version, plugin.distribution)
-    out.print(table)
+    table = Table.from_records(found, "agents", "", ("name",), tuple(map(Column, facts)))
+    out.print(grid(table, out.width, stacked=False))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def traffic(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="A traffic; its own options follow, as --tau 1.5.")],
-    figure: Annotated[
-        Path | None, typer.Option(help="Draw the shares into this .png, .pdf or .svg.")
-    ] = None,
+    name: Annotated[str, typer.Argument(help="Traffic; its own options follow, e.g. --tau 1.5.")],
+    figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Say which agents a traffic gives the vehicles to, and how often."""
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table
-
+    """Print the shares of agents that a traffic assigns to its vehicles."""
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.shares import SAMPLED, draw, shares
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import drawn
 
     if figure is not None:
         check_figure(figure)
@@ -55,28 +57,24 @@ def traffic(
         words = ", ".join(f"{key} {value}" for key, value in options.items())
         draw(found, f"{name} {words}".strip(), figure)
     if as_json:
-        print(json.dumps({"traffic": name, "options": options, "shares": found}, indent=2))
+        print_json({"traffic": name, "options": options, "shares": found})
         return
-    table = Table("agent", box=None)
-    table.add_column("share", justify="right")
-    table.add_column("")
-    largest = max(found.values())
-    for agent, share in found.items():
-        table.add_row(plain(agent), f"{share:.1%}", ProgressBar(largest, share, width=30))
-    out.print(table)
-    out.print(f"Counted among {SAMPLED:,} vehicles.", highlight=False)
+    records = [{"agent": agent, "share": share} for agent, share in found.items()]
+    columns = (Column("share", form=".1%"),)
+    out.print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out.width))
+    say(f"Counted among {SAMPLED:,} vehicles.")
     if figure is not None:
-        out.print(f"Figure: {plain(str(figure))}", highlight=False, soft_wrap=True)
+        say(f"Figure: {figure}")
 
 
 def _options(words: list[str]) -> dict[str, Any]:
-    """What `--name value --other value` says, values as YAML reads them."""
+    """The options in `--name value --other=value`, with values read as YAML."""
     from charms_bench.runs.document import value_of
 
     options = {}
     pairs = [word for each in words for word in (each.split("=", 1) if "--" in each else [each])]
     if len(pairs) % 2 or any(not word.startswith("--") for word in pairs[::2]):
-        raise InputError(f"expected options as --name value, got {' '.join(words)}")
+        raise InputError(f"expected options as --name value, found {' '.join(words)}")
     for option, value in zip(pairs[::2], pairs[1::2], strict=True):
         try:
             options[option.removeprefix("--").replace("-", "_")] = value_of(value)
@@ -87,9 +85,12 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 @app.command()
 def check(
-    name: Annotated[str, typer.Argument(help="An agent or a traffic.")], as_json: Json = False
+    name: Annotated[str, typer.Argument(help="Agent or traffic.")], as_json: Json = False
 ) -> None:
-    """Hold a plugin against the contract; exit code 1 when it breaks a rule."""
+    """Test a plugin against the contract.
+
+    The exit code is 1 if the plugin breaks a rule.
+    """
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
 
@@ -100,14 +101,88 @@ def check(
         try:
             rule()
             problem = ""
-        except Exception as error:  # whatever a plugin does wrong is a finding
+        except Exception as error:  # every mistake of a plugin is a result of the check
             problem = str(error) if isinstance(error, AssertionError) else repr(error)
         title = rule.__name__.replace("_", " ")
         results.append({"rule": title, "kept": not problem, "problem": problem})
         if not as_json:
-            mark = "[red]broken[/]" if problem else "[green]kept[/]  "
-            out.print(f"{mark} {title}{': ' * bool(problem)}{plain(problem)}", highlight=False)
+            out.print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
+            say(f"{title}: {problem}" if problem else title)
     if as_json:
-        print(json.dumps(results, indent=2))
+        print_json(results)
     if any(result["problem"] for result in results):
         raise typer.Exit(1)
+
+
+@app.command()
+def new_agent(
+    name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write; the default is a new folder with the agent's name."),
+    ] = None,
+) -> None:
+    """Write a package with a new agent, its tests and a suite."""
+    from charms_bench.plugins.scaffold import new_agent as write
+
+    folder = folder or Path(name)
+    for path in write(name, folder):
+        say(str(path))
+    say(f"Next: cd {folder} && pip install . pytest && pytest && charms-bench run suite.yaml")
+
+
+@app.command()
+def export(
+    checkpoint: Annotated[
+        Path, typer.Argument(help="Zip file of a DQN, PPO or A2C saved by Stable-Baselines3.")
+    ],
+    output: Annotated[Path, typer.Argument(metavar="OUT.onnx", help="ONNX file to write.")],
+    observation: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Observation that the network was trained with: neighbours, or highway-env's "
+            "Kinematics, with options such as '{type: Kinematics, vehicles_count: 7}'.",
+        ),
+    ] = "neighbours",
+    decision_hz: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=1000,
+            help="Decisions per second that the network was trained with; the default is 3, or 1 "
+            "with Kinematics.",
+        ),
+    ] = None,
+    style: Annotated[
+        str, typer.Option(help="Description of how the network drives, stored in the file.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Convert a trained network to an ONNX file for suites.
+
+    A suite names the file as `{onnx: OUT.onnx}`.
+    """
+    import yaml
+
+    from charms_bench.plugins.registry import EXPORTERS, load
+    from charms_bench.world.observations import named_observation
+
+    if output.suffix != ".onnx":
+        raise InputError(f"{output}: expected a name that ends in .onnx")
+    try:
+        seen = named_observation(yaml.safe_load(observation))
+    except yaml.YAMLError as error:
+        raise InputError(f"--observation {observation}: is not YAML") from error
+    hz = decision_hz or DECISION_HZ[seen.name]
+    facts = {"decision_hz": f"{hz:g}"} | ({"style": style} if style else {})
+    made = load(EXPORTERS, "sb3")(checkpoint, output, facts, seen)
+    made |= {"observation": seen.name, "decision_hz": hz}
+    if as_json:
+        print_json(made)
+        return
+    sizes = " → ".join(map(str, made["sizes"]))
+    say(
+        f"{output}: {sizes}, {made['activation']}; acts as {checkpoint} in "
+        f"{made['observations']:,} observations; observes {seen.name}, decides at {hz:g} Hz"
+    )

@@ -1,24 +1,22 @@
-"""What all commands share: the app, its two streams, options, progress."""
+"""What all commands share: the app, the two streams, common options, interruption."""
 
+import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from typer import rich_utils
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
 app = typer.Typer(
     name="charms-bench",
-    help="Benchmark driving behaviour on highway-env's motorway, compiled.",
+    help="Benchmark driving behaviour on highway-env's motorway.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -26,29 +24,54 @@ app = typer.Typer(
 )
 # A file has no width of its own; 80 would cut tables.
 out = Console(emoji=False, width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
-# FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
-err = Console(stderr=True, emoji=False, force_interactive=None if sys.stderr.isatty() else False)
+err = Console(stderr=True, emoji=False)
 rich_utils.FORCE_TERMINAL = None  # Typer would take GitHub's log for a terminal
 
-Json = Annotated[bool, typer.Option("--json", help="Print nothing but JSON on standard output.")]
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on standard output.")]
 Workers = Annotated[
-    int | None, typer.Option(min=1, max=1024, help="Processes; by default one a core.")
+    int | None,
+    typer.Option(min=1, max=1024, help="Number of worker processes; the default is one per core."),
 ]
 MetricSets = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="NAME[:OPTION=VALUE,...]",
-        help="A metric set, as standard:ttc_s=2; may be given again. By default paper and "
+        help="Metric set, e.g. standard:ttc_s=2; repeat for more. The default is paper and "
         "standard.",
     ),
 ]
-SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE", help="The suite's YAML file.")]
+RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
+EgoLabel = Annotated[str | None, typer.Option("--agent", help="Label of the ego in the tables.")]
+TrafficLabel = Annotated[
+    str | None, typer.Option("--traffic", help="Label of the traffic in the tables.")
+]
+SuiteFolder = Annotated[
+    Path,
+    typer.Option(help="Folder of the suite file, if relative paths in the suite start there."),
+]
+FigurePath = Annotated[
+    Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
+]
+
+
+@app.callback(invoke_without_command=True)
+def version(
+    show: Annotated[
+        bool, typer.Option("--version", is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Benchmark driving behaviour on highway-env's motorway."""
+    if show:
+        from charms_bench import __version__
+
+        print(f"charms-bench {__version__}")
+        raise typer.Exit
 
 
 @contextmanager
-def interruptible(what_is_left: str) -> Iterator[None]:
-    """Turns Ctrl-C and SIGTERM into a sentence about what is left, and exit code 130 or 143."""
+def interruptible() -> Iterator[None]:
+    """Turns Ctrl-C and SIGTERM into a message about what is kept, and exit code 130 or 143."""
     arrived = signal.SIGINT
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -59,76 +82,21 @@ def interruptible(what_is_left: str) -> Iterator[None]:
     before = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
-    except KeyboardInterrupt:
-        err.print(
-            f"interrupted; {plain(what_is_left)}, and the same command goes on from there",
-            highlight=False,
-            soft_wrap=True,
-        )
+    except KeyboardInterrupt as error:
+        kept = "; ".join(getattr(error, "__notes__", ["nothing was written"]))
+        say(f"interrupted; {kept}, and the same command continues there", err)
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextmanager
-def progress(unit: str, total: int) -> Iterator[Callable[[str, int], None]]:
-    """A bar with rate and remaining time on a terminal; a line every tenth elsewhere."""
-    if not err.is_interactive:
-        yield _lines(unit, total)
-        return
-    with _bar(unit) as progress:
-        task = progress.add_task("", total=total)
-        yield lambda what, count: progress.update(task, description=plain(what), advance=count)
+def print_json(value: Any) -> None:
+    """Prints a value as JSON on standard output."""
+    print(json.dumps(value, indent=2, ensure_ascii=False))
 
 
-def _lines(unit: str, total: int) -> Callable[[str, int], None]:
-    done = 0
+def say(text: str, console: Console = out) -> None:
+    """Prints text as it is: without markup, highlighting or line breaks of its own."""
+    from charms_bench.report.progress import printable
 
-    def tell(what: str, count: int) -> None:
-        nonlocal done
-        before, done = done, done + count
-        if before * 10 // total < done * 10 // total:
-            err.print(f"{done:,} of {total:,} {unit}", highlight=False)
-
-    return tell
-
-
-def _bar(unit: str) -> "Progress":
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.text import Text
-
-    class Rate(ProgressColumn):
-        def render(self, task: Any) -> Text:
-            return Text(f"{task.speed:,.0f}/s" if task.speed else "")
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
-        Rate(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=err,
-        transient=True,
-    )
-
-
-def note(what: str) -> None:
-    """Says something beside the results."""
-    err.print(plain(what), highlight=False, soft_wrap=True)
-
-
-def plain(text: str) -> str:
-    """Text as it is: what users wrote is no markup, and moves no cursor."""
-    from rich.markup import escape
-
-    return escape("".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text))
+    console.print(printable(text), highlight=False, soft_wrap=True)

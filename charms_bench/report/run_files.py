@@ -11,7 +11,7 @@ from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
 from charms_bench.report.markdown import document, markdown
 from charms_bench.report.pairs_table import guessed
 from charms_bench.report.realism_table import TITLE
-from charms_bench.report.run_tables import RunTables, run_tables
+from charms_bench.report.run_tables import run_tables
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
@@ -26,7 +26,7 @@ def write_run(
     cells: Sequence[CellRows],
     following: Sequence[TrafficCounts],
     references: Sequence[Reference],
-) -> tuple[RunTables, dict[str, list[Path]]]:
+) -> None:
     """Writes the tables and figures that a suite calls for into a run folder.
 
     Args:
@@ -35,33 +35,27 @@ def write_run(
         cells: The rows of its cells.
         following: What all vehicles of its cells did while they followed.
         references: Human driving to compare with.
-
-    Returns:
-        The tables, and the files for people, by what they are.
     """
     found = run_tables(suite, cells, following, references)
     figures, name = folder / "figures", suite.suite
-    files = {"All metrics": [write_table(folder, found.metrics)]}
+    write_table(folder, found.metrics)
     if found.pairs is not None:
         summary = _pairs_summary(found.pairs, *guessed(suite, cells), len(suite.egos))
-        files["Pair by pair"] = [write_table(folder, found.pairs, summary)]
+        write_table(folder, found.pairs, summary)
     if len(cells) > 1:
-        files["Trade-off"] = [figures / f"{name}-tradeoff.png"]
-        save(draw_tradeoff(found.metrics, tradeoff_of(suite)), files["Trade-off"][0])
+        tradeoff = draw_tradeoff(found.metrics, tradeoff_of(suite))
+        save(tradeoff, figures / f"{name}-tradeoff.png")
     if matrix := matrices(found.metrics):
-        path, picture = folder / "tables" / f"{name}-matrix.md", figures / f"{name}-matrix.png"
         parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
-        write_bytes(path, "\n".join(parts).encode())
-        save(draw_matrices(matrix), picture)
-        files["Matrices"] = [path, picture]
+        write_bytes(folder / "tables" / f"{name}-matrix.md", "\n".join(parts).encode())
+        save(draw_matrices(matrix), figures / f"{name}-matrix.png")
     if found.realism is not None:
         described = [paragraph for each in references for paragraph in _described(each)]
-        files["Realism"] = [write_table(folder, found.realism, described)]
+        write_table(folder, found.realism, described)
         for quantity in TITLE:
             if people := recorded(quantity, references):
-                files["Realism"].append(figures / f"{name}-{quantity}.png")
-                save(draw_quantity(quantity, following, people), files["Realism"][-1])
-    return found, files
+                path = figures / f"{name}-{quantity}.png"
+                save(draw_quantity(quantity, following, people), path)
 
 
 def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) -> Path:

@@ -78,15 +78,13 @@ def from_frame(
     )
 
 
-def shown_metrics(table: Table, columns: Sequence[str]) -> list[str]:
-    """The metrics to show unless others are asked for.
+def printed(table: Table, columns: Sequence[str]) -> Table:
+    """The metrics that a suite prints, without keys that are all the same.
 
     Args:
         table: A suite's.
-        columns: The suite's own choice.
-
-    Returns:
-        The suite's columns that the table has; else those that the paper reports; else all.
+        columns: The suite's own choice. If the table has none of them, the metrics that the paper
+            reports are shown, and if there are none, all.
     """
     names = list(dict.fromkeys(column.name for column in table.columns))
     reported = {
@@ -95,11 +93,12 @@ def shown_metrics(table: Table, columns: Sequence[str]) -> list[str]:
         if any(number.reference is not None for number in table.column(i))
     }
     chosen = [name for name in columns if name in names]
-    return chosen or [name for name in names if name in reported] or names
+    chosen = chosen or [name for name in names if name in reported] or names
+    return table.select(*chosen).without_constant_keys()
 
 
-def one_per_metric(table: Table, names: Sequence[str]) -> Table:
-    """The table with one column for each of these metrics.
+def one_per_metric(table: Table) -> Table:
+    """The table with one column per metric.
 
     Of a metric that several sets have, it is the one with the paper's values, else the last.
     """
@@ -108,7 +107,7 @@ def one_per_metric(table: Table, names: Sequence[str]) -> Table:
         known = places.get(column.name)
         if known is None or all(each.reference is None for each in table.column(known)):
             places[column.name] = i
-    return table.take([places[name] for name in names])
+    return table.take(list(places.values()))
 
 
 def matrices(table: Table) -> list[Table]:

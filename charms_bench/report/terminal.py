@@ -85,14 +85,17 @@ def drawn(table: Table, width: int = 100) -> Group:
     """
     parts: list[Text | RichTable] = []
     for part in table.without_constant_keys().parts():
-        parts += [Text(f"\n{part.title}", style="bold"), _drawn(part, width)]
-    columns = [number for i in range(len(table.columns)) for number in table.column(i)]
-    legend = f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval"
-    if any(number.reference is not None for number in columns):
-        legend += f"; {REFERENCE} {table.reference}"
-    if any(number.marked for number in columns):
-        legend += f"; *: {table.note}"
-    return Group(*parts, Text(f"\n{legend}"))
+        parts += [Text(f"\n{part.title}", style="bold")] if part.title else []
+        parts.append(_drawn(part, width))
+    numbers = [number for i in range(len(table.columns)) for number in table.column(i)]
+    legend = []
+    if any(number.low is not None for number in numbers):
+        legend.append(f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval")
+    if any(number.reference is not None for number in numbers):
+        legend.append(f"{REFERENCE} {table.reference}")
+    if any(number.marked for number in numbers):
+        legend.append(f"*: {table.note}")
+    return Group(*parts, Text("\n" + "; ".join(legend)) if legend else "")
 
 
 _Line = tuple[tuple[str, str, str, str], Number | None]
@@ -114,7 +117,7 @@ def _drawn(table: Table, width: int) -> RichTable:
     for index, (column, block) in enumerate(zip(table.columns, blocks, strict=True)):
         numbers = [number for _, number in block if number]
         ends = [e for n in numbers for e in (n.value, n.low, n.high, n.reference)]
-        scale = Scale.over(ends, room, zero=column.signed)
+        scale = Scale.over(ends, room, zero=column.signed or column.form.endswith("%"))
         if index:
             made.add_row()
         for line, (texts, number) in enumerate(block):

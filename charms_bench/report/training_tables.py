@@ -8,7 +8,7 @@ their columns are (`ColumnsFile`). Without `columns.json`, the names of the colu
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import polars as pl
 from pydantic import Field, ValidationError
@@ -66,12 +66,25 @@ class Curve:
 
 @dataclass(frozen=True)
 class Training:
-    """What a training's run folder tells."""
+    """The run folder of a training: its stages and their learning curves."""
+
+    path: Path
 
     stages: Table | None
     curves: pl.DataFrame | None
     """One row per `stage` and point."""
     columns: ColumnsFile
+
+    def to_dict(self) -> dict[str, Any]:
+        """Stages and curves as records, for JSON; those that the folder has."""
+        found = {
+            "stages": None if self.stages is None else self.stages.records(),
+            "curves": None if self.curves is None else self.curves.to_dicts(),
+        }
+        return {name: records for name, records in found.items() if records is not None}
+
+    def _repr_html_(self) -> str | None:
+        return None if self.stages is None else self.stages._repr_html_()
 
     def drawn(self) -> list[Curve]:
         """The curves that can be drawn, in the order in which `columns.json` has them."""
@@ -111,7 +124,7 @@ def stored_training(folder: Path) -> Training:
             names = ", ".join(found[path.name].columns)
             raise RunFolderError(f"{path}: expected a column 'stage', found {names}")
     stages = stages_table(found[STAGES], columns.stages) if STAGES in found else None
-    return Training(stages, found.get(CURVES), columns)
+    return Training(folder, stages, found.get(CURVES), columns)
 
 
 def stages_table(stages: pl.DataFrame, described: Mapping[str, StageColumn]) -> Table:

@@ -3,16 +3,17 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from charms_bench.errors import CharmsBenchError, WorkerError
@@ -137,16 +138,28 @@ def _start(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worke
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_serve, args=(work, theirs))
-    before = {name: os.environ.get(name) for name in environment}
-    os.environ |= environment  # a process takes its environment from ours when it is started
-    try:
+    with starting(environment):
         process.start()
-    finally:
-        for name, value in before.items():
-            del os.environ[name]
-            os.environ |= {} if value is None else {name: value}
     theirs.close()  # so that our end reports the death of the worker
     return _Worker(process, ours)
+
+
+@contextmanager
+def starting(environment: Mapping[str, str]) -> Iterator[None]:
+    """Lets processes that are started within have these environment variables, and no main module.
+
+    Otherwise a new process would import the user's script again, and a script that starts a run
+    would start it again.
+    """
+    main, before = sys.modules["__main__"], dict(os.environ)
+    sys.modules["__main__"] = ModuleType("__main__")
+    os.environ |= environment
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        os.environ.clear()
+        os.environ |= before
 
 
 def _serve(work: Callable[[Any], Any], connection: Connection) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from command_line import charms_bench
 
-from charms_bench.cli.terminal import progress
+from charms_bench.report.progress import progress
 
 FOR_TERMINALS = {"FORCE_COLOR", "PY_COLORS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
 SUITE = """\
@@ -222,8 +222,8 @@ def test_a_traffic_says_whom_it_gives_vehicles(tmp_path: Path) -> None:
     figure = tmp_path / "pch.svg"
     result = charms_bench("traffic", "pch", "--tau=0", "--beta", "0.25", "--figure", figure)
     assert result.returncode == 0, result.stderr
-    assert re.search(r"charms-efficient-competitive\s+25\.\d%", result.stdout)
-    assert re.search(r"charms-safe-competitive\s+7[45]\.\d%", result.stdout)
+    assert re.search(r"charms-efficient-competitive\s+25\.\d %", result.stdout)
+    assert re.search(r"charms-safe-competitive\s+7[45]\.\d %", result.stdout)
     assert figure.read_text().startswith("<?xml")
 
 
@@ -231,7 +231,7 @@ def test_a_traffic_says_whom_it_gives_vehicles(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--tau", "-1"], "tau must be 0 or more, got -1"),
-        (["--tau"], "expected options as --name value, got --tau"),
+        (["--tau"], "expected options as --name value, found --tau"),
         (["--gamma", "1"], "unexpected keyword argument 'gamma'"),
         (["--tau", "["], "--tau: [ cannot be read"),
     ],
@@ -273,7 +273,7 @@ def test_show_prints_the_tables_as_json_or_those_of_a_metric(finished_run: Path)
     [
         (["RUN", "--metric", "sped_mean"], "no metric named 'sped_mean'"),
         (["EMPTY"], "holds no evaluation (manifest.json) and no finished training (stages.csv)"),
-        (["EMPTY", "--all"], "is no evaluation; --metric and --all are for those"),
+        (["EMPTY", "--all"], "is not an evaluation; --metric and --all are for those"),
     ],
 )
 def test_what_cannot_be_shown_is_one_message(

@@ -7,12 +7,6 @@ from pathlib import Path
 import pytest
 from written import ROOT, blocks
 
-import charms_bench
-
-pytestmark = pytest.mark.skipif(
-    not hasattr(charms_bench, "run"), reason="charms_bench.run is not there yet"
-)
-
 
 def code_of(page: Path) -> str:
     """The Python blocks of a page that use `charms_bench`, with fewer episodes."""

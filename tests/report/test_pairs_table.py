@@ -103,10 +103,8 @@ def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None
 
 def test_the_tables_say_how_many_pairs_are_apart(tmp_path: Path) -> None:
     cells = [cell("one", noise=1), cell("other", noise=2), cell("fast", faster=3.0, noise=3)]
-    _, files = write_run(
-        STYLES, tmp_path, [replace(each, agent=f"{each.agent}|") for each in cells], [], []
-    )
-    (path,) = files["Pair by pair"]
+    write_run(STYLES, tmp_path, [replace(each, agent=f"{each.agent}|") for each in cells], [], [])
+    path = tmp_path / "tables" / f"{STYLES.suite}-pairs.md"
     text = path.read_text()
     assert text.startswith("2 of 3 pairs differ in at least one metric.")
     assert "by chance it would be 33.3%" in text
@@ -133,5 +131,5 @@ def test_a_suite_asks_for_pairs(tmp_path: Path) -> None:
 
 def test_pairs_need_two_egos_in_one_traffic(tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(SUITE.replace(", {agent: stackelberg}", ""))
-    with pytest.raises(SuiteError, match="pairs compares two egos or more in one traffic"):
+    with pytest.raises(SuiteError, match="pairs needs two or more egos and one traffic"):
         load_suite(tmp_path / "suite.yaml")

@@ -10,7 +10,7 @@ from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
-from charms_bench.report.suite_table import shown_metrics, suite_table
+from charms_bench.report.suite_table import printed, suite_table
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
@@ -53,8 +53,7 @@ def row(table: Table, metric: str, metric_set: str = PAPER.label) -> dict[str, o
 def shown(table: Table, columns: tuple[str, ...] = ()) -> str:
     console = Console(width=100, color_system=None)
     with console.capture() as capture:
-        chosen = table.select(*shown_metrics(table, columns))
-        console.print(grid(chosen.without_constant_keys()))
+        console.print(grid(printed(table, columns)))
     return capture.get()
 
 

@@ -20,13 +20,11 @@ from charms_agents.training.reinforcement import reinforcement_job
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
-from charms_agents.training.summary import COLUMNS, write_summary
+from charms_agents.training.summary import write_summary
 from charms_agents.training.supervised import human_job
 from charms_bench.errors import InputError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.report.terminal import grid
-from charms_bench.report.training_tables import stages_table
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 
@@ -81,9 +79,7 @@ def run(
             )  # fmt: skip
         write_curves(output, suite, folders)
         folders = {name: folders[name] for name in names}
-        summary = write_summary(output, folders)
-    shown = Console()
-    shown.print(grid(stages_table(summary, COLUMNS.stages), shown.width))
+        write_summary(output, folders)
 
 
 def _sample_store(

@@ -14,7 +14,7 @@ from charms_agents.training.job import Job, StageFolder
 from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
 from charms_bench.errors import RunFolderError
-from charms_bench.runs.workers import start_worker
+from charms_bench.runs.workers import start_worker, starting
 
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""
@@ -93,7 +93,9 @@ def run_stages(
     try:
         while sorter.is_active():
             for job in ready():
-                running[executor.submit(_train_in_worker, job, output, suite_sha256)] = job.name
+                with starting({}):
+                    future = executor.submit(_train_in_worker, job, output, suite_sha256)
+                running[future] = job.name
             done, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
             _pass_on(told, tell)
             if stop():

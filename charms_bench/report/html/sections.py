@@ -16,7 +16,7 @@ from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeof
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
-from charms_bench.report.suite_table import matrices, one_per_metric, shown_metrics
+from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
 
 COLUMNS = 7
@@ -56,7 +56,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     short = tables.metrics.without_constant_keys()
-    chosen = one_per_metric(short, shown_metrics(short, suite.columns))
+    chosen = one_per_metric(printed(tables.metrics, suite.columns))
     shown = [
         replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
         for block in chosen.blocks(COLUMNS + 1)

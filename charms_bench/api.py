@@ -1,0 +1,332 @@
+"""The Python interface: run a suite, open a run, train networks.
+
+    run = charms_bench.run("suites/ego.yaml", episodes=200)
+    run.table.select("speed_mean", "crashed_episodes").frame()
+    run.edge_cases(top=3)
+
+The command line is a thin layer over these functions.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from charms_bench.engine import EngineName
+from charms_bench.episodes.criticality import Kind
+from charms_bench.episodes.edge_cases import EdgeCase, edge_cases
+from charms_bench.episodes.replay import Replay, find_cell, find_cells, replay
+from charms_bench.errors import InputError, RunFolderError
+from charms_bench.people.reference import read_references
+from charms_bench.plugins.registry import PIPELINES, load
+from charms_bench.report.comparison import compare
+from charms_bench.report.html.report import write_report
+from charms_bench.report.html.table import notebook
+from charms_bench.report.progress import note, progress
+from charms_bench.report.run_files import write_run, write_table
+from charms_bench.report.stored import stored_tables
+from charms_bench.report.suite_table import printed, suite_table
+from charms_bench.report.table import Table
+from charms_bench.report.training_tables import STAGES, Training, stored_training
+from charms_bench.runs import runner
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.cluster import on_cluster
+from charms_bench.runs.document import Document
+from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.folder import MANIFEST
+from charms_bench.runs.lock import locked
+from charms_bench.runs.metric_sets import metric_sets
+from charms_bench.runs.pairing import pairs_of
+from charms_bench.runs.runner import SHARD_LIMIT_S
+from charms_bench.runs.suite import Suite, suite_of
+
+PathLike = str | Path
+
+
+def _together(rows: Iterable[tuple[CellRows, pl.DataFrame]]) -> pl.DataFrame:
+    """The rows of several cells, each with the labels of its cell."""
+    return pl.concat(
+        frame.select(pl.lit(cell.agent).alias("agent"), pl.lit(cell.traffic).alias("traffic"), "*")
+        for cell, frame in rows
+    )
+
+
+class Run:
+    """A finished run of a suite. Rows and tables are read from its folder when they are needed."""
+
+    def __init__(self, finished: FinishedRun, suite_folder: Path) -> None:
+        self._finished = finished
+        self._suite_folder = suite_folder
+
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+        return self._finished.folder.path
+
+    @property
+    def suite(self) -> Suite:
+        """The suite that was run."""
+        return self._finished.suite
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """What was run: the suite, hashes of agents, versions of libraries, the machine."""
+        return self._finished.folder.manifest()
+
+    @cached_property
+    def cells(self) -> tuple[CellRows, ...]:
+        """Every ego in every traffic, each with its episode rows and its step rows."""
+        return tuple(self._finished.cells())
+
+    @property
+    def episodes(self) -> pl.DataFrame:
+        """The episode rows of all cells, with columns `agent` and `traffic`."""
+        return _together((cell, cell.episodes) for cell in self.cells)
+
+    @property
+    def steps(self) -> pl.DataFrame:
+        """The step rows of all cells, one per decision, with columns `agent` and `traffic`."""
+        return _together((cell, cell.steps) for cell in self.cells)
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """The tables in the folder, by name: `ego`, `ego-pairs`, `ego-realism`."""
+        return {table.name: table for table in stored_tables(self.path, self.suite).each()}
+
+    @property
+    def table(self) -> Table:
+        """Every metric of every cell."""
+        return self.tables[self.suite.suite]
+
+    @property
+    def summary(self) -> Table:
+        """The metrics that the suite prints."""
+        return printed(self.table, self.suite.columns)
+
+    @property
+    def files(self) -> list[Path]:
+        """The tables and figures in the folder that people read."""
+        return sorted([*self.path.glob("tables/*.md"), *self.path.glob("figures/*.png")])
+
+    def compare(
+        self,
+        other: "Run | None" = None,
+        agents: tuple[str, str] | None = None,
+        metrics: Sequence[str] = (),
+        sets: Sequence[str] = (),
+    ) -> Table:
+        """Compares two agents over the same episodes.
+
+        Args:
+            other: Another run of the same episodes; without one, two agents of this run.
+            agents: Their labels: of this run, and of the other if there is one.
+            metrics: Only these; by default all.
+            sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
+
+        Returns:
+            One row per pair, metric set and metric: both values, the difference with its interval,
+            and the p-value, corrected for the number of tests.
+
+        Raises:
+            InputError: The runs differ in more than the egos, or a name is unknown.
+        """
+        pairs = pairs_of(self._finished, None if other is None else other._finished, agents)
+        return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
+
+    def rescore(self, *sets: str) -> Table:
+        """Computes metrics again from the stored rows and writes the table into the folder.
+
+        Args:
+            sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
+        """
+        found = metric_sets(sets)
+        with locked(self.path):
+            table = suite_table(self.suite, self.cells, found)
+            write_table(self.path, table)
+        return table
+
+    def edge_cases(
+        self,
+        top: int = 10,
+        kind: Kind | None = None,
+        agent: str | None = None,
+        traffic: str | None = None,
+    ) -> list[EdgeCase]:
+        """The most critical episodes, most critical first.
+
+        Args:
+            top: How many at most.
+            kind: Only episodes of this kind, such as `near-miss`.
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default all.
+
+        Raises:
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        cells = find_cells(self._finished, agent, traffic)
+        return edge_cases(self._finished, top, kind, cells, self._suite_folder)
+
+    def replay(self, episode: int, agent: str | None = None, traffic: str | None = None) -> Replay:
+        """Simulates an episode again, with the states of all vehicles.
+
+        Args:
+            episode: Its seed.
+            agent: Label of the ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+
+        Raises:
+            InputError: The labels leave several episodes.
+            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+        """
+        cell = find_cell(self._finished, agent, traffic)
+        return replay(self._finished, cell, [episode], self._suite_folder)[0]
+
+    def report(self, output: PathLike = "report.html", top: int = 10) -> Path:
+        """Writes tables, figures and replays into one HTML file; returns its path.
+
+        Args:
+            output: The file.
+            top: How many of the most critical episodes to replay.
+        """
+        write_report([self.path], Path(output), top, (), self._suite_folder)
+        return Path(output)
+
+    def __repr__(self) -> str:
+        suite = self.suite
+        cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffics"
+        return f"<Run {self.path}: {cells}, {suite.episodes:,} episodes each>"
+
+    def _repr_html_(self) -> str:
+        return notebook(self.summary)
+
+
+def run(
+    suite: PathLike,
+    output: PathLike | None = None,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    engine: EngineName = "batched",
+    rows: PathLike | None = None,
+    cluster: str | None = None,
+    shard_limit_s: float | None = None,
+    notice: Callable[[str], None] = note,
+) -> Run:
+    """Runs a suite, or continues an interrupted run of it; finished parts are never run again.
+
+    Args:
+        suite: The YAML file.
+        output: The run folder; by default `runs/NAME`.
+        episodes: Episodes per cell, instead of the suite's.
+        seed: Seed of the first episode, instead of the suite's.
+        workers: Processes; by default one per core.
+        engine: `batched`, or `highway-env`, the slow reference.
+        rows: Another run's folder; episodes that it already has are copied.
+        cluster: Address of a Dask scheduler, such as `tcp://HOST:8786`.
+        shard_limit_s: Time limit for one shard, including the start of its worker; by default half
+            an hour.
+        notice: Called with messages about problems that were solved, such as a worker that died.
+
+    Raises:
+        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay.
+        KeyboardInterrupt: The run was interrupted; its note names the folder.
+    """
+    if cluster is not None and engine != "batched":
+        raise InputError("a cluster runs the engine 'batched'; 'highway-env' runs on this machine")
+    if cluster is not None and workers is not None:
+        raise InputError("workers are processes on this machine; a cluster has its own")
+    document = Document(Path(suite))
+    if "pipeline" in document.data:
+        raise InputError(f"{suite}: is a training suite; use charms_bench.train")
+    changes = {"episodes": episodes, "seed": seed}
+    document.data |= {name: value for name, value in changes.items() if value is not None}
+    loaded = suite_of(document)
+    references = read_references(loaded.references, loaded.folder)
+    folder = Path(output or Path("runs") / loaded.suite)
+    elsewhere = None if cluster is None else on_cluster(cluster)
+    try:
+        with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
+            finished = runner.run(
+                loaded,
+                folder,
+                engine,
+                workers,
+                lambda cell, count: tell(cell.ego.title, count),
+                None if rows is None else Path(rows),
+                shard_limit_s or SHARD_LIMIT_S,
+                notice,
+                elsewhere,
+            )
+        with locked(folder):
+            following = finished.following() if references else []
+            write_run(loaded, folder, finished.cells(), following, references)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(f"finished shards are in {folder}")
+        raise
+    return Run(finished, loaded.folder)
+
+
+def open_run(path: PathLike, suite_folder: PathLike = ".") -> Run:
+    """Opens a finished run.
+
+    Args:
+        path: Its folder.
+        suite_folder: Where relative paths in the suite start, of recordings for example. Networks
+            given by path are kept in the run folder itself.
+
+    Raises:
+        RunFolderError: It holds no run, an unfinished one or a damaged one.
+    """
+    return Run(open_finished(Path(path)), Path(suite_folder))
+
+
+def train(
+    suite: PathLike,
+    output: PathLike | None = None,
+    *,
+    workers: int | None = None,
+    only: str | None = None,
+    recordings: PathLike | None = None,
+) -> Training:
+    """Trains the networks of a training suite, or continues; needs the extra `train`.
+
+    Args:
+        suite: The YAML file.
+        output: The run folder; by default `runs/NAME`, with the name of the file.
+        workers: Most stages at a time; by default one per core.
+        only: The stage to train, with those that it needs; by default all.
+        recordings: The folder of human recordings, instead of the suite's.
+
+    Raises:
+        CharmsBenchError: The suite, the recordings or the folder cannot be used.
+        KeyboardInterrupt: The training was interrupted; its note names the folder.
+    """
+    document = Document(Path(suite))
+    name = document.data.get("pipeline")
+    if not isinstance(name, str):
+        raise document.error(("pipeline",), f"expected the name of a pipeline, found {name!r}")
+    folder = Path(output or Path("runs") / document.path.stem)
+    pipeline = load(PIPELINES, name)
+    try:
+        pipeline(document.path, folder, workers, only, recordings and Path(recordings))
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(f"checkpoints are in {folder}")
+        raise
+    return open_training(folder)
+
+
+def open_training(path: PathLike) -> Training:
+    """Opens the run folder of a training.
+
+    Raises:
+        RunFolderError: It holds no training, or a damaged one.
+    """
+    training = stored_training(Path(path))
+    if training.stages is None and training.curves is None:
+        raise RunFolderError(
+            f"{path}: holds no evaluation ({MANIFEST}) and no finished training ({STAGES})"
+        )
+    return training

@@ -1,0 +1,264 @@
+"""`run`, `show`, `compare`, `rescore` and `report`: suites and their runs."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from charms_bench.cli.terminal import (
+    Json,
+    MetricSets,
+    RunPath,
+    SuiteFolder,
+    Workers,
+    app,
+    interruptible,
+    out,
+    print_json,
+    say,
+)
+from charms_bench.errors import InputError
+
+
+@app.command()
+def run(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Number of episodes per cell; overrides the suite.")
+    ] = None,
+    workers: Workers = None,
+    engine: Annotated[
+        Literal["batched", "highway-env"],
+        typer.Option(help="Engine; highway-env is the slow reference."),
+    ] = "batched",
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the first episode; overrides the suite.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Run folder; the default is runs/SUITE.")
+    ] = None,
+    rows: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN",
+            help="Copy episodes that this other run folder already has instead of simulating them.",
+        ),
+    ] = None,
+    shard_limit: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            metavar="SECONDS",
+            help="Time limit for one shard (150 episodes), including the start of its worker; "
+            "the default is 1800.",
+        ),
+    ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run on the Dask cluster with its scheduler at this address, "
+            "e.g. tcp://HOST:8786.",
+        ),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Train only this stage of a training suite, and the stages that it needs."
+        ),
+    ] = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(help="Folder of human recordings for training; overrides the suite."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a suite, or continue an interrupted run of it.
+
+    Finished parts of a run are never simulated again.
+    """
+    from charms_bench import api
+    from charms_bench.runs.document import Document
+
+    of_evaluations: dict[str, Any] = {
+        "episodes": episodes, "seed": seed, "rows": rows, "shard_limit": shard_limit,
+        "cluster": cluster,
+    }  # fmt: skip
+    of_trainings = {"only": only, "recordings": recordings}
+    is_training = "pipeline" in Document(suite).data
+    kinds = ("evaluations", "a training") if is_training else ("trainings", "an evaluation")
+    for name, value in (of_evaluations if is_training else of_trainings).items():
+        if value is not None:
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
+    if is_training:
+        with interruptible():
+            trained = api.train(suite, output, workers=workers, only=only, recordings=recordings)
+        _print_training(trained, as_json)
+        return
+    of_evaluations["shard_limit_s"] = of_evaluations.pop("shard_limit")
+    with interruptible():
+        made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
+    _print_result(made, made.table, as_json)
+
+
+def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False) -> None:
+    """The table that a command has made, and where the files are."""
+    from charms_bench.report.terminal import grid
+
+    if as_json:
+        print_json(table.frame().to_dicts())
+        return
+    if run.suite.title:
+        say(run.suite.title)
+    out.print(grid(table.without_constant_keys() if everything else run.summary, out.width))
+    say(f"Written: {', '.join(map(str, run.files))}")
+
+
+@app.command()
+def show(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of an evaluation or a training.")
+    ],
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option("--metric", help="Show only this metric; repeat for more."),
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Print the tables of a run, with 95 % intervals drawn to scale."""
+    from charms_bench import api
+    from charms_bench.report.stored import holds, stored_tables
+    from charms_bench.report.suite_table import printed
+    from charms_bench.report.terminal import drawn
+    from charms_bench.runs.folder import MANIFEST, RunFolder
+
+    if not holds(run, MANIFEST):
+        if metrics or everything:
+            raise InputError(f"{run}: is not an evaluation; --metric and --all are for those")
+        _print_training(api.open_training(run), as_json, curves=True)
+        return
+    folder = RunFolder(run)
+    suite = folder.suite()
+    table, *others = stored_tables(run, suite).each()
+    if metrics:
+        table, others = table.select(*metrics), []
+    if as_json:
+        found = {
+            "suite": suite.suite,
+            "title": suite.title,
+            "episodes": suite.episodes,
+            "seed": suite.seed,
+            "tables": {each.name: each.frame().to_dicts() for each in (table, *others)},
+        }
+        print_json(found)
+        return
+    cells = f"{len(suite.egos)} × {len(suite.traffics)} cells"
+    facts = f"{cells} of {suite.episodes:,} episodes, seeds from {suite.seed:,}"
+    say(f"{suite.title or suite.suite}\n{facts}, engine {folder.manifest().get('engine')}")
+    for each in (table if metrics or everything else printed(table, suite.columns), *others):
+        out.print(drawn(each, out.width))
+
+
+def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
+    from charms_bench.report.terminal import grid
+    from charms_bench.report.training_tables import drawn_curves
+
+    if as_json:
+        print_json(training.to_dict())
+        return
+    if training.stages is not None:
+        out.print(grid(training.stages, out.width))
+    if curves:
+        out.print(drawn_curves(training, out.width))
+
+
+@app.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="RUN_A", help="Folder of a finished run.")],
+    second: Annotated[
+        Path | None, typer.Argument(metavar="[RUN_B]", help="Another run of the same episodes.")
+    ] = None,
+    agents: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            metavar="A B",
+            help="Labels of the egos in the tables. With one run, both are from it; with two "
+            "runs, A is from RUN_A and B is from RUN_B.",
+        ),
+    ] = None,
+    metrics: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--metric",
+            help="Test only this metric; repeat for more. Fewer tests have more power; choose "
+            "the metrics before you look at the results.",
+        ),
+    ] = None,
+    metric_sets: MetricSets = None,
+    as_json: Json = False,
+) -> None:
+    """Test in which metrics two agents differ.
+
+    Both agents drive the same episodes, so the tests are paired.
+    """
+    from charms_bench import api
+    from charms_bench.report.comparison import by_pair, to_dicts
+    from charms_bench.report.terminal import grid
+
+    other = None if second is None else api.open_run(second)
+    table = api.open_run(first).compare(other, agents, metrics or (), metric_sets or ())
+    if as_json:
+        print_json(to_dicts(table))
+        return
+    for part in by_pair(table):
+        out.print(grid(part, out.width, stacked=False))
+
+
+@app.command()
+def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False) -> None:
+    """Compute the metrics of a run again, without simulating."""
+    from charms_bench import api
+
+    opened = api.open_run(run)
+    table = opened.rescore(*(metric_sets or ()))
+    _print_result(opened, table, as_json, everything=bool(metric_sets))
+
+
+@app.command()
+def report(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings."),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")
+    ] = Path("report.html"),
+    top: Annotated[
+        int, typer.Option(min=0, max=100, help="Number of most critical episodes to replay.")
+    ] = 10,
+    episodes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--episode",
+            metavar="RUN:EPISODE[:EGO[:TRAFFIC]]",
+            help="Also replay this episode; repeat for more.",
+        ),
+    ] = None,
+    suite_folder: SuiteFolder = Path(),
+    as_json: Json = False,
+) -> None:
+    """Write runs into one self-contained HTML file."""
+    from charms_bench.report.html.report import write_report
+
+    made = write_report(runs, output, top, episodes or [], suite_folder)
+    if as_json:
+        print_json(made)
+        return
+    say(
+        f"{output}: {len(runs)} run{'s' * (len(runs) > 1)}, {len(made['replays'])} replays, "
+        f"{made['bytes'] / 1e6:.1f} MB"
+    )

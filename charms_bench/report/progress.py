@@ -1,0 +1,78 @@
+"""Progress of long work: a bar on a terminal, one line at every tenth elsewhere."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+Tell = Callable[[str, int], None]
+"""Called with what is being worked on and the number of units finished since the last call."""
+
+
+def printable(text: str) -> str:
+    """Text without control characters and without Rich markup: names come from users."""
+    return escape("".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text))
+
+
+def note(text: str) -> None:
+    """Prints a message beside the results, on standard error."""
+    Console(stderr=True, emoji=False).print(printable(text), highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress(unit: str, total: int, console: Console | None = None) -> Iterator[Tell]:
+    """Shows how many of `total` units are finished, on standard error.
+
+    Args:
+        unit: What is counted, such as `episodes`.
+        total: How many there are.
+        console: Where to show it.
+    """
+    # FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
+    interactive = None if sys.stderr.isatty() else False
+    console = console or Console(stderr=True, emoji=False, force_interactive=interactive)
+    if not console.is_interactive:
+        yield _lines(console, unit, total)
+        return
+    with _bar(console, unit) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda what, count: bar.update(task, description=printable(what), advance=count)
+
+
+def _lines(console: Console, unit: str, total: int) -> Tell:
+    done = 0
+
+    def tell(what: str, count: int) -> None:
+        nonlocal done
+        before, done = done, done + count
+        if before * 10 // total < done * 10 // total:
+            console.print(f"{done:,} of {total:,} {unit}", highlight=False)
+
+    return tell
+
+
+def _bar(console: Console, unit: str) -> "Progress":
+    from rich import progress as rich
+    from rich.text import Text
+
+    class Rate(rich.ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.speed:,.0f}/s" if task.speed else "")
+
+    return rich.Progress(
+        rich.TextColumn("{task.description}"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TextColumn(unit),
+        Rate(),
+        rich.TimeElapsedColumn(),
+        rich.TimeRemainingColumn(),
+        console=console,
+        transient=True,
+    )
