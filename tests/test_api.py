@@ -1,0 +1,152 @@
+"""The Python interface: what a script or a notebook gets."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+import charms_bench
+from charms_bench.errors import InputError, RunFolderError
+
+SUITE = """\
+suite: small
+title: A small suite
+episodes: 6
+scene: {duration_s: 3.0, traffic_vehicles: 5}
+egos:
+  - {agent: idm_mobil, label: IDM, paper: {speed_mean: 23.67}}
+  - {agent: stackelberg, label: Stackelberg}
+traffics:
+  - traffic: idm_mobil
+columns: [speed_mean]
+"""
+
+
+@pytest.fixture(scope="module")
+def suite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("suite") / "suite.yaml"
+    path.write_text(SUITE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(suite_file: Path) -> charms_bench.Run:
+    return charms_bench.run(suite_file, suite_file.parent / "run", workers=1)
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = "import sys, charms_bench; charms_bench.CharmsBenchError; print(*sys.modules)"
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert not {"numba", "numpy", "polars", "pydantic"} & set(finished.stdout.split())
+
+
+def test_every_public_name_resolves() -> None:
+    for name in charms_bench.__all__:
+        assert getattr(charms_bench, name) is not None
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        charms_bench.nothing  # noqa: B018  # raises
+
+
+def test_rows_of_all_cells_carry_the_labels_of_their_cell(run: charms_bench.Run) -> None:
+    counted = run.episodes.group_by("agent", "traffic").len().sort("agent").rows()
+    assert counted == [("IDM", "idm_mobil", 6), ("Stackelberg", "idm_mobil", 6)]
+    assert run.steps.columns[:3] == ["agent", "traffic", "episode"]
+    assert len(run.steps) == run.episodes["steps"].sum()
+
+
+def test_a_run_opened_from_its_folder_has_the_same_tables(run: charms_bench.Run) -> None:
+    opened = charms_bench.open_run(str(run.path))
+    assert list(opened.tables) == ["small"]
+    assert opened.table.frame().equals(run.table.frame())
+    assert opened.manifest["format"] == 2
+    assert [path.name for path in opened.files] == ["small-tradeoff.png", "small.md"]
+
+
+def test_the_mean_speed_of_a_table_is_that_of_the_rows(run: charms_bench.Run) -> None:
+    frame = run.table.select("speed_mean").frame()
+    value = frame.filter(agent="IDM", metric_set="standard-1")["value"].item()
+    driving = run.steps.filter(pl.col("agent") == "IDM")
+    assert run.episodes["ending"].unique().to_list() == ["time"]
+    assert value == pytest.approx(driving["speed"].cast(pl.Float64).mean(), rel=1e-5)
+
+
+def test_two_agents_are_compared_metric_by_metric(run: charms_bench.Run) -> None:
+    table = run.compare(agents=("IDM", "Stackelberg"), metrics=["speed_mean"])
+    assert [row.labels[:2] for row in table.rows] == [("IDM", "Stackelberg")] * 2
+    with pytest.raises(InputError, match="no metric named 'sped'"):
+        run.compare(agents=("IDM", "Stackelberg"), metrics=["sped"])
+
+
+def test_other_thresholds_need_no_simulation(suite_file: Path, tmp_path: Path) -> None:
+    made = charms_bench.run(suite_file, tmp_path / "run", episodes=2, seed=9, workers=1)
+    table = made.rescore("standard:ttc_s=2")
+    assert {column.group for column in table.columns} == {"standard-1(ttc_s=2)"}
+    assert made.episodes["episode"].unique().sort().to_list() == [9, 10]
+    assert made.tables["small"].frame().equals(table.frame())
+
+
+def test_an_episode_is_found_and_simulated_again(run: charms_bench.Run) -> None:
+    case = run.edge_cases(top=1, agent="Stackelberg")[0]
+    replay = run.replay(case.episode, agent=case.ego)
+    assert (replay.episode, replay.cell.ego.title) == (case.episode, "Stackelberg")
+    assert replay.trajectories()["vehicle"].n_unique() == 6
+    with pytest.raises(InputError, match="agent"):
+        run.replay(case.episode)
+
+
+def test_a_notebook_shows_a_run_and_a_table(run: charms_bench.Run) -> None:
+    shown, everything = (each._repr_html_().replace("<wbr>", "") for each in (run, run.table))
+    assert "speed_mean" in shown
+    assert "Stackelberg" in shown
+    assert "acc_std" not in shown, "the suite prints other columns"
+    assert repr(run).endswith("2 egos x 1 traffics, 6 episodes each>")
+    assert "acc_std" in everything
+
+
+def test_a_report_is_one_file(run: charms_bench.Run, tmp_path: Path) -> None:
+    path = run.report(tmp_path / "report.html", top=0)
+    assert path.read_text().startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cluster": "tcp://here:1", "engine": "highway-env"}, "a cluster runs the engine 'batch"),
+        ({"cluster": "tcp://here:1", "workers": 2}, "a cluster has its own"),
+        ({"episodes": 0}, "episodes"),
+    ],
+)
+def test_options_that_exclude_each_other_are_refused(
+    suite_file: Path, tmp_path: Path, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        charms_bench.run(suite_file, tmp_path / "run", **options)  # type: ignore[arg-type]
+    assert not (tmp_path / "run").exists()
+
+
+def test_evaluations_and_trainings_are_told_apart(
+    run: charms_bench.Run, suite_file: Path, tmp_path: Path
+) -> None:
+    training = tmp_path / "train.yaml"
+    training.write_text("pipeline: charms\n")
+    with pytest.raises(InputError, match=r"is a training suite; use charms_bench\.train"):
+        charms_bench.run(training)
+    with pytest.raises(InputError, match="pipeline: expected the name of a pipeline, found None"):
+        charms_bench.train(suite_file)
+    with pytest.raises(RunFolderError, match="no finished training"):
+        charms_bench.open_training(run.path)
+
+
+def test_a_script_needs_no_guard_of_its_main_module(suite_file: Path, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import charms_bench\n"
+        f"run = charms_bench.run({str(suite_file)!r}, 'run', episodes=2, workers=2)\n"
+        "print('finished', len(run.episodes))\n"
+    )
+    finished = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert finished.stdout == "finished 4\n", finished.stderr
