@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import polars as pl
 
@@ -37,11 +37,8 @@ class Numbers(NamedTuple):
         return f"{kind} from {self.low:g} to {self.high:g}{' ' * bool(self.unit)}{self.unit}"
 
 
-class Text(NamedTuple):
-    """A column of text, which is not checked."""
-
-
-Columns = Mapping[str, Numbers | Text]
+Columns = Mapping[str, Numbers | None]
+"""The allowed numbers of each column; None for a column of text, which is not checked."""
 
 
 def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> pl.DataFrame:
@@ -66,31 +63,22 @@ def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> p
             raise DataError(f"{path}: line 1: no column '{name}'. {known}")
         if header.count(name) > 1:
             raise DataError(f"{path}: line 1: the column '{name}' appears twice")
+    numbers = {name: cells for name, cells in columns.items() if cells is not None}
+    types = {name: pl.Float64 if name in numbers else pl.String for name in columns}
+    options: dict[str, Any] = {"quote_char": None, "n_rows": ROW_LIMIT + 1, "glob": False}
     try:
-        table = (
-            pl.scan_csv(
-                path,
-                schema_overrides={
-                    name: pl.Float64 if isinstance(cells, Numbers) else pl.String
-                    for name, cells in columns.items()
-                },
-                quote_char=None,
-                n_rows=ROW_LIMIT + 1,
-                glob=False,
-            )
-            .select(*columns)
-            .collect()
-        )
-        usable = all(_usable(table[name], cells) for name, cells in columns.items())
+        scanned = pl.scan_csv(path, schema_overrides=types, **options)
+        table = scanned.select(*columns).collect()
+        usable = all(_usable(table[name], allowed) for name, allowed in numbers.items())
     except pl.exceptions.PolarsError as error:
         reason = str(error).partition("\n")[0]
-        raise _first_mistake(path, header, columns, f"not a CSV table: {reason}") from error
+        raise _first_mistake(path, header, numbers, f"not a CSV table: {reason}") from error
     if table.height > ROW_LIMIT:
         raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
     # An extra field shifts the rest of its line, and polars may not report that.
     if not usable or _commas(path) != (len(header) - 1) * (table.height + 1):
-        raise _first_mistake(path, header, columns, "not a CSV table of numbers")
-    whole = [name for name, cells in columns.items() if isinstance(cells, Numbers) and cells.whole]
+        raise _first_mistake(path, header, numbers, "not a CSV table of numbers")
+    whole = [name for name, allowed in numbers.items() if allowed.whole]
     return table.with_columns(pl.col(whole).cast(pl.Int64))
 
 
@@ -114,17 +102,15 @@ def _commas(path: Path) -> int:
         return sum(block.count(b",") for block in iter(lambda: file.read(2**20), b""))
 
 
-def _usable(values: pl.Series, cells: Numbers | Text) -> bool:
-    if values.has_nulls():
-        return isinstance(cells, Text)
-    if isinstance(cells, Text) or values.is_empty():
-        return True
-    # NaN and infinities are in no range.
-    within = bool(values.is_between(cells.low, cells.high).all())
-    return within and not (cells.whole and bool((values != values.floor()).any()))
+def _usable(values: pl.Series, allowed: Numbers) -> bool:
+    within = values.is_between(allowed.low, allowed.high)  # NaN and infinities are in no range
+    whole = not allowed.whole or (values == values.floor()).all()
+    return bool(within.fill_null(False).all()) and whole
 
 
-def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: str) -> DataError:
+def _first_mistake(
+    path: Path, header: list[str], numbers: Mapping[str, Numbers], otherwise: str
+) -> DataError:
     """The error in the first wrong line, found by reading line by line."""
     with path.open("rb") as file:
         lines = iter(lambda: file.readline(_LINE_LIMIT_BYTES), b"")
@@ -139,10 +125,8 @@ def _first_mistake(path: Path, header: list[str], columns: Columns, otherwise: s
                     f"{len(header)}; is the file cut short?"
                 )
             for name, cell in zip(header, fields, strict=True):
-                cells = columns.get(name)
-                if isinstance(cells, Numbers) and not cells.allows(cell):
+                if name in numbers and not numbers[name].allows(cell):
                     found = f"'{cell[:40]}'" if cell else "nothing"
-                    return DataError(
-                        f"{path}: line {number}: column '{name}': expected {cells}, found {found}"
-                    )
+                    where = f"{path}: line {number}: column '{name}'"
+                    return DataError(f"{where}: expected {numbers[name]}, found {found}")
     return DataError(f"{path}: {otherwise}")

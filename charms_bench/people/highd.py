@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.people.csv_table import Columns, Numbers, Text, read_table
+from charms_bench.people.csv_table import Columns, Numbers, read_table
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -30,31 +30,25 @@ TRACKS = {
     "frame": pl.Int64,
     "direction": pl.Int8,
     "car": pl.Boolean,
-    "x": pl.Float64,
-    "y": pl.Float64,
-    "lane": pl.Int64,
-    "on_road": pl.Boolean,
-    "speed": pl.Float64,
-    "lateral_speed": pl.Float64,
-    "acceleration": pl.Float64,
-    "length": pl.Float64,
-    "width": pl.Float64,
+    "x": pl.Float64,  # m, centre along the driving direction, from an arbitrary origin
+    "y": pl.Float64,  # m, centre to the right
+    "lane": pl.Int64,  # whose markings enclose the centre, or else the nearest
+    "on_road": pl.Boolean,  # whether the centre lies between the outer markings
+    "speed": pl.Float64,  # m/s, along x, as measured
+    "lateral_speed": pl.Float64,  # m/s, to the right, as measured
+    "acceleration": pl.Float64,  # m/s2, along x, as measured
+    "length": pl.Float64,  # m
+    "width": pl.Float64,  # m
 }
 """The columns of `Recording.tracks`.
 
-x, y: Position of the vehicle's centre, m. x grows along the driving direction, from an arbitrary
-    origin; y grows to the right. Within each lane y is stretched so that the centre of lane i,
-    counted from the left, lies at 4 i.
-lane: The lane whose markings enclose the centre, or else the nearest lane.
-on_road: Whether the centre lies between the outer markings.
-speed, lateral_speed, acceleration: Along x (m/s), to the right (m/s) and along x (m/s2), as
-    measured.
-length, width: m.
+Within each lane y is stretched so that the centre of lane i, counted from the left, lies at 4 i.
 """
 
+_COUNT = Numbers(0, 1e9, whole=True)
 _TRACKS: Columns = {
-    "frame": Numbers(0, 1e9, whole=True),
-    "id": Numbers(0, 1e9, whole=True),
+    "frame": _COUNT,
+    "id": _COUNT,
     "x": Numbers(-1e5, 1e5, "m"),
     "y": Numbers(-1e3, 1e3, "m"),
     "width": Numbers(0.1, 50, "m"),
@@ -65,20 +59,22 @@ _TRACKS: Columns = {
     "laneId": Numbers(-1e9, 1e9, whole=True),
 }
 _TRACKS_META: Columns = {
-    "id": Numbers(0, 1e9, whole=True),
-    "initialFrame": Numbers(0, 1e9, whole=True),
-    "finalFrame": Numbers(0, 1e9, whole=True),
+    "id": _COUNT,
+    "initialFrame": _COUNT,
+    "finalFrame": _COUNT,
     "numFrames": Numbers(1, 1e9, whole=True),
-    "class": Text(),
+    "class": None,
     "drivingDirection": Numbers(UPPER, LOWER, whole=True),
 }
+_SUMMARY = {"rows": "numFrames", "first": "initialFrame", "last": "finalFrame"}
+"""What the tracks tell of each vehicle, and the columns that must say the same."""
 _META_LIMIT_BYTES = 2**24
 """A hundred times the size of the file of a long recording."""
+_MARKINGS = {UPPER: "upperLaneMarkings", LOWER: "lowerLaneMarkings"}
 _RECORDING_META: Columns = {
     "frameRate": Numbers(-1e9, 1e9, "Hz"),
     "numVehicles": Numbers(0, 1e12, whole=True),
-    "upperLaneMarkings": Text(),
-    "lowerLaneMarkings": Text(),
+    **dict.fromkeys(_MARKINGS.values()),
 }
 _LANE_WIDTHS_M = (1.0, 10.0)
 _KINDS = ("tracks", "tracksMeta", "recordingMeta")
@@ -121,12 +117,7 @@ class Recording:
         """
         return (
             self.tracks.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
-            .agg(
-                pl.len(),
-                pl.col("lane").first(),
-                pl.col("frame").first(),
-                last=pl.col("frame").last(),
-            )
+            .agg(pl.len(), pl.first("lane", "frame"), last=pl.last("frame"))
             .filter(pl.col("len") >= STAY_S * self.frame_rate_hz)
             .sort("vehicle", "frame")
             .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
@@ -144,8 +135,7 @@ def find_trios(folder: Path) -> list[Trio]:
     found: dict[str, dict[str, Path]] = {}
     try:
         for path in sorted(folder.iterdir()):
-            match = re.fullmatch(r"([0-9]{1,9})_(tracks|tracksMeta|recordingMeta)\.csv", path.name)
-            if match:
+            if match := re.fullmatch(rf"([0-9]{{1,9}})_({'|'.join(_KINDS)})\.csv", path.name):
                 found.setdefault(match[1], {})[match[2]] = path
     except OSError as error:
         raise DataError(f"{folder}: cannot be read: {error.strerror}") from error
@@ -183,28 +173,24 @@ def read_recording(trio: Trio) -> Recording:
     """
     frame_rate, vehicles, markings = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
-    for direction in meta["drivingDirection"].unique().sort():
-        if markings[direction].size < 2:
-            name = "upperLaneMarkings" if direction == UPPER else "lowerLaneMarkings"
+    lanes = {d: markings[d].size - 1 for d in meta["drivingDirection"].unique().sort()}
+    for direction, count in lanes.items():
+        if count < 1:
             raise DataError(
-                f"{trio.recording_meta}: line 2: column '{name}': {markings[direction].size} "
-                f"markings, but vehicles drive in direction {direction}; expected two or more"
+                f"{trio.recording_meta}: line 2: column '{_MARKINGS[direction]}': "
+                f"{markings[direction].size} markings, but vehicles drive in direction "
+                f"{direction}; expected two or more"
             )
     tracks = read_table(trio.tracks, _TRACKS).with_row_index("line", offset=2)
-    _check_lane_ids(trio, tracks, markings)
+    # laneId 1 lies above the first marking; each marking of either direction begins another lane.
+    last = markings[UPPER].size + markings[LOWER].size + 1
+    expected = f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
+    outside = f"column 'laneId': {{}} is outside the markings; {expected}"
+    _refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
     tracks = _joined(trio, tracks, meta)
-    parts, lanes, disagreements = [], {}, 0
-    for direction in (UPPER, LOWER):
-        part = tracks.filter(pl.col("drivingDirection") == direction)
-        if part.is_empty():
-            continue
-        normalised, wrong = _normalised(trio, part, direction, markings)
-        parts.append(normalised)
-        lanes[direction] = markings[direction].size - 1
-        disagreements += wrong
-    return Recording(
-        trio, frame_rate, lanes, pl.concat(parts).sort("vehicle", "frame"), disagreements
-    )
+    parts = [_normalised(trio, tracks, direction, markings) for direction in lanes]
+    every = pl.concat(part for part, _ in parts).sort("vehicle", "frame")
+    return Recording(trio, frame_rate, lanes, every, sum(wrong for _, wrong in parts))
 
 
 def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
@@ -219,25 +205,22 @@ def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
         )
     if row["numVehicles"] == 0:
         raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
-    markings = {
-        UPPER: _markings(path, "upperLaneMarkings", row["upperLaneMarkings"]),
-        LOWER: _markings(path, "lowerLaneMarkings", row["lowerLaneMarkings"]),
-    }
+    markings = {d: _markings(path, column, row[column] or "") for d, column in _MARKINGS.items()}
     return row["frameRate"], row["numVehicles"], markings
 
 
-def _markings(path: Path, column: str, text: str | None) -> Floats:
+def _markings(path: Path, column: str, text: str) -> Floats:
     where = f"{path}: line 2: column '{column}'"
     try:
-        values = np.array([float(part) for part in (text or "").split(";") if part.strip()])
+        values = np.array([float(part) for part in text.split(";") if part.strip()])
     except ValueError as error:
         raise DataError(f"{where}: {error}; expected numbers separated by ;") from error
     low, high = _LANE_WIDTHS_M
     widths = np.diff(values)
     if not (np.isfinite(values).all() and ((widths >= low) & (widths <= high)).all()):
         raise DataError(
-            f"{where}: '{(text or '')[:80]}'; expected growing numbers, "
-            f"with {low:g} to {high:g} m between markings"
+            f"{where}: '{text[:80]}'; expected growing numbers, with {low:g} to {high:g} m "
+            "between markings"
         )
     return values
 
@@ -250,64 +233,39 @@ def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
             f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "
             f"{vehicles:,}; is the file cut short?"
         )
-    for line, vehicle in _first(meta, pl.col("id").is_first_distinct().not_(), "id"):
-        raise DataError(f"{path}: line {line}: vehicle {vehicle} appears twice")
-    known = pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
-    for line, found in _first(meta, ~known, "class"):
-        raise DataError(
-            f"{path}: line {line}: column 'class': expected Car or Truck, found {found!r}"
-        )
+    _refuse(path, meta, ~pl.col("id").is_first_distinct(), "id", "vehicle {} appears twice")
+    unknown = ~pl.col("class").is_in(["Car", "Truck"]).fill_null(False)
+    _refuse(path, meta, unknown, "class", "column 'class': expected Car or Truck, found {!r}")
     return meta.drop("line")
-
-
-def _check_lane_ids(trio: Trio, tracks: pl.DataFrame, markings: dict[int, Floats]) -> None:
-    # laneId 1 lies above the first marking; each marking of either direction begins another lane.
-    last = markings[UPPER].size + markings[LOWER].size + 1
-    outside = ~pl.col("laneId").is_between(1, last)
-    for line, found in _first(tracks, outside, "laneId"):
-        raise DataError(
-            f"{trio.tracks}: line {line}: column 'laneId': {found} is outside the markings; "
-            f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
-        )
 
 
 def _joined(trio: Trio, tracks: pl.DataFrame, meta: pl.DataFrame) -> pl.DataFrame:
     """The tracks with the columns of `meta`; every vehicle is complete and has no frame twice."""
     tracks = tracks.join(meta, on="id", how="left", maintain_order="left")
-    for line, vehicle in _first(tracks, pl.col("drivingDirection").is_null(), "id"):
-        raise DataError(
-            f"{trio.tracks}: line {line}: vehicle {vehicle} is not in {trio.tracks_meta.name}"
-        )
+    unknown = f"vehicle {{}} is not in {trio.tracks_meta.name}"
+    _refuse(trio.tracks, tracks, pl.col("drivingDirection").is_null(), "id", unknown)
     tracks = tracks.sort("id", "frame", maintain_order=True)
     again = (pl.col("id").diff() == 0) & (pl.col("frame").diff() == 0)
-    for line, vehicle in _first(tracks, again, "id"):
-        raise DataError(
-            f"{trio.tracks}: line {line}: vehicle {vehicle} already has a row for this "
-            "frame; delete one of the two rows"
-        )
-    driven = tracks.group_by("id").agg(
-        pl.len(), first=pl.col("frame").min(), last=pl.col("frame").max()
-    )
-    columns = ("numFrames", "initialFrame", "finalFrame")
-    found = ("len", "first", "last")
-    compared = meta.join(driven, on="id", how="left", maintain_order="left").with_columns(
-        pl.col("len").fill_null(0)
-    )
-    for row in compared.iter_rows(named=True):
-        for column, name in zip(columns, found, strict=True):
-            if row[column] != row[name]:
+    twice = "vehicle {} already has a row for this frame; delete one of the two rows"
+    _refuse(trio.tracks, tracks, again, "id", twice)
+    frame = pl.col("frame")
+    driven = tracks.group_by("id").agg(rows=pl.len(), first=frame.min(), last=frame.max())
+    compared = meta.join(driven, on="id", how="left", maintain_order="left")
+    for row in compared.with_columns(pl.col("rows").fill_null(0)).iter_rows(named=True):
+        for found, column in _SUMMARY.items():
+            if row[column] != row[found]:
                 raise DataError(
-                    f"{trio.tracks}: vehicle {row['id']}: {name.replace('len', 'rows')} "
-                    f"{row[name]}, but {trio.tracks_meta.name} says {column} {row[column]}; "
-                    "is the file cut short?"
+                    f"{trio.tracks}: vehicle {row['id']}: {found} {row[found]}, but "
+                    f"{trio.tracks_meta.name} says {column} {row[column]}; is the file cut short?"
                 )
     return tracks
 
 
 def _normalised(
-    trio: Trio, part: pl.DataFrame, direction: int, markings: dict[int, Floats]
+    trio: Trio, tracks: pl.DataFrame, direction: int, markings: dict[int, Floats]
 ) -> tuple[pl.DataFrame, int]:
     """The tracks of one direction in the drivers' frame, and how many `laneId`s disagree with y."""
+    part = tracks.filter(pl.col("drivingDirection") == direction)
     sign = -1.0 if direction == UPPER else 1.0
     to_the_right = np.sort(sign * markings[direction])
     lanes = to_the_right.size - 1
@@ -351,6 +309,7 @@ def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
     return stretched, lane, (markings[0] <= y) & (y <= markings[-1])
 
 
-def _first(table: pl.DataFrame, mistaken: pl.Expr, column: str) -> Iterator[tuple[int, object]]:
-    """Line and value of the first mistaken row, if any."""
-    yield from table.filter(mistaken.fill_null(False)).select("line", column).head(1).iter_rows()
+def _refuse(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:
+    """Raises an error about the first mistaken row, if any; `{}` in `what` is its value."""
+    for line, value in table.filter(mistaken).select("line", column).head(1).iter_rows():
+        raise DataError(f"{path}: line {line}: {what.format(value)}")
