@@ -5,7 +5,6 @@ DATA is a folder that holds `us101_highd_format/`, `i24_car_following.parquet` a
 """
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import polars as pl
@@ -72,8 +71,8 @@ def i75(data: Path) -> Reference:
     frame = (rows["frame"] - rows["frame"].min()) // I75_FRAMES_A_ROW
     decided = nearest_to_decisions(frame.to_numpy(), RATE_HZ / DECISION_HZ)
     fast, follows = pl.col("lane").is_in(I75_LANES), pl.col("dhw") <= FOLLOWING_RANGE_M
-    headways = list(_i75_lane_changes(rows))
-    dhw = pl.Series([h for h in headways if h is not None and h <= FOLLOWING_RANGE_M])
+    headways = _i75_lane_changes(rows)
+    dhw = headways.filter(headways <= FOLLOWING_RANGE_M)
     return Reference(
         name="i75",
         origin="HIGH-SIM, I-75, Florida: 88 vehicles over 1 to 2 km. Only lanes 1 and 2 are used, "
@@ -84,29 +83,30 @@ def i75(data: Path) -> Reference:
         dhw_is=f"{DHW} from or to lanes 1 and 2; the recording has no lateral position, so the "
         f"start is taken as {I75_START_S:g} s before the vehicle is in the new lane",
         vehicles=rows.filter(fast)["vehicle"].n_unique(),
-        lane_changes=len(headways),
+        lane_changes=headways.len(),
         speed=histogram(rows.filter(decided).filter(fast, follows)["v"].to_numpy()),
         dhw=histogram(dhw.to_numpy()),
     )
 
 
-def _i75_lane_changes(rows: pl.DataFrame) -> Iterator[float | None]:
-    """The headway at the start of each lane change from or to a fast lane; None without a leader.
+def _i75_lane_changes(rows: pl.DataFrame) -> pl.Series:
+    """The headway at the start of each lane change from or to a fast lane; null without a leader.
 
     As in `Recording.lane_changes`, the vehicle stays in both lanes for `STAY_S`.
     """
-    for (_,), track in rows.group_by("vehicle", maintain_order=True):
-        lane, dhw = track["lane"].to_list(), track["dhw"].to_list()
-        stays = track.select(pl.col("lane").rle().struct.unnest()).rows()
-        crossing, kept = 0, None
-        for length, value in stays:
-            if length >= STAY_S * RATE_HZ:
-                start = crossing - round(I75_START_S * RATE_HZ)
-                changed = kept not in (None, value) and {kept, value} & set(I75_LANES)
-                if changed and start >= 0 and lane[start] == kept:
-                    yield dhw[start]
-                kept = value
-            crossing += length
+    rows = rows.with_row_index("row").cast({"row": pl.Int64})
+    after = pl.col("lane", "row").shift(-1).over("vehicle").name.prefix("next_")
+    changes = (
+        rows.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
+        .agg(pl.len(), pl.first("lane", "row"))
+        .filter(pl.col("len") >= STAY_S * RATE_HZ)
+        .sort("row")
+        .with_columns(after)
+        .filter(pl.col("lane") != pl.col("next_lane"))
+        .filter(pl.any_horizontal(pl.col("lane", "next_lane").is_in(I75_LANES)))
+        .with_columns(row=pl.col("next_row") - round(I75_START_S * RATE_HZ))
+    )
+    return changes.join(rows, on=["vehicle", "row", "lane"])["dhw"]
 
 
 def main(data: Path, output: Path) -> None:

@@ -1,104 +1,68 @@
 """Counts what the source tree is made of: `python tools/structure.py [--arrows]`.
 
 Lines are those of all Python files, docstrings included. A room is a module or a package on the
-first level of a package, and `tools`; `charms_agents.training` is a room of its own. An arrow leads
-from a room to another that it imports anywhere in a file, inside functions too. It is upward if it
-leads to a room that stands higher in the layers that `pyproject.toml` gives import-linter.
+first level of `charms_bench`, or one of the other `ROOMS`. An arrow leads from a room to another
+that it imports anywhere in a file, inside functions too. It is upward if it leads to a room that
+stands higher in the layers that `pyproject.toml` gives import-linter, whose `grimp` reads imports.
 """
 
-import ast
+import re
 import sys
 import tomllib
-from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import grimp
+
 ROOT = Path(__file__).parent.parent
-PACKAGES = {
-    "charms_bench": ROOT / "charms_bench",
-    "charms_agents": ROOT / "agents" / "charms_agents",
-    "charms_baselines": ROOT / "baselines" / "charms_baselines",
-    "tools": ROOT / "tools",
-}
-TRAINING = "charms_agents.training"
+PACKAGES = {"charms_bench": ".", "charms_agents": "agents", "charms_baselines": "baselines"}
+PACKAGES |= {"tools": "."}
+ROOMS = re.compile(
+    r"charms_bench\.(?!__main__)\w+|charms_agents\.training\b|charms_agents|charms_baselines|tools"
+)
 
 
-def modules() -> Iterator[tuple[str, Path]]:
-    """Every module by its dotted name."""
-    for package, folder in PACKAGES.items():
-        for path in sorted(folder.rglob("*.py")):
-            parts = path.relative_to(folder).with_suffix("").parts
-            yield ".".join([package, *(part for part in parts if part != "__init__")]), path
-
-
-def imported(path: Path) -> Iterator[str]:
-    """The dotted names that a module imports, those of objects included."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-
-
-def room_of(name: str) -> str:
-    """The room of a module or an object; empty for a package's own `__init__` and `__main__`."""
-    package, _, rest = name.partition(".")
-    if package not in PACKAGES:
-        return ""
-    if package != "charms_bench":
-        return TRAINING if f"{name}.".startswith(f"{TRAINING}.") else package
-    room = rest.partition(".")[0]
-    folder = PACKAGES[package]
-    is_room = (folder / room).is_dir() or (folder / f"{room}.py").is_file()
-    return f"{package}.{room}" if room and room != "__main__" and is_room else ""
-
-
-def arrows() -> set[tuple[str, str]]:
-    """From which room to which."""
-    found = {
-        (room_of(name), room_of(target)) for name, path in modules() for target in imported(path)
-    }
-    return {(start, end) for start, end in found if start and end and start != end}
+def lines_of(package: str) -> int:
+    files = (ROOT / PACKAGES[package] / package).rglob("*.py")
+    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in files)
 
 
 def layers() -> list[str]:
     """The rooms of the layers' contract, from the top down; none without one."""
-    with (ROOT / "pyproject.toml").open("rb") as file:
-        tool = tomllib.load(file)["tool"]
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
     contracts = tool.get("importlinter", {}).get("contracts", [])
     found = next((each["layers"] for each in contracts if each["type"] == "layers"), [])
-    return [room.strip("() ") for layer in found for room in layer.replace("|", ":").split(":")]
+    return re.findall(r"[\w.]+", " ".join(found))
 
 
 def main(list_arrows: bool) -> None:
     """Prints the counts."""
-    every = list(modules())
-    lines = dict.fromkeys(PACKAGES, 0)
-    for name, path in every:
-        lines[name.partition(".")[0]] += len(path.read_text(encoding="utf-8").splitlines())
-    rooms = {room for name, _ in every if (room := room_of(name))}
-    found, order = arrows(), layers()
-    upward = [
-        (start, end)
-        for start, end in found
-        if start in order and end in order and order.index(end) < order.index(start)
-    ]
+    sys.path[:0] = [str(ROOT / folder) for folder in PACKAGES.values()]
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    room_of = {name: found[0] for name in graph.modules if (found := ROOMS.match(name))}
+    imports = {room: set[str]() for room in room_of.values()}
+    for name, room in room_of.items():
+        targets = graph.find_modules_directly_imported_by(name) & room_of.keys()
+        imports[room] |= {room_of[target] for target in targets} - {room}
+    arrows = sorted((start, end) for start, ends in imports.items() for end in ends)
+    place = {room: index for index, room in enumerate(layers())}
+    upward = [arrow for arrow in arrows if place.keys() >= set(arrow)]
+    upward = [(start, end) for start, end in upward if place[end] < place[start]]
     try:
-        TopologicalSorter(
-            {room: {end for start, end in found if start == room} for room in rooms}
-        ).prepare()
+        TopologicalSorter(imports).prepare()
         circle = "none"
     except CycleError as error:
         circle = " -> ".join(error.args[1])
+    lines = {package: lines_of(package) for package in PACKAGES}
     counted = ", ".join(f"{package} {count:,}" for package, count in lines.items())
     print(f"lines: {sum(lines.values()):,} ({counted})")
-    first = sum(room.startswith("charms_bench.") for room in rooms)
-    print(f"rooms: {len(rooms)}, of which {first} on the first level of charms_bench")
-    print(f"arrows between rooms: {len(found)}")
-    print(f"upward arrows: {len(upward) if order else 'no layers are declared'}")
+    first = sum(room.startswith("charms_bench.") for room in imports)
+    print(f"rooms: {len(imports)}, of which {first} on the first level of charms_bench")
+    print(f"arrows between rooms: {len(arrows)}")
+    print(f"upward arrows: {len(upward) if place else 'no layers are declared'}")
     print(f"circles: {circle}")
     if list_arrows:
-        print(*(f"{start} -> {end}" for start, end in sorted(found)), sep="\n")
+        print(*(f"{start} -> {end}" for start, end in arrows), sep="\n")
 
 
 if __name__ == "__main__":
