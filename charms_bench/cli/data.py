@@ -2,14 +2,11 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, say
-
-if TYPE_CHECKING:
-    from charms_bench.people.survey import Learnable
+from charms_bench.cli.terminal import FigurePath, Json, app, print_json, print_records, say
 
 
 @app.command()
@@ -64,29 +61,20 @@ def _print_facts(found: dict[str, Any]) -> None:
         "following, m": quantiles(found["following_distance_m"]) or "no vehicle follows another",
         "decisions": f"{found['decisions']:,}",
     }
-    _print_table("fact", [{"fact": fact, "found": value} for fact, value in facts.items()])
+    records = [{"fact": fact, "found": value} for fact, value in facts.items()]
+    print_records("fact", records, {"found": ""})
 
 
-def _print_learnable(name: str, found: "Learnable") -> None:
+def _print_learnable(name: str, found: Any) -> None:
     say(
         f"\n{name}: {found.accepted:,} decisions are accepted, {found.two_actions:.1%} of them "
         f"with two actions; {found.training:,} samples for training, {found.held_out:,} held out"
     )
-    actions = next(iter(found.label_shares.values()), {})
     shares = [
         {"label": action} | {title: each[action] for title, each in found.label_shares.items()}
-        for action in actions
+        for action in next(iter(found.label_shares.values()), {})
     ]
-    _print_table("label", shares, ".1%")
-    rejected = {reason: count for reason, count in found.rejected.items() if count}
-    records = [{"rejected because": each, "decisions": n} for each, n in rejected.items()]
-    _print_table("rejected because", records, ",.0f")
-
-
-def _print_table(key: str, records: list[dict[str, Any]], form: str = "") -> None:
-    from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
-
-    names = [name for name in (records[0] if records else {}) if name != key]
-    columns = tuple(Column(name, form=form) for name in names)
-    out.print(grid(Table.from_records(records, "data", "", (key,), columns), stacked=False))
+    print_records("label", shares, dict.fromkeys(found.label_shares, ".1%"))
+    reason = "rejected because"
+    rejected = [{reason: each, "decisions": n} for each, n in found.rejected.items() if n]
+    print_records(reason, rejected, {"decisions": ",.0f"})

@@ -2,11 +2,11 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from charms_bench.cli.terminal import Json, Workers, app, err, out, print_json, say
+from charms_bench.cli.terminal import Json, Workers, app, err, print_json, print_records, say
 
 
 @app.command()
@@ -27,8 +27,6 @@ def verify(
     The exit code is 1 if the engines differ.
     """
     from charms_bench.report.progress import progress
-    from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
     from charms_bench.runs.suite import load_suite
     from charms_bench.testing import verify as verification
 
@@ -43,19 +41,12 @@ def verify(
     if as_json:
         print_json([{**asdict(result), "case": result.case.title} for result in results])
     else:
-        counts = ("episodes", "steps", "lane_changes", "crashed")
+        forms = dict.fromkeys(("episodes", "steps", "lane_changes", "crashed"), ",.0f")
+        forms |= {"largest": ".1e", "differing": ".0f"}
         records = [
-            {"case": r.case.title, "differing": len(r.differences)}
-            | {name: getattr(r, name) for name in (*counts, "largest")}
-            for r in results
+            {**vars(r), "case": r.case.title, "differing": len(r.differences)} for r in results
         ]
-        columns = (
-            *(Column(name, form=",.0f") for name in counts),
-            Column("largest", form=".1e"),
-            Column("differing", form=".0f"),
-        )
-        out.print(grid(Table.from_records(records, "verify", "", ("case",), columns), out.width,
-                       stacked=False))  # fmt: skip
+        print_records("case", records, forms)
         for r in results:
             for d in r.differences:
                 say(
@@ -96,8 +87,6 @@ def bench(
 
     Measures this engine, highway-env and, if it is installed, EnvPool.
     """
-    from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
     from charms_bench.testing.bench import bench as measure
     from charms_bench.testing.bench import bench_environments
 
@@ -110,27 +99,19 @@ def bench(
         results = measure(vehicles, traffic, seconds, rounds, tell)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
     pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
-    rows: list[dict[str, Any]] = []
-    for r in results:
-        rival = pool.get((r.threads, r.vehicles))
-        rows.append(
-            asdict(r)
-            | {
-                "ns_per_vehicle_step": r.ns_per_vehicle_step,
-                "times_highway_env": r.steps_per_s / base,
-                "times_envpool": r.steps_per_s / rival if rival else None,
-            }
-        )
+    rows = [
+        {
+            **asdict(r),
+            "ns_per_vehicle_step": r.ns_per_vehicle_step,
+            "times_highway_env": r.steps_per_s / base,
+            "times_envpool": rival and r.steps_per_s / rival,
+        }
+        for r in results
+        for rival in (pool.get((r.threads, r.vehicles)),)
+    ]
     if as_json:
         print_json(rows)
         return
-    columns = (
-        Column("vehicles", form=".0f"),
-        Column("threads", form=".0f"),
-        Column("steps_per_s", form=",.0f"),
-        Column("times_highway_env", form=",.1f"),
-        Column("times_envpool", form=".2f"),
-        Column("ns_per_vehicle_step", form=",.1f"),
-    )
-    table = Table.from_records(rows, "bench", "", ("name",), columns)
-    out.print(grid(table, out.width, stacked=False))
+    forms = {"vehicles": ".0f", "threads": ".0f", "steps_per_s": ",.0f"}
+    forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f", "ns_per_vehicle_step": ",.1f"}
+    print_records("name", rows, forms)

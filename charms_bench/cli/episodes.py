@@ -14,8 +14,8 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     TrafficLabel,
     app,
-    out,
     print_json,
+    print_records,
     say,
 )
 
@@ -37,29 +37,17 @@ def edge_cases(
 ) -> None:
     """Rank the episodes of a run by criticality and describe each one."""
     from charms_bench import api
-    from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
 
-    found = [
-        asdict(case)
-        for case in api.open_run(run, suite_folder).edge_cases(top, kind, agent, traffic)
-    ]
+    opened = api.open_run(run, suite_folder)
+    found = [asdict(case) for case in opened.edge_cases(top, kind, agent, traffic)]
     if as_json:
         print_json(found)
         return
     if not found:
         say(f"No {kind} in {run}.")
         return
-    columns = (
-        Column("ego"),
-        Column("traffic"),
-        Column("episode", form=".0f"),
-        Column("criticality", form=".2f"),
-        Column("what happened"),
-    )
-    records = [{**case, "what happened": case["what"]} for case in found]
-    table = Table.from_records(records, "edge-cases", "", ("rank",), columns)
-    out.print(grid(table, out.width, stacked=False))
+    forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
+    print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
 
 
 @app.command()
@@ -89,31 +77,17 @@ def replay(
         check_animation(output)
     replayed = api.open_run(run, suite_folder).replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
-    name = f"{_slug(ego)}-in-{_slug(around)}-{episode}"
+    slugs = [re.sub(r"\W+", "-", title).strip("-").lower() for title in (ego, around)]
+    name = f"{'-in-'.join(slugs)}-{episode}"
     animation = output or run / "replays" / f"{name}.gif"
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)
     replayed.animate(animation)
     if as_json:
-        print_json(
-            {
-                "ego": ego,
-                "traffic": around,
-                "episode": episode,
-                "ending": replayed.ending,
-                "duration_s": float(replayed.t_s[-1]),
-                "what": what,
-                "animation": str(animation),
-                "trajectories": str(trajectories),
-            }
-        )
+        facts = {"ego": ego, "traffic": around, "episode": episode, "ending": replayed.ending}
+        facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
+        print_json({**facts, "animation": str(animation), "trajectories": str(trajectories)})
         return
     say(f"{ego} in {around}, episode {episode}: {what}")
-    say(f"Animation: {animation}")
-    say(f"Trajectories: {trajectories}")
-
-
-def _slug(title: str) -> str:
-    """A title as part of a file's name."""
-    return re.sub(r"\W+", "-", title).strip("-").lower()
+    say(f"Animation: {animation}\nTrajectories: {trajectories}")

@@ -44,9 +44,10 @@ def run(
             help="Copy episodes that this other run folder already has instead of simulating them.",
         ),
     ] = None,
-    shard_limit: Annotated[
+    shard_limit_s: Annotated[
         float | None,
         typer.Option(
+            "--shard-limit",
             min=1,
             metavar="SECONDS",
             help="Time limit for one shard (150 episodes), including the start of its worker; "
@@ -81,7 +82,7 @@ def run(
     from charms_bench.runs.document import Document
 
     of_evaluations: dict[str, Any] = {
-        "episodes": episodes, "seed": seed, "rows": rows, "shard_limit": shard_limit,
+        "episodes": episodes, "seed": seed, "rows": rows, "shard_limit_s": shard_limit_s,
         "cluster": cluster,
     }  # fmt: skip
     of_trainings = {"only": only, "recordings": recordings}
@@ -89,14 +90,13 @@ def run(
     kinds = ("evaluations", "a training") if is_training else ("trainings", "an evaluation")
     for name, value in (of_evaluations if is_training else of_trainings).items():
         if value is not None:
-            option = name.replace("_", "-")
+            option = name.removesuffix("_s").replace("_", "-")
             raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
     if is_training:
         with interruptible():
             trained = api.train(suite, output, workers=workers, only=only, recordings=recordings)
         _print_training(trained, as_json)
         return
-    of_evaluations["shard_limit_s"] = of_evaluations.pop("shard_limit")
     with interruptible():
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, made.table, as_json)

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, say
+from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, print_records, say
 from charms_bench.errors import InputError
 
 DECISION_HZ = {"neighbours": 3.0, "Kinematics": 1.0}
@@ -19,8 +19,6 @@ def agents(as_json: Json = False) -> None:
     The plugins are not imported.
     """
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
-    from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
 
     facts = ("role", "version", "distribution")
     found = [
@@ -31,8 +29,7 @@ def agents(as_json: Json = False) -> None:
     if as_json:
         print_json(found)
         return
-    table = Table.from_records(found, "agents", "", ("name",), tuple(map(Column, facts)))
-    out.print(grid(table, out.width, stacked=False))
+    print_records("name", found, dict.fromkeys(facts, ""))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

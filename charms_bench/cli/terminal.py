@@ -4,7 +4,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -16,7 +16,6 @@ from typer import rich_utils
 
 app = typer.Typer(
     name="charms-bench",
-    help="Benchmark driving behaviour on highway-env's motorway.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -88,6 +87,16 @@ def interruptible() -> Iterator[None]:
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def print_records(key: str, records: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> None:
+    """Prints records as a table with these columns beside `key`; forms are as in `Column`."""
+    from charms_bench.report.table import Column, Table
+    from charms_bench.report.terminal import grid
+
+    columns = tuple(Column(name, form=form) for name, form in forms.items())
+    table = Table.from_records(records, "", "", (key,), columns)
+    out.print(grid(table, out.width, stacked=False))
 
 
 def print_json(value: Any) -> None:
