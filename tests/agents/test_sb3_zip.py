@@ -377,7 +377,7 @@ def test_the_file_sees_what_the_command_line_says(
     _, path = saved(tmp_path, shape=observation.shape)
     output = tmp_path / "out.onnx"
     done = CliRunner().invoke(app, ["export", str(path), str(output), *arguments])
-    assert f"sees {observation.name}, decides at {hz:g} Hz" in done.stdout
+    assert f"observes {observation.name}, decides at {hz:g} Hz" in done.stdout
     policy = OnnxPolicy(output)
     assert (policy.observation, policy.decision_hz) == (observation, hz)
 

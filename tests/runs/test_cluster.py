@@ -139,8 +139,8 @@ def test_a_scheduler_that_does_not_answer_is_named(suite_file: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--workers", "2"], "--workers are processes on this machine"),
-        (["--engine", "highway-env"], "--cluster runs the engine batched"),
+        (["--workers", "2"], "workers are processes on this machine; a cluster has its own"),
+        (["--engine", "highway-env"], "a cluster runs the engine 'batched'"),
     ],
 )
 def test_what_a_cluster_cannot_do_is_refused(

@@ -236,7 +236,7 @@ def test_a_terminated_run_keeps_a_second_one_out_and_says_what_is_left(
     first.send_signal(signal.SIGTERM)
     code, said = ended(first)
     assert code == 128 + signal.SIGTERM
-    assert f"interrupted; finished shards are in {output}, and the same command goes" in said
+    assert f"interrupted; finished shards are in {output}, and the same command continues" in said
 
 
 PLUGIN = """\
