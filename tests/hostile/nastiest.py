@@ -1,17 +1,17 @@
 """The ten nastiest inputs, as docs/hostile-input.md describes them."""
 
 NASTIEST = {
-    "suite: a billion laughs": "A suite of 59 lists, each with four copies of the one before",
+    "suite: a billion laughs": "A suite of 59 lists, each with four copies of the previous list",
     "suite: code: apply": "A suite whose title is `!!python/object/apply:os.mkdir [canary]`",
     "a link to /dev/zero as a network": "A network that is a link to `/dev/zero`",
     "network: weights elsewhere, disguised": "A network whose weights are in another file, "
-    "encoded so that no search for bytes finds its name",
+    "with an encoding of the file's name that a byte search does not find",
     "network: a loop without end": "A network with a loop of 2^62 rounds",
-    "network: a product of 80 GB": "A network of 1 MB that multiplies its way to 80 GB",
+    "network: a product of 80 GB": "A network of 1 MB with a product that needs 80 GB",
     "checkpoint: a pickle that makes a folder": "A checkpoint with a pickle that calls `os.mkdir`",
     "checkpoint: a bytearray of 32 GB": "A checkpoint whose pickle asks for a `bytearray` of 32 "
     "GB, which `torch.load(weights_only=True)` makes",
-    "recordings: 10^9 rows announced": "A recording that announces 10^9 rows",
+    "recordings: 10^9 rows announced": "A recording whose metadata declares 10^9 rows",
     "network: a sparse tensor of 32 GiB": "A network of 200 bytes with a sparse tensor of 32 GiB",
 }
 
