@@ -8,16 +8,16 @@ hold stays as it is.
 
 import re
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.markdown import markdown
-from charms_bench.report.run_tables import RunTables
-from charms_bench.report.stored import stored_tables
+from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
-from charms_bench.report.table import Row, Table
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.report.training_tables import stored_training
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import RunFolder
@@ -27,159 +27,119 @@ RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A metric of a table in the documentation."""
-
-    header: str
-    metric: str
-    form: str = ".3f"
-    """As in `Column`."""
-    metric_set: str = "paper-"
-    """How the label of its set begins."""
-    interval: bool = False
-    """Whether the 95 % interval is written too."""
-
-
-CRASHED = Shown("episodes crashed", "crashed_episodes", ".1%", "standard-", interval=True)
-TRAFFIC_CRASHED = Shown(
-    "vehicles crashed in 20 s", "traffic_crashed", ".1%", "standard-", interval=True
-)
-PER_1000KM = Shown("per 1,000 km", "traffic_crashes_per_1000km", ",.0f", "standard-")
-DENSITY = Shown("interaction density", "interaction_density", ".2f")
-EGO_SPEED = Shown("ego's speed, m/s", "speed_mean", ".2f")
-EGO_SPEED_STD = Shown("ego's speed std", "speed_std", ".2f")
-EGO_TTC = Shown("ego's TTC < 3 s, closing", "ttc_below_3s_closing", ".4f")
-SPEED = Shown("speed, m/s", "speed_mean", ".2f")
-HARSH = Shown("harsh", "harsh_acc_rate", ".4f")
-
-EGO = (
-    CRASHED,
-    Shown("collision rate", "collision_rate", ".4f"),
-    Shown("TTC < 3 s", "ttc_below_3s"),
-    SPEED,
-    Shown("acceleration std, m/s²", "acc_std"),
-    HARSH,
-)
-STYLES = (
-    SPEED,
-    Shown("speed std", "speed_std", ".2f"),
-    Shown("acceleration", "acc_mean"),
-    Shown("acceleration std", "acc_std"),
-    Shown("headway, m", "dhw_mean", ".1f"),
-    Shown("headway std", "dhw_std", ".1f"),
-    HARSH,
-    CRASHED,
-)
-ENVIRONMENT = (TRAFFIC_CRASHED, PER_1000KM, DENSITY, EGO_SPEED_STD, EGO_TTC)
-PCH = (TRAFFIC_CRASHED, PER_1000KM, DENSITY, EGO_SPEED, EGO_SPEED_STD)
+EGO = {
+    "episodes crashed": ("crashed_episodes", ".1%"),
+    "collision rate": ("collision_rate", ".4f"),
+    "TTC < 3 s": ("ttc_below_3s", ".3f"),
+    "speed, m/s": ("speed_mean", ".2f"),
+    "acceleration std, m/s²": ("acc_std", ".3f"),
+    "harsh": ("harsh_acc_rate", ".4f"),
+}
+"""The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
+STYLES = {
+    "speed, m/s": ("speed_mean", ".2f"),
+    "speed std": ("speed_std", ".2f"),
+    "acceleration": ("acc_mean", ".3f"),
+    "acceleration std": ("acc_std", ".3f"),
+    "headway, m": ("dhw_mean", ".1f"),
+    "headway std": ("dhw_std", ".1f"),
+    "harsh": ("harsh_acc_rate", ".4f"),
+    "episodes crashed": ("crashed_episodes", ".1%"),
+}
+TRAFFIC = {
+    "vehicles crashed in 20 s": ("traffic_crashed", ".1%"),
+    "per 1,000 km": ("traffic_crashes_per_1000km", ",.0f"),
+    "interaction density": ("interaction_density", ".2f"),
+}
+EGO_STD = {"ego's speed std": ("speed_std", ".2f")}
+ENVIRONMENT = {
+    **TRAFFIC,
+    **EGO_STD,
+    "ego's TTC < 3 s, closing": ("ttc_below_3s_closing", ".4f"),
+}
+PCH = {**TRAFFIC, "ego's speed, m/s": ("speed_mean", ".2f"), **EGO_STD}
 
 
-def of_suite(name: str, columns: Sequence[Shown], key: str) -> Callable[[Path], str]:
-    """Writes the table of a suite, an agent or a traffic per row."""
-
-    def write(runs: Path) -> str:
-        return markdown(shown(tables_of(runs / name).metrics, columns, key))
-
-    return write
+def of_suite(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
+    """The table of a suite, an agent or a traffic per row."""
+    return markdown(shown(tables_of(run).metrics, columns))
 
 
 def tables_of(run: Path) -> RunTables:
     return stored_tables(run, RunFolder(run).suite())
 
 
-def shown(table: Table, columns: Sequence[Shown], key: str) -> Table:
-    """A suite's table with some columns under other names, labelled by one key."""
-    place = table.keys.index(key)
-    chosen = table.take([_place(table, column) for column in columns])
-    return replace(
-        chosen,
-        keys=(key,),
-        columns=tuple(
-            replace(each, name=column.header, form=column.form)
-            for each, column in zip(chosen.columns, columns, strict=True)
-        ),
-        rows=tuple(
-            Row(
-                (row.labels[place],),
-                tuple(
-                    number if column.interval else replace(number, low=None, high=None)
-                    for number, column in zip(row.numbers, columns, strict=True)
-                ),
-            )
-            for row in chosen.rows
-        ),
-    )
+def shown(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
+    """A suite's table with these columns, each from the first set that has the metric.
+
+    Only shares keep their intervals; keys that are all the same are left out.
+    """
+    names = [column.name for column in table.columns]
+    places = [names.index(metric) for metric, _ in columns.values()]
+    described = tuple(Column(header, form=form) for header, (_, form) in columns.items())
+    rows = []
+    for row in table.rows:
+        numbers = tuple(
+            number if column.form.endswith("%") else replace(number, low=None, high=None)
+            for number, column in zip([row.numbers[i] for i in places], described, strict=True)
+        )
+        rows.append(Row(row.labels, numbers))
+    return replace(table, columns=described, rows=tuple(rows)).without_constant_keys()
 
 
-def _place(table: Table, column: Shown) -> int:
-    return next(
-        i
-        for i, each in enumerate(table.columns)
-        if each.name == column.metric and each.group.startswith(column.metric_set)
-    )
-
-
-def realism(runs: Path) -> str:
+def realism(run: Path) -> str:
     """How far each traffic is from each reference, the nearest in bold."""
-    table = tables_of(runs / "realism").realism
+    table = tables_of(run).realism
     assert table is not None
     what = {"speed": "speed", "dhw": "headway"}
     chosen = table.take([i for i, each in enumerate(table.columns) if each.name.startswith("js_")])
     headers = [f"{what[each.quantity]}, {each.group.upper()}" for each in chosen.columns]
-    columns = [replace(each, name=n) for each, n in zip(chosen.columns, headers, strict=True)]
-    return markdown(replace(chosen, columns=tuple(columns)))
+    return markdown(chosen.named(*headers))
 
 
-def crossplay(runs: Path) -> str:
+def crossplay(run: Path) -> str:
     """The matrices, each under its title."""
-    found = matrices(tables_of(runs / "crossplay").metrics)
+    found = matrices(tables_of(run).metrics)
     return "\n".join(f"**{matrix.title}**\n\n{markdown(matrix)}" for matrix in found)
 
 
-def edges(runs: Path) -> str:
+def edges(run: Path) -> str:
     """The first of the most critical episodes of the suite `ego`, and how to see one."""
-    run = open_finished(runs / "ego")
-    found = edge_cases(run, 2, None, range(len(run.suite.cells)), ROOT / "suites")
-    lines = ["rank ego           traffic   episode criticality what happened"]
-    lines += [
-        f"{case.rank:4} {case.ego:13} {case.traffic:9} {case.episode:7} {case.criticality:11.2f} "
-        f"{case.what}"
-        for case in found
-    ]
-    listed = "\n".join(lines)
+    finished = open_finished(run)
+    found = edge_cases(finished, 2, None, range(len(finished.suite.cells)), ROOT / "suites")
+    listed = "rank ego           traffic   episode criticality what happened"
+    for case in found:
+        listed += f"\n{case.rank:4} {case.ego:13} {case.traffic:9} {case.episode:7} "
+        listed += f"{case.criticality:11.2f} {case.what}"
     first = f'charms-bench replay runs/ego {found[0].episode} --agent "{found[0].ego}"'
     replayed = f"This command replays the first of these episodes:\n\n```sh\n{first}\n```\n"
     return f"```text\n{listed}\n```\n\n{replayed}"
 
 
-def fine_tuning(runs: Path) -> str:
+def fine_tuning(run: Path) -> str:
     """What learning from human driving did to each style; nothing if no stage learnt from it."""
-    table = stored_training(runs / "train").stages
+    table = stored_training(run).stages
     assert table is not None
-    names = {"agreement_before": "before", "agreement": "after"}
-    chosen = table.select(*names)
-    return markdown(
-        replace(
-            chosen,
-            keys=("style",),
-            columns=tuple(replace(e, name=names[e.name], form=".1%") for e in chosen.columns),
-            rows=tuple(
-                replace(row, labels=(row.labels[0].removeprefix("charms_").replace("_", " "),))
-                for row in chosen.rows
-                if row.numbers[1].value is not None
-            ),
-        )
-    )
+    records = [
+        {
+            "style": record["stage"].removeprefix("charms_").replace("_", " "),
+            "before": record["agreement_before"],
+            "after": record["agreement"],
+        }
+        for record in table.records()
+        if record["agreement"] is not None
+    ]
+    columns = (Column("before", form=".1%"), Column("after", form=".1%"))
+    return markdown(Table.from_records(records, "", "", ("style",), columns))
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "ego": ("ego", of_suite("ego", EGO, "agent")),
+    "ego": ("ego", partial(of_suite, EGO)),
     "edge-cases": ("ego", edges),
-    "styles": ("styles", of_suite("styles", STYLES, "agent")),
-    "environment": ("environment", of_suite("environment", ENVIRONMENT, "traffic")),
+    "styles": ("styles", partial(of_suite, STYLES)),
+    "environment": ("environment", partial(of_suite, ENVIRONMENT)),
     "realism": ("realism", realism),
-    "pch": ("pch", of_suite("pch", PCH, "traffic")),
+    "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
     "fine-tuning": ("train", fine_tuning),
 }
@@ -195,21 +155,15 @@ def filled(text: str) -> str:
     return BLOCK.sub(block, text)
 
 
-def pages() -> list[Path]:
-    """Whatever may have results in it."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-
-
 def main(runs: Path) -> None:
     RESULTS.mkdir(exist_ok=True)
     for name, (folder, make) in TABLES.items():
-        text = make(runs) if (runs / folder).is_dir() else ""
+        text = make(runs / folder) if (runs / folder).is_dir() else ""
         if text:
             (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
-        print(
-            f"docs/results/{name}.md: {'from' if text else 'as it was, nothing in'} {runs / folder}"
-        )
-    for page in pages():
+        found = "from" if text else "as it was, nothing in"
+        print(f"docs/results/{name}.md: {found} {runs / folder}")
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 

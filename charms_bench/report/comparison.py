@@ -49,7 +49,7 @@ def compare(
     Args:
         pairs: Two agents in the same episodes each, from `runs.pairing.pairs_of`.
         metric_sets: What to compute.
-        settings: What the scenes have in common.
+        settings: Of the scenes.
         seed: Of the resamples.
         only: Names of metrics, in every set that has them; none means all.
 
@@ -71,18 +71,14 @@ def compare(
         weights = resample(np.random.default_rng(seed), len(pair[0].episodes))
         found = differences(metrics, first, second, weights)
         for (label, metric), ours, theirs, each in zip(chosen, first, second, found, strict=True):
+            labels = (pair[0].agent, pair[1].agent, pair[0].traffic, label, metric.name)
+            value, low, high = map(defined, (each.value, each.low, each.high))
             records.append(
                 {
-                    "first": pair[0].agent,
-                    "second": pair[1].agent,
-                    "traffic": pair[0].traffic,
-                    "metric_set": label,
-                    "metric": metric.name,
+                    **dict(zip(KEYS, labels, strict=True)),
                     "first_value": defined(float(metric.value(ours.sum(axis=0)))),
                     "second_value": defined(float(metric.value(theirs.sum(axis=0)))),
-                    "difference": Number(
-                        defined(each.value), defined(each.low), defined(each.high), len(ours)
-                    ),
+                    "difference": Number(value, low, high, len(ours)),
                     "detectable": defined(each.detectable),
                     "p": each.p,
                 }
@@ -112,19 +108,17 @@ def by_pair(table: Table) -> list[Table]:
 
     p is the corrected one.
     """
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in table.rows:
-        groups.setdefault(row.labels[:-1], []).append(replace(row, labels=row.labels[-1:]))
     shown = table.take(range(len(COLUMNS) - 1))
-    names = ("first", "second", "difference", "p", "detectable")
-    columns = [replace(each, name=name) for each, name in zip(shown.columns, names, strict=True)]
+    shown = shown.named("first", "second", "difference", "p", "detectable")
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in shown.rows:
+        groups.setdefault(row.labels[:-1], []).append(replace(row, labels=row.labels[-1:]))
     found = [
         replace(
-            table,
+            shown,
             title=f"{first} minus {second}, in {traffic}: {metric_set}",
             keys=KEYS[-1:],
-            columns=tuple(columns),
-            rows=tuple(replace(row, cells=row.cells[: len(columns)]) for row in rows),
+            rows=tuple(rows),
             note="",
         )
         for (first, second, traffic, metric_set), rows in groups.items()

@@ -9,10 +9,9 @@ from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
 from charms_bench.report.markdown import document, markdown
-from charms_bench.report.pairs_table import guessed
-from charms_bench.report.realism_table import TITLE
-from charms_bench.report.run_tables import run_tables
-from charms_bench.report.suite_table import matrices
+from charms_bench.report.pairs_table import guessed, pairs_table
+from charms_bench.report.realism_table import TITLE, realism_table
+from charms_bench.report.suite_table import matrices, suite_table
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
@@ -29,29 +28,24 @@ def write_run(
 ) -> None:
     """Writes the tables and figures that a suite calls for into a run folder.
 
-    Args:
-        suite: The suite that was run.
-        folder: The run folder.
-        cells: The rows of its cells.
-        following: What all vehicles of its cells did while they followed.
-        references: Human driving to compare with.
+    `following` is what all vehicles of its cells did while they followed; it and `references`,
+    human driving to compare with, are for the table of realism.
     """
-    found = run_tables(suite, cells, following, references)
-    figures, name = folder / "figures", suite.suite
-    write_table(folder, found.metrics)
-    if found.pairs is not None:
-        summary = _pairs_summary(found.pairs, *guessed(suite, cells), len(suite.egos))
-        write_table(folder, found.pairs, summary)
+    table, figures, name = suite_table(suite, cells), folder / "figures", suite.suite
+    write_table(folder, table)
+    if suite.pairs:
+        pairs = pairs_table(suite, cells)
+        summary = _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))
+        write_table(folder, pairs, summary)
     if len(cells) > 1:
-        tradeoff = draw_tradeoff(found.metrics, tradeoff_of(suite))
-        save(tradeoff, figures / f"{name}-tradeoff.png")
-    if matrix := matrices(found.metrics):
+        save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
+    if matrix := matrices(table):
         parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
         write_bytes(folder / "tables" / f"{name}-matrix.md", "\n".join(parts).encode())
         save(draw_matrices(matrix), figures / f"{name}-matrix.png")
-    if found.realism is not None:
-        described = [paragraph for each in references for paragraph in _described(each)]
-        write_table(folder, found.realism, described)
+    if references:
+        realism = realism_table(suite, following, references)
+        write_table(folder, realism, [_described(each) for each in references])
         for quantity in TITLE:
             if people := recorded(quantity, references):
                 path = figures / f"{name}-{quantity}.png"
@@ -77,7 +71,7 @@ def _pairs_summary(table: Table, right: int, asked: int, egos: int) -> list[str]
     return [f"{apart} of {len(table.rows)} pairs differ in at least one metric.", guess]
 
 
-def _described(reference: Reference) -> list[str]:
+def _described(reference: Reference) -> str:
     """Where a reference comes from, and what it measures."""
     lines = [f"**{reference.name}**: {reference.origin} Data: {reference.terms}."]
     for quantity, what in (("speed", reference.speed_is), ("dhw", reference.dhw_is)):
@@ -87,4 +81,4 @@ def _described(reference: Reference) -> list[str]:
                 f"- {TITLE[quantity]}: {what}. Human driving: n = {human.sum():,.0f}; vehicles: "
                 f"{reference.vehicles:,}."
             )
-    return ["\n".join(lines)]
+    return "\n".join(lines)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
@@ -9,13 +10,28 @@ import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report import pairs_table, realism_table, suite_table
-from charms_bench.report.run_tables import RunTables
-from charms_bench.report.table import long_schema
+from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
 from charms_bench.world.files import read_limited
 
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
+
+
+@dataclass(frozen=True)
+class RunTables:
+    """The tables of a run; None for those that its suite does not call for."""
+
+    metrics: Table
+    """Every metric of every cell."""
+    realism: Table | None
+    """How far each traffic is from human driving."""
+    pairs: Table | None
+    """The differences between each two egos."""
+
+    def each(self) -> list[Table]:
+        """The tables that there are."""
+        return [table for table in (self.metrics, self.realism, self.pairs) if table is not None]
 
 
 def holds(folder: Path, name: str) -> bool:
@@ -31,34 +47,25 @@ def holds(folder: Path, name: str) -> bool:
 
 
 def stored_tables(folder: Path, suite: Suite) -> RunTables:
-    """The tables of an evaluation.
-
-    Args:
-        folder: The run folder.
-        suite: The suite that was run.
+    """The tables in the folder of a suite's run.
 
     Raises:
         RunFolderError: The table of metrics, which every run has, is missing, or one is damaged.
     """
-    tables, name = folder / "tables", suite.suite
-
-    def read(ending: str, keys: tuple[str, ...], long: Mapping[str, str]) -> pl.DataFrame | None:
-        path = tables / f"{name}{ending}.csv"
-        return read_table(path, long_schema(keys, long)) if path.exists() else None
-
-    metrics = read("", suite_table.KEYS, suite_table.LONG)
+    start = folder / "tables" / suite.suite
+    kinds = (("", suite_table), ("-realism", realism_table), ("-pairs", pairs_table))
+    metrics, realism, pairs = (
+        kind.from_frame(read_table(path, long_schema(kind.KEYS, kind.LONG)), suite)
+        if (path := Path(f"{start}{ending}.csv")).exists()
+        else None
+        for ending, kind in kinds
+    )
     if metrics is None:
         raise RunFolderError(
-            f"{tables / name}.csv: no such file; a run writes its tables when it is finished, and "
+            f"{start}.csv: no such file; a run writes its tables when it is finished, and "
             f"`charms-bench rescore {folder}` writes them again"
         )
-    pairs = read("-pairs", pairs_table.KEYS, pairs_table.LONG)
-    realism = read("-realism", realism_table.KEYS, realism_table.LONG)
-    return RunTables(
-        suite_table.from_frame(metrics, suite),
-        None if pairs is None else pairs_table.from_frame(pairs, suite),
-        None if realism is None else realism_table.from_frame(realism, suite),
-    )
+    return RunTables(metrics, realism, pairs)
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:

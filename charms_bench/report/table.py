@@ -158,20 +158,17 @@ class Table:
                 return Number(value)
             return value if isinstance(value, Number) else str(value)
 
-        rows = tuple(
-            Row(
-                tuple(str(record[key]) for key in keys),
-                tuple(cell(record.get(column.name)) for column in columns),
-            )
-            for record in records
-        )
-        return cls(name, title, keys, columns, rows, note)
+        rows = []
+        for record in records:
+            cells = tuple(cell(record.get(column.name)) for column in columns)
+            rows.append(Row(tuple(str(record[key]) for key in keys), cells))
+        return cls(name, title, keys, columns, tuple(rows), note)
 
     def frame(self) -> pl.DataFrame:
         """The numbers as a long frame: row by row, but quantity by quantity if there are some."""
         by_quantity = any(column.quantity for column in self.columns)
         records = []
-        for places in self._parts() if by_quantity else [range(len(self.columns))]:
+        for places in self._parts().values() if by_quantity else [range(len(self.columns))]:
             for row, i in product(self.rows, places):
                 if isinstance(number := row.cells[i], Number):
                     known = {**vars(self.columns[i]), **vars(number)}
@@ -180,14 +177,12 @@ class Table:
 
     def records(self) -> list[dict[str, Any]]:
         """A dictionary per row: its labels, and the values of its columns."""
-        return [
-            dict(zip(self.keys, row.labels, strict=True))
-            | {
-                column.name: cell.value if isinstance(cell, Number) else cell
-                for column, cell in zip(self.columns, row.cells, strict=True)
-            }
+        names = [*self.keys, *(column.name for column in self.columns)]
+        values = (
+            [*row.labels, *(getattr(cell, "value", cell) for cell in row.cells)]
             for row in self.rows
-        ]
+        )
+        return [dict(zip(names, each, strict=True)) for each in values]
 
     def select(self, *names: str) -> "Table":
         """The table with only these columns, group by group in this order.
@@ -195,9 +190,7 @@ class Table:
         Raises:
             InputError: No column has such a name.
         """
-        places: dict[tuple[str, str], int] = {}
-        for i, column in enumerate(self.columns):
-            places[column.group, column.name] = i
+        places = {(column.group, column.name): i for i, column in enumerate(self.columns)}
         known = {name: None for _, name in places}
         for name in names:
             if name not in known:
@@ -216,23 +209,27 @@ class Table:
             ),
         )
 
+    def named(self, *names: str) -> "Table":
+        """The table with these names of its columns."""
+        pairs = zip(self.columns, names, strict=True)
+        return replace(self, columns=tuple(replace(each, name=name) for each, name in pairs))
+
     def parts(self) -> list["Table"]:
         """A table for each group and quantity, titled by them, with their columns."""
-        found = [self.take(places) for places in self._parts()]
-        if len(found) == 1 and not self.columns[0].group:
-            return found
-        titles = [(part.columns[0].group, part.columns[0].quantity) for part in found]
+        parts = self._parts()
+        if len(parts) == 1 and not self.columns[0].group:
+            return [self]
         return [
-            replace(part, title=": ".join(filter(None, title)))
-            for part, title in zip(found, titles, strict=True)
+            replace(self.take(places), title=": ".join(filter(None, title)))
+            for title, places in parts.items()
         ]
 
-    def _parts(self) -> list[list[int]]:
-        """The places of the columns of each part."""
+    def _parts(self) -> dict[tuple[str, str], list[int]]:
+        """The places of the columns of each group and quantity."""
         places: dict[tuple[str, str], list[int]] = {}
         for i, column in enumerate(self.columns):
             places.setdefault((column.group, column.quantity), []).append(i)
-        return list(places.values())
+        return places
 
     def blocks(self, most: int) -> list["Table"]:
         """The columns in tables of about the same number of them, at most this many."""
@@ -242,10 +239,8 @@ class Table:
 
     def without_constant_keys(self) -> "Table":
         """The table without keys whose labels are all the same; at least one key stays."""
-        differ = [
-            len(set(labels)) > 1 for labels in zip(*(row.labels for row in self.rows), strict=True)
-        ]
-        kept = [i for i, differs in enumerate(differ) if differs] or [0]
+        by_key = zip(*(row.labels for row in self.rows), strict=True)
+        kept = [i for i, labels in enumerate(by_key) if len(set(labels)) > 1] or [0]
         rows = tuple(replace(row, labels=tuple(row.labels[i] for i in kept)) for row in self.rows)
         return replace(self, keys=tuple(self.keys[i] for i in kept), rows=rows)
 

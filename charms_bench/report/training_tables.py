@@ -53,18 +53,6 @@ class ColumnsFile(FrozenModel):
 
 
 @dataclass(frozen=True)
-class Curve:
-    """One learning curve per stage, of one quantity."""
-
-    title: str
-    over: str
-    column: str
-    form: str
-    points: pl.DataFrame
-    """The rows of `curves.csv` that have both `over` and `column`."""
-
-
-@dataclass(frozen=True)
 class Training:
     """The run folder of a training: its stages and their learning curves."""
 
@@ -86,8 +74,11 @@ class Training:
     def _repr_html_(self) -> str | None:
         return None if self.stages is None else self.stages._repr_html_()
 
-    def drawn(self) -> list[Curve]:
-        """The curves that can be drawn, in the order in which `columns.json` has them."""
+    def drawn(self) -> list[tuple[str, CurveColumn, pl.DataFrame]]:
+        """The curves that can be drawn, in the order in which `columns.json` has them.
+
+        Each is the name of a column, what it is, and the rows that have it and what it is over.
+        """
         if self.curves is None:
             return []
         curves = self.curves.with_columns(point=pl.int_range(pl.len()).over("stage"))
@@ -96,7 +87,7 @@ class Training:
             name: CurveColumn(over="point", title=name) for name in numeric if name != "point"
         }
         return [
-            Curve(each.title, each.over, name, each.form, points)
+            (name, each, points)
             for name, each in described.items()
             if {name, each.over} <= set(numeric)
             and len(points := curves.drop_nulls([each.over, name]))
@@ -121,43 +112,36 @@ def stored_training(folder: Path) -> Training:
     for path in (folder / name for name in (STAGES, CURVES) if holds(folder, name)):
         found[path.name] = read_csv(path)
         if "stage" not in found[path.name].columns:
-            names = ", ".join(found[path.name].columns)
-            raise RunFolderError(f"{path}: expected a column 'stage', found {names}")
-    stages = stages_table(found[STAGES], columns.stages) if STAGES in found else None
+            columns_found = ", ".join(found[path.name].columns)
+            raise RunFolderError(f"{path}: expected a column 'stage', found {columns_found}")
+    stages = None
+    if STAGES in found:
+        unknown = StageColumn(definition="As the pipeline calls it")
+        names = [name for name in found[STAGES].columns if name != "stage"]
+        described = tuple(
+            Column(name, **columns.stages.get(name, unknown).model_dump()) for name in names
+        )
+        rows = found[STAGES].iter_rows(named=True)
+        stages = Table.from_records(rows, "stages", "Stages", ("stage",), described)
     return Training(folder, stages, found.get(CURVES), columns)
-
-
-def stages_table(stages: pl.DataFrame, described: Mapping[str, StageColumn]) -> Table:
-    """The table of `stages.csv`."""
-    columns = tuple(
-        Column(name, each.unit, each.definition, form=each.form)
-        for name in stages.columns
-        if name != "stage"
-        for each in [described.get(name, StageColumn(definition="As the pipeline calls it"))]
-    )
-    rows = stages.iter_rows(named=True)
-    return Table.from_records(rows, "stages", "Stages", ("stage",), columns)
 
 
 def drawn_curves(training: Training, width: int = 100) -> Group:
     """The learning curves for a terminal, one line per stage, all of a quantity on one scale."""
     parts: list[Text | RichTable] = []
-    for curve in training.drawn():
-        parts += [Text(f"\n{curve.title}", style="bold"), _drawn(curve, width)]
+    for name, curve, points in training.drawn():
+        curves = points.partition_by("stage", maintain_order=True)
+        longest = max(len(str(each["stage"][0])) for each in curves)
+        scale = Scale.over(points[name], min(WIDEST, max(10, width - longest - 24)))
+        table = RichTable(box=None, padding=(0, 2, 0, 0))
+        table.add_column("stage", no_wrap=True)
+        table.add_column("first", justify="right", no_wrap=True)
+        table.add_column(f"{scale.low:.3g} to {scale.high:.3g}", no_wrap=True)
+        table.add_column("last", justify="right", no_wrap=True)
+        for each in curves:
+            values = each[name].to_list()
+            picture = Text(line(scale, values), style="cyan")
+            stage = Text(str(each["stage"][0]))
+            table.add_row(stage, f"{values[0]:.3g}", picture, f"{values[-1]:.3g}")
+        parts += [Text(f"\n{curve.title}", style="bold"), table]
     return Group(*parts)
-
-
-def _drawn(curve: Curve, width: int) -> RichTable:
-    stages = curve.points["stage"].unique(maintain_order=True).to_list()
-    longest = max(len(str(stage)) for stage in stages)
-    scale = Scale.over(curve.points[curve.column], min(WIDEST, max(10, width - longest - 24)))
-    table = RichTable(box=None, padding=(0, 2, 0, 0))
-    table.add_column("stage", no_wrap=True)
-    table.add_column("first", justify="right", no_wrap=True)
-    table.add_column(f"{scale.low:.3g} to {scale.high:.3g}", no_wrap=True)
-    table.add_column("last", justify="right", no_wrap=True)
-    for stage in stages:
-        values = curve.points.filter(stage=stage)[curve.column].to_list()
-        picture = Text(line(scale, values), style="cyan")
-        table.add_row(Text(str(stage)), f"{values[0]:.3g}", picture, f"{values[-1]:.3g}")
-    return table

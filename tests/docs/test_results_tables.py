@@ -47,7 +47,8 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
     suite = {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
     long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
     table = from_frame(long, Suite.model_validate(suite))
-    shown = tool.shown(table, (tool.CRASHED, tool.SPEED), "agent")
+    columns = {name: tool.EGO[name] for name in ("episodes crashed", "speed, m/s")}
+    shown = tool.shown(table, columns)
     assert markdown(shown).splitlines() == [
         "| agent | episodes crashed | speed, m/s (paper) |",
         "|---|---:|---:|",

@@ -61,7 +61,7 @@ def test_columns_that_nobody_describes_are_shown_by_their_names(tmp_path: Path) 
     assert training.stages is not None
     assert training.stages.columns[2].name == "wall_s"
     assert training.stages.columns[2].definition == "As the pipeline calls it"
-    titles = [curve.title for curve in training.drawn()]
+    titles = [curve.title for _, curve, _ in training.drawn()]
     assert titles == ["steps", "return_mean", "crashed_share", "epoch", "agreement"]
 
 

@@ -41,18 +41,14 @@ def panels(
     return figure, every
 
 
-def reach(numbers: Sequence[Number]) -> list[list[float]]:
-    """How far intervals reach below and above their values, (2, M); 0 without an interval."""
-    return [
-        [
-            max(0.0, n.value - n.low) if n.value is not None and n.low is not None else 0.0
-            for n in numbers
-        ],
-        [
-            max(0.0, n.high - n.value) if n.value is not None and n.high is not None else 0.0
-            for n in numbers
-        ],
-    ]
+def crosses(axes: Any, x: Sequence[Number], y: Sequence[Number], **look: Any) -> None:
+    """Draws points with their 95 % intervals; all have a value, not all an interval."""
+    ends = [np.array([(n.value, n.low, n.high) for n in each], dtype=float) for each in (x, y)]
+    xerr, yerr = (
+        np.nan_to_num(np.maximum(0.0, [value - low, high - value]))
+        for value, low, high in (each.T for each in ends)
+    )
+    axes.errorbar(ends[0][:, 0], ends[1][:, 0], xerr=xerr, yerr=yerr, linestyle="", **look)
 
 
 def heat_map(
@@ -63,15 +59,9 @@ def heat_map(
     columns: Sequence[str],
     **colours: Any,
 ) -> None:
-    """Draws a matrix as coloured fields with a text in each; NaN stays empty.
+    """Draws a matrix as coloured fields with a text in each, rows from the top; NaN stays empty.
 
-    Args:
-        axes: Where to draw.
-        values: The matrix.
-        texts: What stands in each field.
-        rows: The names of its rows, from the top.
-        columns: The names of its columns.
-        colours: Options of `pcolormesh`.
+    `colours` are options of `pcolormesh`.
     """
     edges = (np.arange(values.shape[1] + 1) - 0.5, np.arange(values.shape[0] + 1) - 0.5)
     mesh = axes.pcolormesh(*edges, np.ma.masked_invalid(values), **colours)

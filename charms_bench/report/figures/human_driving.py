@@ -47,10 +47,8 @@ def draw_quantity(
     if len(people) > 1:
         figure.suptitle(TITLE[quantity], fontsize=11)
     named = axes[0].get_legend_handles_labels()
-    columns = min(len(named[1]), 1 + len(people))
-    figure.legend(
-        *named, loc="outside lower center", ncols=min(columns, 3), frameon=False, fontsize=9
-    )
+    columns = min(len(named[1]), 1 + len(people), 3)
+    figure.legend(*named, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     return figure
 
 

@@ -6,7 +6,7 @@ from matplotlib.ticker import MaxNLocator
 
 from charms_bench.episodes.palette import series
 from charms_bench.report.figures.drawing import panels
-from charms_bench.report.training_tables import Curve, Training
+from charms_bench.report.training_tables import CurveColumn, Training
 
 
 def draw_curves(training: Training) -> list[tuple[str, Figure]]:
@@ -17,27 +17,22 @@ def draw_curves(training: Training) -> list[tuple[str, Figure]]:
     drawn = []
     assert training.curves is not None
     stages = training.curves["stage"].unique(maintain_order=True).to_list()
-    for curve in training.drawn():
-        for part in _by_length(curve):
-            names = part["stage"].unique(maintain_order=True).to_list()
+    for name, curve, points in training.drawn():
+        longest = pl.col(curve.over).max()
+        is_long = longest.over("stage") * 4 > longest
+        for part in points.with_columns(long=is_long).partition_by("long", maintain_order=True):
             title = curve.title[:1].upper() + curve.title[1:]
-            title += f": {names[0]}" if len(names) == 1 else ""
-            drawn.append((title, _draw(part, curve, stages)))
+            title += f": {part['stage'][0]}" if part["stage"].n_unique() == 1 else ""
+            drawn.append((title, _draw(part, name, curve, stages)))
     return drawn
 
 
-def _by_length(curve: Curve) -> list[pl.DataFrame]:
-    longest = pl.col(curve.over).max()
-    is_long = longest.over("stage") * 4 > longest
-    return curve.points.with_columns(long=is_long).partition_by("long", maintain_order=True)
-
-
-def _draw(points: pl.DataFrame, curve: Curve, stages: list[str]) -> Figure:
+def _draw(points: pl.DataFrame, name: str, curve: CurveColumn, stages: list[str]) -> Figure:
     figure, (axes,) = panels(1, 5.4, 3.9)
     for stage in points["stage"].unique(maintain_order=True):
         part = points.filter(stage=stage)
         style = series(stages.index(stage))
-        axes.plot(part[curve.over], part[curve.column], label=stage, linewidth=1.4, **style)
+        axes.plot(part[curve.over], part[name], label=stage, linewidth=1.4, **style)
     axes.set(xlabel=curve.over, ylabel=curve.title)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if points[curve.over].max() > 10_000:  # type: ignore[operator]

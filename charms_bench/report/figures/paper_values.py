@@ -35,10 +35,7 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
             if number.value is not None:
                 panel.plot(number.value, at, "o", color=SERIES[0], markersize=5)
             if number.reference is not None:
-                panel.plot(
-                    number.reference, at, "D", markersize=6.5, markerfacecolor="none",
-                    markeredgecolor=SERIES[1], markeredgewidth=1.5,
-                )  # fmt: skip
+                panel.plot(number.reference, at, "D", ms=6.5, mfc="none", mec=SERIES[1], mew=1.5)
         panel.set_yticks(range(len(names)), names if k == 0 else [""] * len(names), fontsize=8)
         panel.set_ylim(len(names) - 0.5, -0.5)
         panel.tick_params(axis="x", labelsize=7.5)

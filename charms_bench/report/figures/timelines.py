@@ -27,25 +27,17 @@ def draw_timelines(replay: Replay, view: EgoView) -> Figure:
     gaps.plot(t_s, _broken(view.gap_ahead, view.leader), color=SERIES[0], label="ahead")
     behind = _broken(view.gap_behind, view.follower)
     gaps.plot(t_s, behind, color=SERIES[1], linestyle="--", label="behind")
-    gaps.set(ylim=(0, _top(view.gap_ahead, view.gap_behind, most=GAP_SHOWN_M)))
-    gaps.set_ylabel("gap, m")
-    gaps.legend(
-        frameon=False,
-        fontsize=7,
-        ncols=2,
-        loc="lower right",
-        bbox_to_anchor=(1, 0.98),
-        borderaxespad=0,
-    )
+    largest = float(np.nan_to_num([view.gap_ahead, view.gap_behind]).max())
+    gaps.set(ylim=(0, min(GAP_SHOWN_M, 1.1 * largest) or GAP_SHOWN_M), ylabel="gap, m")
+    above = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "borderaxespad": 0}
+    gaps.legend(frameon=False, fontsize=7, ncols=2, **above)
     ttc.plot(t_s, _broken(view.ttc, view.leader), color=SERIES[0])
     ttc.axhline(CONFLICT_TTC_S, color=SERIES[6], linestyle=":", linewidth=1)
-    ttc.set(ylim=(0, TTC_SHOWN_S))
-    ttc.set_ylabel("TTC, s")
+    ttc.set(ylim=(0, TTC_SHOWN_S), ylabel="TTC, s")
     speed.plot(t_s, replay.speed[:, ego], color=SERIES[0])
     speed.set_ylabel("speed, m/s")
     reward.step(t_s, view.reward, where="post", color=SERIES[0])
-    reward.set(ylim=(-0.05, 1.05), xlabel="time, s")
-    reward.set_ylabel("reward")
+    reward.set(ylim=(-0.05, 1.05), xlabel="time, s", ylabel="reward")
     reward.xaxis.label.set_size(7.5)
     for panel in axes:
         panel.set_xlim(0, max(float(t_s[-1]), 1e-9))
@@ -64,8 +56,3 @@ def _broken(values: Floats, vehicle: Ints) -> Floats:
     changed = np.diff(vehicle, prepend=vehicle[:1]) != 0
     broken: Floats = np.where(changed, np.nan, values)
     return broken
-
-
-def _top(*lines: Floats, most: float) -> float:
-    largest = max((float(np.nanmax(line)) for line in lines if not np.isnan(line).all()), default=0)
-    return min(most, 1.1 * largest) or most

@@ -1,5 +1,6 @@
 """The trade-off figure: speed against crashes, or density of a traffic against its crashes."""
 
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
 from charms_bench.episodes.palette import points
-from charms_bench.report.figures.drawing import panels, reach, take_text_as_it_is
+from charms_bench.report.figures.drawing import crosses, panels, take_text_as_it_is
 from charms_bench.report.table import Number, Table
 from charms_bench.runs.suite import Suite
 
@@ -49,38 +50,28 @@ def tradeoff_of(suite: Suite) -> Tradeoff:
 def draw_tradeoff(
     table: Table, tradeoff: Tradeoff, width: float = 8.6, height: float = 5.2
 ) -> Figure:
-    """The cells of a suite's table with their 95 % intervals.
+    """The cells of a suite's table with their 95 % intervals; width and height are in inches.
 
     Points carry their names, or numbers of a list if there are several groups.
-
-    Args:
-        table: The suite's.
-        tradeoff: What is drawn.
-        width: Of the figure, inches.
-        height: Of the figure, inches.
     """
-    groups = _groups(table, tradeoff)
+    groups: dict[str, list[tuple[str, Number, Number]]] = {}
+    places = table.places(tradeoff.across, tradeoff.share)
+    for row in table.rows if places else ():
+        x, y = (row.numbers[i] for i in places or ())
+        if x.value is not None and y.value is not None:
+            name, group = row.labels[tradeoff.named], row.labels[1 - tradeoff.named]
+            groups.setdefault(group, []).append((name, x, y))
     names = list(dict.fromkeys(row.labels[tradeoff.named] for row in table.rows))
     figure, (axes,) = panels(1, width, height)
     texts: list[Annotation] = []
     for index, (group, found) in enumerate(groups.items()):
-        across, up = ([pair[i] for _, pair in found] for i in (0, 1))
-        x, y = ([number.value for number in numbers] for numbers in (across, up))
-        axes.errorbar(
-            x,
-            y,
-            xerr=reach(across),
-            yerr=reach(up),
-            linestyle="",
-            elinewidth=0.8,
-            label=group,
-            **points(index),
-        )
-        for (name, _), *at in zip(found, x, y, strict=True):
+        across, up = ([numbers[i] for _, *numbers in found] for i in (0, 1))
+        crosses(axes, across, up, elinewidth=0.8, label=group, **points(index))
+        for name, x, y in found:
             label = name if len(groups) == 1 else str(names.index(name) + 1)
-            texts.append(axes.annotate(label, at, fontsize=8, bbox=BACKGROUND))
+            texts.append(axes.annotate(label, (x.value, y.value), fontsize=8, bbox=BACKGROUND))
     # Roots, so that the few crashes of good drivers are not all one point.
-    axes.set_yscale("function", functions=(_root, np.square))
+    axes.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
     top = axes.get_ylim()[1]
     axes.set_ylim(0, top)
     ticks = TICKS if top > 0.05 else (*TICKS, *FINE_TICKS)
@@ -92,48 +83,22 @@ def draw_tradeoff(
         listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
         place = {"transform": axes.transAxes, "va": "top"}
         axes.text(1.02, 1.0, listed, fontsize=8, linespacing=1.5, **place)
-        axes.legend(
-            title=table.keys[1 - tradeoff.named],
-            frameon=False,
-            fontsize=8,
-            title_fontsize=8,
-            loc="lower left",
-            bbox_to_anchor=(1.0, 0.0),
-        )
+        text = {"title": table.keys[1 - tradeoff.named], "title_fontsize": 8, "fontsize": 8}
+        axes.legend(**text, frameon=False, loc="lower left", bbox_to_anchor=(1.0, 0.0))
     take_text_as_it_is(figure)
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
     return figure
 
 
-def _groups(table: Table, tradeoff: Tradeoff) -> dict[str, list[tuple[str, tuple[Number, Number]]]]:
-    """The name and the two numbers of every cell that has both, by what colours them."""
-    groups: dict[str, list[tuple[str, tuple[Number, Number]]]] = {}
-    if (places := table.places(tradeoff.across, tradeoff.share)) is None:
-        return groups
-    for row in table.rows:
-        x, y = (row.numbers[i] for i in places)
-        if x.value is not None and y.value is not None:
-            name, group = row.labels[tradeoff.named], row.labels[1 - tradeoff.named]
-            groups.setdefault(group, []).append((name, (x, y)))
-    return groups
-
-
 def _place(texts: list[Annotation]) -> None:
     """Moves labels up until none lies on another."""
     taken: list[Bbox] = []
     for text in sorted(texts, key=lambda text: text.get_window_extent().y0):
-        up = 4
-        while True:
+        text.set_anncoords("offset points")
+        for up in count(4, step=4):
             text.set_position((5, up))
-            text.set_anncoords("offset points")
             box = text.get_window_extent()
             if not any(box.overlaps(other) for other in taken):
+                taken.append(box)
                 break
-            up += 4
-        taken.append(box)
-
-
-def _root(shares: np.ndarray) -> np.ndarray:
-    root: np.ndarray = np.sqrt(np.maximum(shares, 0.0))
-    return root

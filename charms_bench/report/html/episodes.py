@@ -31,23 +31,19 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
         InputError: It is written in another way, or there is no such run, no such episode, or
             several of them.
     """
+    expected = f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]]"
     names = {name: run for run in runs for name in (str(run.path), run.path.name, run.key)}
     name = max((name for name in names if text.startswith(f"{name}:")), key=len, default=None)
     if name is None and len(runs) > 1:
-        raise InputError(
-            f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]], RUN one of "
-            f"{', '.join(run.key for run in runs)}"
-        )
+        keys = ", ".join(run.key for run in runs)
+        raise InputError(f"{expected}, RUN one of {keys}")
     run = runs[0] if name is None else names[name]
     rest = text if name is None else text.removeprefix(f"{name}:")
     seed, *titles = rest.split(":", 2)
     try:
         episode = int(seed)
     except ValueError as error:
-        raise InputError(
-            f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]], EPISODE a number; "
-            f"found '{seed}'"
-        ) from error
+        raise InputError(f"{expected}, EPISODE a number; found '{seed}'") from error
     ego, traffic = [*titles, None, None][:2]
     how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
     return list(runs).index(run), find_cell(run.run, ego, traffic, how), episode
@@ -58,13 +54,7 @@ def choose(
 ) -> list[Episode]:
     """The named episodes, then the `top` most critical of all runs, simulated again.
 
-    An episode that two runs share is shown once.
-
-    Args:
-        runs: The runs to choose from.
-        top: How many of the most critical episodes.
-        named: Episodes to show whatever happens in them.
-        folder: Where relative paths of networks in suites start.
+    An episode that two runs share is shown once. Relative paths of networks start at `folder`.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
@@ -91,16 +81,12 @@ def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:
         # Enough that episodes which other runs have too can be left out.
         best = ranked(run.run, range(len(run.run.suite.cells))).head(top * len(runs))
         for value, cell, episode in best.select("criticality", "cell", "episode").rows():
-            same = _shard(run, cell, episode), episode
-            found.setdefault(same, (value, (index, cell, episode)))
+            # The key of its shard names everything that the rows of an episode depend on.
+            key = next(
+                shard.key
+                for shard in run.run.shards
+                if shard.cell == cell and 0 <= episode - shard.first_seed < shard.episodes
+            )
+            found.setdefault((key, episode), (value, (index, cell, episode)))
     most_first = sorted(found.values(), key=lambda each: -each[0])
     return [place for _, place in most_first[:top]]
-
-
-def _shard(run: Evaluation, cell: int, episode: int) -> str:
-    """The key of an episode's shard, which names everything that its rows depend on."""
-    return next(
-        shard.key
-        for shard in run.run.shards
-        if shard.cell == cell and 0 <= episode - shard.first_seed < shard.episodes
-    )

@@ -2,7 +2,7 @@
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -15,37 +15,30 @@ from charms_bench.report.table import Column
 SCRIPTS = ("tables.js", "player.js", "controls.js")
 
 
-def render(sections: Sequence[Section], content: Mapping[str, Any]) -> str:
+def render(sections: Sequence[Section], **content: Any) -> str:
     """The page with these sections and further content; names are text, whatever they look like."""
-    columns = [
-        column
-        for section in sections
-        for table in (*section.tables, *section.more)
-        for column in table.columns
-    ]
-    ids = definition_ids(columns)
+    tables = [table for section in sections for table in (*section.tables, *section.more)]
+    ids = definition_ids(column for table in tables for column in table.columns)
     definitions: dict[str, Column] = {}
     groups: dict[str, dict[str, None]] = {}
     for column, place in ids.items():
         definitions.setdefault(place, column)
         groups.setdefault(place, {})[column.group] = None
     scripts = [(TEMPLATES / name).read_text(encoding="utf-8") for name in SCRIPTS]
-    style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
-    return (
-        environment()
-        .get_template("page.html")
-        .render(
-            content,
-            sections=sections,
-            ids=ids,
-            definitions=definitions,
-            groups={place: ", ".join(filter(None, found)) for place, found in groups.items()},
-            scripts=[Markup(script) for script in scripts],
-            style=Markup(_tones() + style),
-            # If a name ever got past the escaping, the browser would still run our scripts alone.
-            policy=f"default-src 'none'; style-src 'unsafe-inline'; script-src {_hashes(scripts)}; "
-            "base-uri 'none'; form-action 'none'",
-        )
+    digests = [b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in scripts]
+    hashes = " ".join(f"'sha256-{digest}'" for digest in digests)
+    template = environment().get_template("page.html")
+    return template.render(
+        content,
+        sections=sections,
+        ids=ids,
+        definitions=definitions,
+        groups={place: ", ".join(filter(None, found)) for place, found in groups.items()},
+        scripts=[Markup(script) for script in scripts],
+        style=Markup(_tones() + (TEMPLATES / "page.css").read_text(encoding="utf-8")),
+        # If a name ever got past the escaping, the browser would still run our scripts alone.
+        policy=f"default-src 'none'; style-src 'unsafe-inline'; script-src {hashes}; "
+        "base-uri 'none'; form-action 'none'",
     )
 
 
@@ -54,9 +47,3 @@ def _tones() -> str:
     named = {**VEHICLES, **{f"agent-{k}": tones for k, tones in enumerate(AGENTS)}}
     lines = [f"  --{name}: light-dark({light}, {dark});" for name, (light, dark) in named.items()]
     return "\n".join([":root {", *lines, "}\n"])
-
-
-def _hashes(scripts: list[str]) -> str:
-    """The names of these scripts in a content security policy."""
-    digests = [hashlib.sha256(script.encode()).digest() for script in scripts]
-    return " ".join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)

@@ -14,7 +14,7 @@ from charms_bench.report.html.page import render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
 from charms_bench.report.html.svg import in_page
-from charms_bench.world.files import write_atomically
+from charms_bench.world.files import write_bytes
 
 
 def write_report(
@@ -35,7 +35,8 @@ def write_report(
     Raises:
         CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
     """
-    check_report(output)
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{output}: expected a name that ends in .html")
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]
     if episodes and not runs:
@@ -50,55 +51,41 @@ def write_report(
     ]
     page = render(
         sections,
-        {
-            "title": sections[0].title if len(sections) == 1 else "Driving behaviour, measured",
-            "replays": shown,
-            "packed": {each["id"]: each.pop("packed") for each in shown},
-            "named": len(named),
-            "provenance": [_provenance(source) for source in sources],
-            "version": __version__,
-            "cursor_from": LEFT,
-            "cursor_to": RIGHT,
-        },
-    )
-    write_atomically(output, lambda path: path.write_bytes(page.encode()))
+        title=sections[0].title if len(sections) == 1 else "Driving behaviour, measured",
+        replays=shown,
+        packed={each["id"]: each.pop("packed") for each in shown},
+        named=len(named),
+        provenance=[_provenance(source) for source in sources],
+        version=__version__,
+        cursor_from=LEFT,
+        cursor_to=RIGHT,
+    ).encode()
+    write_bytes(output, page)
     return {
         "report": str(output),
-        "bytes": len(page.encode()),
+        "bytes": len(page),
         "runs": [str(path) for path in paths],
         "replays": [each["id"] for each in shown],
     }
 
 
-def check_report(path: Path) -> None:
-    """Refuses a file name that no browser would open.
-
-    Raises:
-        InputError: The name does not end in `.html`.
-    """
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: expected a name that ends in .html")
-
-
 def _for_page(episode: Episode) -> dict[str, Any]:
     """An episode for the page's templates and player."""
     replay, view = episode.replay, ego_view(episode.replay)
-    cell = replay.cell
-    who = f"{cell.ego.title} in {cell.traffic.title}, episode {replay.episode}"
-    timelines = in_page(
-        draw_timelines(replay, view),
-        f"replay-{episode.id}",
-        f"Over time: gaps ahead and behind, time to collision, speed and reward of {who}",
+    ego, traffic = replay.cell.ego.title, replay.cell.traffic.title
+    label = (
+        "Over time: gaps ahead and behind, time to collision, speed and reward of "
+        f"{ego} in {traffic}, episode {replay.episode}"
     )
     return {
         "id": episode.id,
-        "ego": cell.ego.title,
-        "traffic": cell.traffic.title,
+        "ego": ego,
+        "traffic": traffic,
         "episode": replay.episode,
         "criticality": f"{episode.criticality:.2f}",
         "what": replay.what_happened(),
         "seconds": f"{replay.t_s[-1]:.1f}",
-        "timelines": timelines,
+        "timelines": in_page(draw_timelines(replay, view), f"replay-{episode.id}", label),
         "packed": pack(replay, view),
     }
 

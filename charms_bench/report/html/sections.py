@@ -55,7 +55,6 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     """The section of a suite; relative paths in the suite start at `folder`."""
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
-    short = tables.metrics.without_constant_keys()
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
     shown = [
         replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
@@ -63,7 +62,9 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     ]
     if tables.realism is not None:
         shown += tables.realism.parts()
-    more = [block for part in short.parts() for block in part.blocks(COLUMNS)]
+    parts = tables.metrics.without_constant_keys().parts()
+    more = [block for part in parts for block in part.blocks(COLUMNS)]
+    more += [] if tables.pairs is None else [tables.pairs]
     return Section(
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
@@ -76,7 +77,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         ),
         tables=tuple(shown),
         pictures=tuple(_pictures(source) + _realism(source, folder)),
-        more=(*more, *([tables.pairs] if tables.pairs is not None else [])),
+        more=tuple(more),
         drawn_first=bool(matrices(tables.metrics)),
     )
 
@@ -120,7 +121,7 @@ def _pictures(source: Evaluation) -> list[Picture]:
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
         of_egos = tradeoff is OF_EGOS
-        title = "Speed against safety" if of_egos else "Density against safety"
+        title = f"{'Speed' if of_egos else 'Density'} against safety"
         caption = "With 95 % intervals." + " Further right and further down is better." * of_egos
         figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
         found.append(_picture(f"{key}-tradeoff", title, caption, figure, wide=True))
@@ -144,10 +145,10 @@ def _realism(source: Evaluation, folder: Path) -> list[Picture]:
         return []
     following = source.run.following()
     references = read_references(suite.references, folder)
+    caption = "Grey: human driving. Lines: traffics."
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})
-            caption = "Grey: human driving. Lines: traffics."
             place = f"{source.key}-{quantity}-{k}"
             found.append(_picture(place, f"{title}: {name}", caption, figure))
     return found

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 from charms_bench.errors import RunFolderError
-from charms_bench.report.run_tables import RunTables
-from charms_bench.report.stored import holds, stored_tables
+from charms_bench.report.stored import RunTables, holds, stored_tables
 from charms_bench.report.training_tables import CURVES, Training, stored_training
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
@@ -46,27 +46,17 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | TrainingFolder]:
     for path in paths:
         if path.resolve() in {source.path.resolve() for source in sources}:
             raise RunFolderError(f"{path}: is given twice")
-        sources.append(_open(path, [source.key for source in sources]))
+        run = open_finished(path) if holds(path, MANIFEST) else None
+        if run is None and not holds(path, CURVES):
+            raise RunFolderError(
+                f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
+                "`charms-bench run` makes both"
+            )
+        name = "training" if run is None else run.suite.suite
+        names = chain([name], (f"{name}-{number}" for number in count(2)))
+        key = next(free for free in names if free not in {source.key for source in sources})
+        if run is None:
+            sources.append(TrainingFolder(key, path, stored_training(path)))
+        else:
+            sources.append(Evaluation(key, path, run, stored_tables(path, run.suite)))
     return sources
-
-
-def _open(path: Path, taken: Sequence[str]) -> Evaluation | TrainingFolder:
-    if holds(path, MANIFEST):
-        run = open_finished(path)
-        tables = stored_tables(path, run.suite)
-        return Evaluation(_free(run.suite.suite, taken), path, run, tables)
-    if holds(path, CURVES):
-        return TrainingFolder(_free("training", taken), path, stored_training(path))
-    raise RunFolderError(
-        f"{path}: holds neither an evaluation ({MANIFEST}) nor a training ({CURVES}); "
-        "`charms-bench run` makes both"
-    )
-
-
-def _free(name: str, taken: Sequence[str]) -> str:
-    """The name, with a number behind it if it is taken."""
-    key, number = name, 1
-    while key in taken:
-        number += 1
-        key = f"{name}-{number}"
-    return key
