@@ -15,15 +15,15 @@ from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import write_atomically
 from charms_bench.world.scene import Floats
 
-WIDTH = 800
+FINE = 2
+"""Pictures are drawn this many times larger and then reduced, so that edges are smooth."""
+WIDTH = 800 * FINE
 BEHIND_M = 38.0
 AHEAD_M = 62.0
 SCALE = WIDTH / (BEHIND_M + AHEAD_M)
-"""Pixels per metre, along and across the road."""
-HEADER, SHOULDER_M, MARKS, STATUS = 38, 1.0, 20, 46
-LINE, MARGIN, LEGEND_COLUMNS = 22, 16, 3
-FINE = 2
-"""Pictures are drawn this many times larger and then reduced, so that edges are smooth."""
+"""Pixels per metre, along and across the road; all lengths are before the reduction."""
+HEADER, SHOULDER_M, MARKS, STATUS = 76, 1.0, 40, 92
+LINE, MARGIN, LEGEND_COLUMNS = 44, 32, 3
 HOLD_S = 2.0
 """How long the last picture is shown."""
 BRAKE_LIGHT_MPS2 = 0.5
@@ -52,20 +52,7 @@ def check_animation(path: Path) -> None:
 
 
 def animate(replay: Replay, path: Path, caption: str = "") -> None:
-    """Writes an episode as a GIF that plays in real time, one picture per simulation step.
-
-    A vehicle's colour is that of its agent; the ego has its own colour. The number on a vehicle is
-    its index in the order of spawning. Red lights mean braking, amber lights a lane change, and a
-    cross a vehicle that has crashed.
-
-    Args:
-        replay: The episode.
-        path: The file.
-        caption: One line of text below the road.
-
-    Raises:
-        InputError: The file's name does not end in `.gif`, or the file cannot be written.
-    """
+    """Writes an episode as a GIF; see `Replay.animate`."""
     check_animation(path)
     frames = range(len(replay.t_s))
     view = ego_view(replay)
@@ -96,101 +83,71 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
 
 def picture(replay: Replay, view: EgoView, frame: int, caption: str = "") -> Image.Image:
     """Returns the picture of one simulation step; step 0 is the start of the episode."""
-    settings, colours = replay.settings, _colours(replay)
+    settings = replay.settings
+    names = sorted({name for k, name in enumerate(replay.agents) if k != replay.ego})
+    colours = {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(names)}
     road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * SCALE)
     status = HEADER + road + MARKS
     caption_at = status + STATUS
     legend = caption_at + (LINE if caption else 0)
-    canvas = _Canvas(legend + LINE * (1 + len(colours) // LEGEND_COLUMNS) + 6)
-    _draw_road(canvas, replay, frame)
+    height = legend + LINE * (1 + len(colours) // LEGEND_COLUMNS) + 12
+    image = Image.new("RGB", (WIDTH, height), PAPER)
+    draw = ImageDraw.Draw(image)
+    _draw_road(draw, replay, frame)
     for vehicle, agent in enumerate(replay.agents):
         colour = EGO if vehicle == replay.ego else colours[agent]
-        _draw_vehicle(canvas, replay, frame, vehicle, colour)
-    _draw_header(canvas, replay, frame)
-    _draw_status(canvas, _status(replay, view, frame), status)
-    canvas.text(MARGIN, caption_at + 11, caption[:1].upper() + caption[1:], 13, bold=True)
-    _draw_legend(canvas, replay, colours, legend + 11)
-    return canvas.image.reduce(FINE)
-
-
-def _colours(replay: Replay) -> dict[str, str]:
-    """Returns the colour of each agent in the traffic."""
-    names = sorted({name for k, name in enumerate(replay.agents) if k != replay.ego})
-    return {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(names)}
-
-
-class _Canvas:
-    """A picture with coordinates in final pixels, drawn on a finer grid."""
-
-    def __init__(self, height: int) -> None:
-        self.image = Image.new("RGB", (WIDTH * FINE, height * FINE), PAPER)
-        self._draw = ImageDraw.Draw(self.image)
-
-    def polygon(self, points: Floats, fill: str) -> None:
-        """Fills a polygon of points (K, 2)."""
-        self._draw.polygon((points * FINE).ravel().tolist(), fill=fill)
-
-    def line(self, points: Floats, colour: str, width: float) -> None:
-        """Draws a line through points (K, 2)."""
-        self._draw.line((points * FINE).ravel().tolist(), fill=colour, width=round(width * FINE))
-
-    def box(self, left: float, top: float, right: float, bottom: float, fill: str) -> None:
-        """Fills an upright rectangle."""
-        self._draw.rectangle([left * FINE, top * FINE, right * FINE, bottom * FINE], fill=fill)
-
-    def text(
-        self,
-        x: float,
-        y: float,
-        text: str,
-        size: float,
-        colour: str = INK,
-        bold: bool = False,
-        anchor: str = "lm",
-    ) -> float:
-        """Writes text, anchored at its left and middle by default; returns the x of its end."""
-        font = _font(bold, size)
-        self._draw.text((x * FINE, y * FINE), text, fill=colour, font=font, anchor=anchor)
-        return x + font.getlength(text) / FINE
+        _draw_vehicle(draw, replay, frame, vehicle, colour)
+    _draw_header(draw, replay, frame)
+    _draw_status(draw, replay, view, frame, status)
+    sentence = caption[:1].upper() + caption[1:]
+    draw.text((MARGIN, caption_at + 22), sentence, INK, _font(26, "-Bold"), "lm")
+    entries = [(f"ego, {replay.agents[replay.ego]}", EGO), *colours.items()]
+    for k, (name, colour) in enumerate(entries):
+        x = MARGIN + k % LEGEND_COLUMNS * (WIDTH - 2 * MARGIN) / LEGEND_COLUMNS
+        y = legend + 22 + k // LEGEND_COLUMNS * LINE
+        draw.rectangle([x, y - 10, x + 32, y + 10], colour)
+        draw.text((x + 44, y), name, PALE, _font(24), "lm")
+    return image.reduce(FINE)
 
 
 @lru_cache
-def _font(bold: bool, size: float) -> ImageFont.FreeTypeFont:
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name
-    return ImageFont.truetype(path, size * FINE)
+def _font(size: int, weight: str = "") -> ImageFont.FreeTypeFont:
+    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{weight}.ttf"
+    return ImageFont.truetype(path, size)
 
 
-def _place(replay: Replay, frame: int, x: Floats, y: Floats) -> Floats:
-    """Returns where points of the road (K,) are in the picture (K, 2)."""
+def _place(replay: Replay, frame: int, x: Floats, y: Floats) -> list[float]:
+    """Returns where points of the road (K,) are in the picture, as x, y, x, y and so on."""
     start = replay.x[frame, replay.ego] - BEHIND_M
     edge = -replay.settings.profile.lane_width_m / 2 - SHOULDER_M
-    return np.stack([(x - start) * SCALE, HEADER + (y - edge) * SCALE], axis=-1)
+    places = np.stack([(x - start) * SCALE, HEADER + (y - edge) * SCALE], axis=-1)
+    return list(places.ravel().tolist())
 
 
-def _draw_road(canvas: _Canvas, replay: Replay, frame: int) -> None:
+def _draw_road(draw: ImageDraw.ImageDraw, replay: Replay, frame: int) -> None:
     width, lanes = replay.settings.profile.lane_width_m, replay.settings.lanes
     start = replay.x[frame, replay.ego] - BEHIND_M
     end = start + BEHIND_M + AHEAD_M
     borders = np.arange(lanes + 1) * width - width / 2
     sides = np.array([borders[0] - SHOULDER_M, borders[-1] + SHOULDER_M])
-    (left, top), (right, bottom) = _place(replay, frame, np.array([start, end]), sides).tolist()
-    canvas.box(left, top, right, bottom, ASPHALT)
+    road = _place(replay, frame, np.array([start, end]), sides)
+    draw.rectangle(road, ASPHALT)
     for border in borders:
         solid = border in (borders[0], borders[-1])
         # Dashes of 6 m and gaps of 12 m, as on a motorway.
         dashes = np.array([start]) if solid else np.arange(np.floor(start / 18) * 18, end, 18)
         for dash in dashes:
-            length = end - start if solid else 6.0
-            ends = np.array([dash, dash + length])
-            canvas.line(_place(replay, frame, ends, np.full(2, border)), PAINT, 2)
+            ends = np.array([dash, end if solid else dash + 6.0])
+            draw.line(_place(replay, frame, ends, np.full(2, border)), PAINT, 4)
     for mark in np.arange(np.ceil(start / 20) * 20, end, 20):
-        ((x, _),) = _place(replay, frame, np.array([mark]), sides[:1]).tolist()
-        canvas.line(np.array([[x, bottom], [x, bottom + 4]]), PALE, 1)
-        canvas.text(x, bottom + 11, f"{mark:,.0f} m", 10, PALE, anchor="mm")
+        x, bottom = _place(replay, frame, np.array([mark]), sides[1:])
+        draw.line([x, bottom, x, bottom + 8], PALE, 2)
+        draw.text((x, bottom + 22), f"{mark:,.0f} m", PALE, _font(20), "mm")
 
 
-def _draw_vehicle(canvas: _Canvas, replay: Replay, frame: int, vehicle: int, colour: str) -> None:
+def _draw_vehicle(
+    draw: ImageDraw.ImageDraw, replay: Replay, frame: int, vehicle: int, colour: str
+) -> None:
     x, y = replay.x[frame, vehicle], replay.y[frame, vehicle]
     if not -10 < x - replay.x[frame, replay.ego] + BEHIND_M < BEHIND_M + AHEAD_M + 10:
         return
@@ -199,7 +156,7 @@ def _draw_vehicle(canvas: _Canvas, replay: Replay, frame: int, vehicle: int, col
     aside = np.array([-ahead[1], ahead[0]])
     half_length, half_width = profile.vehicle_length_m / 2, profile.vehicle_width_m / 2
 
-    def shape(corners: list[tuple[float, float]]) -> Floats:
+    def shape(*corners: tuple[float, float]) -> list[float]:
         """Returns a shape whose corners are given in halves of the vehicle's length and width."""
         along, across = (np.array(corners) * (half_length, half_width)).T[..., None]
         away = along * ahead + across * aside
@@ -207,42 +164,38 @@ def _draw_vehicle(canvas: _Canvas, replay: Replay, frame: int, vehicle: int, col
 
     crashed = replay.crashed[frame, vehicle]
     body = [(-1.0, -1.0), (0.9, -1.0), (1.0, -0.6), (1.0, 0.6), (0.9, 1.0), (-1.0, 1.0)]
-    canvas.polygon(shape(body), colour)
+    draw.polygon(shape(*body), colour)
     if replay.acceleration[frame, vehicle] < -BRAKE_LIGHT_MPS2:
         for side in (-1.0, 1.0):
             light = [(-1.0, side), (-0.8, side), (-0.8, side * 0.3), (-1.0, side * 0.3)]
-            canvas.polygon(shape(light), BRAKE)
+            draw.polygon(shape(*light), BRAKE)
     aim = replay.target_lane[frame, vehicle] * profile.lane_width_m - y
     if abs(aim) > 0.2 * profile.lane_width_m and not crashed:
         side = float(np.sign(aim))
         for end in (-1.0, 0.6):
             light = [(end, side * 1.4), (end + 0.4, side * 1.4), (end + 0.4, side), (end, side)]
-            canvas.polygon(shape(light), INDICATOR)
+            draw.polygon(shape(*light), INDICATOR)
     if crashed:
-        for cross in ([(-1.1, -1.3), (1.1, 1.3)], [(-1.1, 1.3), (1.1, -1.3)]):
-            canvas.line(shape(cross), WRECK, 3)
-    middle_x, middle_y = shape([(0.0, 0.0)])[0]
+        draw.line(shape((-1.1, -1.3), (1.1, 1.3)), WRECK, 6)
+        draw.line(shape((-1.1, 1.3), (1.1, -1.3)), WRECK, 6)
     label = "ego" if vehicle == replay.ego else str(vehicle)
-    canvas.text(middle_x, middle_y, label, 10.5, PAPER, bold=True, anchor="mm")
+    middle_x, middle_y = shape((0.0, 0.0))
+    draw.text((middle_x, middle_y), label, PAPER, _font(21, "-Bold"), "mm")
 
 
-def _draw_header(canvas: _Canvas, replay: Replay, frame: int) -> None:
-    ego, traffic = replay.cell.ego.title, replay.cell.traffic.title
-    end = canvas.text(MARGIN, HEADER / 2, f"{ego} in {traffic}", 15, bold=True)
-    canvas.text(end + 12, HEADER / 2 + 1, f"episode {replay.episode}", 13, PALE)
+def _draw_header(draw: ImageDraw.ImageDraw, replay: Replay, frame: int) -> None:
+    title, font = f"{replay.cell.ego.title} in {replay.cell.traffic.title}", _font(30, "-Bold")
+    draw.text((MARGIN, HEADER / 2), title, INK, font, "lm")
+    end = MARGIN + font.getlength(title)
+    draw.text((end + 24, HEADER / 2 + 2), f"episode {replay.episode}", PALE, _font(26), "lm")
     time = f"{replay.t_s[frame]:.1f} s"
-    canvas.text(WIDTH - MARGIN, HEADER / 2, time, 17, bold=True, anchor="rm")
+    draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, _font(34, "-Bold"), "rm")
 
 
-def _draw_status(canvas: _Canvas, status: dict[str, str], top: int) -> None:
-    for k, (what, value) in enumerate(status.items()):
-        x = MARGIN + k * (WIDTH - 2 * MARGIN) / len(status)
-        canvas.text(x, top + 10, what, 11, PALE)
-        canvas.text(x, top + 29, value, 16)
-
-
-def _status(replay: Replay, view: EgoView, frame: int) -> dict[str, str]:
-    """Returns the ego's state, each quantity with its unit."""
+def _draw_status(
+    draw: ImageDraw.ImageDraw, replay: Replay, view: EgoView, frame: int, top: int
+) -> None:
+    """Draws the ego's state, each quantity with its unit."""
     ego = replay.ego
     aside = int(replay.target_lane[frame, ego] - replay.lane[frame, ego])
     if replay.crashed[frame, ego]:
@@ -252,19 +205,14 @@ def _status(replay: Replay, view: EgoView, frame: int) -> dict[str, str]:
     else:  # before the first decision, and under a driver model, which takes no meta-actions
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = view.gap_ahead[frame], view.ttc[frame]
-    return {
+    status = {
         "ego's speed": f"{replay.speed[frame, ego]:.1f} m/s",
         "acceleration": f"{replay.acceleration[frame, ego]:+.1f} m/s²",
         "action": doing,
         "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
         "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",
     }
-
-
-def _draw_legend(canvas: _Canvas, replay: Replay, colours: dict[str, str], middle: float) -> None:
-    entries = [(f"ego, {replay.agents[replay.ego]}", EGO), *colours.items()]
-    for k, (name, colour) in enumerate(entries):
-        x = MARGIN + k % LEGEND_COLUMNS * (WIDTH - 2 * MARGIN) / LEGEND_COLUMNS
-        y = middle + k // LEGEND_COLUMNS * LINE
-        canvas.box(x, y - 5, x + 16, y + 5, colour)
-        canvas.text(x + 22, y, name, 12, PALE)
+    for k, (what, value) in enumerate(status.items()):
+        x = MARGIN + k * (WIDTH - 2 * MARGIN) / len(status)
+        draw.text((x, top + 20), what, PALE, _font(22), "lm")
+        draw.text((x, top + 58), value, INK, _font(32), "lm")

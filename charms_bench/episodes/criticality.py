@@ -25,7 +25,6 @@ from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
 from charms_bench.world.scene import SceneSettings
 
 Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
-KINDS: tuple[Kind, ...] = ("collision", "near-miss", "hard-braking", "abandoned-lane-change")
 COLLISION = 4.0
 """Added for a collision: the upper bound of the four scaled measures together."""
 
@@ -62,7 +61,7 @@ def criticality(
     abandoned_changes: Number of lane changes whose target lane was replaced by another one before
         it was the ego's nearest lane.
     criticality: 0 to 8; see the module.
-    kind: The one of `KINDS` that contributes most to the criticality.
+    kind: The kind that contributes most to the criticality.
     """
     before = {name: pl.col(name).shift().over("episode") for name in ("lane", "target_lane")}
     abandoned = (

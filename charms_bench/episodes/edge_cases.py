@@ -1,7 +1,7 @@
 """Ranks the episodes of a run by criticality and says what happened in the most critical ones."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +37,6 @@ class EdgeCase:
     what: str
     """One sentence about what happened."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the fields, ready for JSON."""
-        return asdict(self)
-
 
 def edge_cases(
     run: FinishedRun, top: int, kind: Kind | None, cells: Sequence[int], folder: Path
@@ -58,24 +54,15 @@ def edge_cases(
     Raises:
         CharmsBenchError: As for `replay.replay`.
     """
-    measured = ranked(run, cells)
+    measured = ranked(run, cells).drop("kind")
     if kind is not None:
         measured = measured.filter(IS_OF_KIND[kind])
     found: list[EdgeCase] = []
     for row, replayed in _replays(run, measured, folder):
-        if kind == "abandoned-lane-change" and not gave_way(replayed):
-            continue
-        row.pop("kind")
-        cell = run.suite.cells[row.pop("cell")]
-        found.append(
-            EdgeCase(
-                rank=len(found) + 1,
-                ego=cell.ego.title,
-                traffic=cell.traffic.title,
-                what=what_happened(replayed, kind),
-                **row,
-            )
-        )
+        if kind != "abandoned-lane-change" or gave_way(replayed):
+            ego, traffic = replayed.cell.ego.title, replayed.cell.traffic.title
+            what = what_happened(replayed, kind)
+            found.append(EdgeCase(len(found) + 1, ego, traffic, what=what, **row))
         if len(found) == top:
             break
     return found
@@ -108,4 +95,4 @@ def _replays(
             for replayed in replay(run, int(str(cell)), mine["episode"].to_list(), folder)
         }
         for row in part.iter_rows(named=True):
-            yield row, replays[row["cell"], row["episode"]]
+            yield row, replays[row.pop("cell"), row["episode"]]

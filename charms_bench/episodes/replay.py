@@ -86,6 +86,10 @@ class Replay:
     def animate(self, path: str | Path, caption: str | None = None) -> None:
         """Writes the episode as an animated GIF that plays in real time.
 
+        There is one picture per simulation step. A vehicle's colour is that of its agent; the ego
+        has its own colour. The number on a vehicle is its index in the order of spawning. Red
+        lights mean braking, amber lights a lane change, and a cross a vehicle that has crashed.
+
         Args:
             path: The file; its name ends in `.gif`.
             caption: One line of text below the road, by default what happened.
@@ -146,16 +150,10 @@ def find_cells(run: FinishedRun, ego: str | None, traffic: str | None) -> list[i
 def find_cell(
     run: FinishedRun, ego: str | None, traffic: str | None, how: str = "agent and traffic"
 ) -> int:
-    """Returns the index of the only cell whose ego and traffic have these titles; None is any.
-
-    Args:
-        run: A finished run.
-        ego: Title of the ego.
-        traffic: Title of the traffic.
-        how: How a message tells the reader to name the ego and the traffic.
+    """Returns the only one of `find_cells`.
 
     Raises:
-        InputError: No cell or several cells have these titles.
+        InputError: No cell or several have these titles; the message says `how` to choose one.
     """
     cells = find_cells(run, ego, traffic)
     if len(cells) > 1:
@@ -182,7 +180,10 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
         CharmsBenchError: An agent cannot be made.
     """
     stored = _stored(run, cell, episodes)
-    simulation = _simulation(run, cell, len(episodes), folder)
+    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
+    agents = {name: AgentSpec(name=name).make(folder) for name in traffic.agents}
+    agents[ego.key] = _ego(run, ego, folder)
+    simulation = Simulation(run.suite.scene, len(episodes), ego.key, traffic, agents)
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]
@@ -194,7 +195,6 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
         simulation.finish_step()
         recording.note()
     ended, steps = recording.episodes(), recording.steps()
-    drivers = simulation.drivers
     replays = []
     for b, episode in enumerate(episodes):
         mine = pl.col("episode") == episode
@@ -207,7 +207,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
                 settings=run.suite.scene,
                 episode=episode,
                 ego=int(simulation.scene.ego[b]),
-                agents=tuple(map(str, drivers[b])),
+                agents=tuple(map(str, simulation.drivers[b])),
                 t_s=np.arange(length) / run.suite.scene.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=again,
@@ -232,14 +232,6 @@ def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFram
         and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
     ]
     return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
-
-
-def _simulation(run: FinishedRun, cell: int, scenes: int, folder: Path) -> Simulation:
-    ego = run.suite.cells[cell].ego.agent
-    traffic = run.suite.cells[cell].traffic.traffic.make()
-    agents = {name: AgentSpec(name=name).make(folder) for name in traffic.agents}
-    agents[ego.key] = _ego(run, ego, folder)
-    return Simulation(run.suite.scene, scenes, ego.key, traffic, agents)
 
 
 def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
@@ -287,9 +279,8 @@ def _reason(run: FinishedRun, cell: int) -> str:
     agents = identify_agents(ego, traffic)
     recorded = manifest.get("agents", {})
     changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
-    if changed:
-        return f"The run used other versions of {', '.join(changed)}; install those to replay it"
-    return (
-        f"The run was made with charms-bench {manifest.get('charms_bench')} and "
-        f"{manifest.get('versions')}; install those to replay it"
+    made = (
+        f"was made with charms-bench {manifest.get('charms_bench')} and {manifest.get('versions')}"
     )
+    used = f"used other versions of {', '.join(changed)}" if changed else made
+    return f"The run {used}; install those to replay it"

@@ -13,9 +13,6 @@ from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import IMPOSED_BRAKING_WINDOW_S, LOGGED_RANGE_M, join_rows
 
-GAP_RANGE_M = LOGGED_RANGE_M
-"""A vehicle that enters the wanted lane further away than this, centre to centre, takes no gap."""
-
 DRIFT_MPS = 0.1
 """A vehicle whose lateral speed is no larger than this does not steer to that side."""
 
@@ -27,9 +24,7 @@ class AbandonedChange:
     lane: int
     """The lane that the ego wanted to reach."""
     began: int
-    """Frame."""
     ended: int
-    """Frame."""
     taker: int | None
     """The vehicle that took the gap; see `abandoned_changes`."""
 
@@ -89,7 +84,7 @@ def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
         for side in (bound & (ahead >= 0), bound & (ahead < 0))
         if side.any()
     ]
-    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= GAP_RANGE_M]
+    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= LOGGED_RANGE_M]
     return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
 
 
@@ -118,15 +113,11 @@ def _collision(replay: Replay) -> str:
     other, _ = vehicle_hit(x, y, ego, replay.settings.constants)
     faster, when = speed[ego] - speed[other], _at(replay, frame)
     if replay.ending == "rear_end" and x[other] > x[ego]:
-        return (
-            f"hit vehicle {other} from behind at {speed[ego]:.1f} m/s, "
-            f"{_faster(faster)} than it, {when}"
-        )
+        how = f"at {speed[ego]:.1f} m/s, {_faster(faster)} than it"
+        return f"hit vehicle {other} from behind {how}, {when}"
     if replay.ending == "rear_end":
-        return (
-            f"was hit from behind by vehicle {other} at {speed[other]:.1f} m/s, "
-            f"{_faster(-faster)} than the ego, {when}"
-        )
+        how = f"at {speed[other]:.1f} m/s, {_faster(-faster)} than the ego"
+        return f"was hit from behind by vehicle {other} {how}, {when}"
     side = _side(y[other] - y[ego])
     to_the_right = speed * np.sin(replay.heading[frame])
     towards = np.sign(y[other] - y[ego]) * to_the_right
