@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from charms_bench.report.table import Cell, Column, Number, Table
 
@@ -51,19 +51,19 @@ def _written(number: Number, form: str) -> Written:
     if form == "p":
         small = number.value is not None and number.value < 0.001
         return Written("<0.001" if small else _text(number.value, ".3f") or NOTHING)
-    known = Written(
+    difference = None
+    if number.value is not None and number.reference is not None:
+        difference = number.value - number.reference
+    return Written(
         value=_text(number.value, form) or NOTHING,
         low=_text(number.low, form).removesuffix(" %"),
         high=_text(number.high, form).removesuffix(" %"),
         # As it was reported, unless it becomes a percentage.
         reference=_text(number.reference, form if form.endswith("%") else "g"),
+        difference=_text(difference, f"+{form.removeprefix('+')}"),
         n="" if number.n is None else f"{number.n:,}",
         marked=number.marked,
     )
-    if number.value is None or number.reference is None:
-        return known
-    difference = _text(number.value - number.reference, f"+{form.removeprefix('+')}")
-    return replace(known, difference=difference)
 
 
 def _text(number: float | None, form: str) -> str:

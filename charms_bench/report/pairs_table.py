@@ -10,7 +10,6 @@ from itertools import combinations
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
 from charms_bench.report.definitions import first_column
@@ -85,20 +84,17 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
     deviation. Means are from other episodes than the guessed one: ten folds by seed.
     """
     metrics = _metrics(SUMMARY)
-    features = np.stack([_summaries(metrics, cell, suite) for cell in cells])
+    summaries = []
+    for cell in cells:
+        sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+        values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
+        summaries.append(np.stack(values, axis=1))
+    features = np.stack(summaries)
     egos, episodes, _ = features.shape
     fold = np.random.default_rng(suite.seed).permutation(episodes) % min(FOLDS, episodes)
-    right = 0
-    for k in np.unique(fold):
-        right += _right(features[:, fold != k], features[:, fold == k])
+    folds = np.unique(fold)
+    right = sum(_right(features[:, fold != k], features[:, fold == k]) for k in folds)
     return right, egos * episodes
-
-
-def _summaries(metrics: Sequence[Metric], cell: CellRows, suite: Suite) -> Floats:
-    """The metrics [E, K] of every single episode of a cell."""
-    sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
-    values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
-    return np.stack(values, axis=1)
 
 
 def _right(known: Floats, asked: Floats) -> int:
@@ -112,13 +108,11 @@ def _right(known: Floats, asked: Floats) -> int:
 
     def scaled(values: Floats) -> Floats:
         """A metric that is not defined in an episode tells nothing: it is put at the mean."""
-        result: Floats = np.nan_to_num((values - mean) / spread)
-        return result
+        return np.asarray(np.nan_to_num((values - mean) / spread))
 
     centres = scaled(known).mean(axis=1)
     distance = ((scaled(asked)[:, :, None] - centres) ** 2).sum(axis=-1)
-    guess: NDArray[np.intp] = distance.argmin(axis=-1)
-    return int((guess == np.arange(len(known))[:, None]).sum())
+    return int((distance.argmin(axis=-1) == np.arange(len(known))[:, None]).sum())
 
 
 def _metrics(names: Sequence[str]) -> list[Metric]:

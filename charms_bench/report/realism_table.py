@@ -60,8 +60,7 @@ COUNTED = (
 def coarse(counts: Floats, quantity: str) -> Floats:
     """[..., BINS] -> [..., K] counts in the wider bins of a quantity."""
     together = round(COARSE_BIN[quantity] / BIN)
-    summed: Floats = counts.reshape(*counts.shape[:-1], -1, together).sum(axis=-1)
-    return summed
+    return np.asarray(counts.reshape(*counts.shape[:-1], -1, together).sum(axis=-1))
 
 
 def distances(human: Floats, simulated: Floats, quantity: str) -> dict[str, Floats]:
@@ -79,11 +78,8 @@ def realism_table(
 ) -> Table:
     """The distances of each traffic from each reference, with 95 % intervals.
 
-    Args:
-        suite: Its seed is that of the resamples, which are the same for traffics with the same
-            number of episodes.
-        traffics: In the order of the table.
-        references: Human driving to compare with, each on its own.
+    The suite's seed is that of the resamples, which are the same for traffics with the same number
+    of episodes.
     """
     records = []
     for quantity in QUANTITIES:
@@ -96,22 +92,14 @@ def realism_table(
                 if human is None:
                     continue
                 spread = distances(human, resampled, quantity)
-                records += [
-                    (
-                        traffic.traffic,
-                        reference.name,
-                        metric,
-                        float(value),
-                        *_interval(spread[metric]),
-                        round(totals.sum()),
-                    )
-                    for metric, value in distances(human, totals, quantity).items()
-                ]
+                for metric, value in distances(human, totals, quantity).items():
+                    numbers = (float(value), *_interval(spread[metric]), round(totals.sum()))
+                    records.append((traffic.traffic, reference.name, metric, *numbers))
     places = {reference.name: place for place, reference in enumerate(references)}
-    numbers = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
+    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
     frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
     order = pl.col("reference").replace_strict(places)
-    return from_frame(frame.with_columns(numbers).sort(order, maintain_order=True), suite)
+    return from_frame(frame.with_columns(rounded).sort(order, maintain_order=True), suite)
 
 
 def _interval(values: Floats) -> tuple[float, float]:
@@ -135,16 +123,13 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     )
     known = [[n.value for n in table.column(i)] for i in range(len(table.columns))]
     least = [min((each for each in column if each is not None), default=None) for column in known]
-    rows = [
-        replace(
-            row,
-            cells=tuple(
-                replace(number, marked=number.value is not None and number.value == smallest)
-                for number, smallest in zip(row.numbers, least, strict=True)
-            ),
+    rows = []
+    for row in table.rows:
+        cells = (
+            replace(number, marked=number.value is not None and number.value == smallest)
+            for number, smallest in zip(row.numbers, least, strict=True)
         )
-        for row in table.rows
-    ]
+        rows.append(replace(row, cells=tuple(cells)))
     return replace(table, rows=tuple(rows))
 
 

@@ -38,17 +38,11 @@ def suite_table(
 ) -> Table:
     """The metrics of every cell with 95 % intervals, beside the paper's values.
 
-    Args:
-        suite: Its seed is that of the resamples, which are the same for cells with the same
-            number of episodes.
-        cells: The rows of its cells, in the order of the table.
-        metric_sets: What to compute.
+    The suite's seed is that of the resamples, which are the same for cells with the same number of
+    episodes.
     """
-    columns = {
-        (each.group, each.name): each
-        for metric_set in metric_sets
-        for each in columns_of(metric_set).values()
-    }
+    described = [each for found in metric_sets for each in columns_of(found).values()]
+    columns = {(each.group, each.name): each for each in described}
     metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
     records = []
     for cell in cells:
@@ -127,22 +121,14 @@ def matrices(table: Table) -> list[Table]:
     for metric, (title, factor) in MATRICES.items():
         if metric not in places:
             continue
-        column = table.columns[places[metric]]
+        column = replace(table.columns[places[metric]], group="", form=".1f")
+        columns = tuple(replace(column, name=traffic) for traffic in traffics)
         numbers = {row.labels: _scaled(row.numbers[places[metric]], factor) for row in table.rows}
-        found.append(
-            Table(
-                name=f"{table.name}-{metric}",
-                title=title,
-                keys=("ego \\ traffic",),
-                columns=tuple(
-                    replace(column, name=each, group="", form=".1f") for each in traffics
-                ),
-                rows=tuple(
-                    Row((ego,), tuple(numbers.get((ego, each), Number()) for each in traffics))
-                    for ego in egos
-                ),
-            )
+        rows = tuple(
+            Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
+            for ego in egos
         )
+        found.append(Table(f"{table.name}-{metric}", title, ("ego \\ traffic",), columns, rows))
     return found
 
 

@@ -77,17 +77,12 @@ def _between(cell: Written) -> str:
 
 
 def drawn(table: Table, width: int = 100) -> Group:
-    """The table with every number drawn to scale, column by column.
-
-    Args:
-        table: What to show; its cells are numbers.
-        width: Of the terminal, in characters.
-    """
+    """The table, whose cells are numbers, drawn to scale column by column, `width` characters."""
     parts: list[Text | RichTable] = []
     for part in table.without_constant_keys().parts():
         parts += [Text(f"\n{part.title}", style="bold")] if part.title else []
         parts.append(_drawn(part, width))
-    numbers = [number for i in range(len(table.columns)) for number in table.column(i)]
+    numbers = [number for row in table.rows for number in row.numbers]
     legend = []
     if any(number.low is not None for number in numbers):
         legend.append(f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval")

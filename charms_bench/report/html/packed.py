@@ -36,9 +36,7 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
     """
     profile, ego = replay.settings.profile, replay.ego
     frames, vehicles = replay.x.shape
-    agents = list(
-        dict.fromkeys([replay.agents[ego], *sorted(set(replay.agents) - {replay.agents[ego]})])
-    )
+    agents = list(dict.fromkeys([replay.agents[ego], *sorted(replay.agents)]))
     columns: dict[str, tuple[float, Floats | Ints]] = {
         "x": (0.01, replay.x),
         "y": (0.01, replay.y),
@@ -87,10 +85,6 @@ def _flags(replay: Replay) -> Ints:
     width = replay.settings.profile.lane_width_m
     aim = replay.target_lane * width - replay.y
     changing: Bools = (np.abs(aim) > _CHANGING * width) & ~replay.crashed
-    flags: Ints = (
-        CRASHED * replay.crashed
-        + BRAKES * (replay.acceleration < -BRAKE_LIGHT_MPS2)
-        + LEFT * (changing & (aim < 0))
-        + RIGHT * (changing & (aim > 0))
-    )
-    return flags
+    lights = BRAKES * (replay.acceleration < -BRAKE_LIGHT_MPS2)
+    sides = LEFT * (changing & (aim < 0)) + RIGHT * (changing & (aim > 0))
+    return np.asarray(CRASHED * replay.crashed + lights + sides)

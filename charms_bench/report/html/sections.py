@@ -76,7 +76,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
             f"run folder {source.path.name}",
         ),
         tables=tuple(shown),
-        pictures=tuple(_pictures(source) + _realism(source, folder)),
+        pictures=tuple(_pictures(source, folder)),
         more=tuple(more),
         drawn_first=bool(matrices(tables.metrics)),
     )
@@ -104,7 +104,7 @@ def training_section(source: TrainingFolder) -> Section:
     )
 
 
-def _pictures(source: Evaluation) -> list[Picture]:
+def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
     suite, key = source.run.suite, source.key
     table, pairs = source.tables.metrics, source.tables.pairs
     found = []
@@ -136,21 +136,16 @@ def _pictures(source: Evaluation) -> list[Picture]:
             "(Holm-corrected p < 0.05)."
         )
         found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
-    return found
-
-
-def _realism(source: Evaluation, folder: Path) -> list[Picture]:
-    suite, found = source.run.suite, []
     if not suite.references:
-        return []
+        return found
     following = source.run.following()
     references = read_references(suite.references, folder)
     caption = "Grey: human driving. Lines: traffics."
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})
-            place = f"{source.key}-{quantity}-{k}"
-            found.append(_picture(place, f"{title}: {name}", caption, figure))
+            place, shown = f"{key}-{quantity}-{k}", f"{title}: {name}"
+            found.append(_picture(place, shown, caption, figure))
     return found
 
 

@@ -13,26 +13,23 @@ from charms_bench.runs.folder import MANIFEST
 
 
 @dataclass(frozen=True)
-class Source:
-    """A run folder of a report."""
+class Evaluation:
+    """The folder of a finished run of a suite."""
 
     key: str
     """Its name in the report's links: the suite's, with a number if it is taken."""
     path: Path
-
-
-@dataclass(frozen=True)
-class Evaluation(Source):
-    """The folder of a finished run of a suite."""
-
     run: FinishedRun
     tables: RunTables
 
 
 @dataclass(frozen=True)
-class TrainingFolder(Source):
+class TrainingFolder:
     """The folder of a training."""
 
+    key: str
+    """Its name in the report's links: `training`, with a number if it is taken."""
+    path: Path
     training: Training
 
 

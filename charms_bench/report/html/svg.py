@@ -11,23 +11,16 @@ from charms_bench.report.figures.drawing import take_text_as_it_is
 
 
 def in_page(figure: Figure, name: str, label: str) -> Markup:
-    """A figure as an SVG element.
+    """A figure as an SVG element, whose black becomes the colour of the page's text.
 
-    Args:
-        figure: What is drawn; its black becomes the colour of the page's text.
-        name: Makes the ids of its parts unique in the page.
-        label: What it shows, for screen readers.
+    `name` makes the ids of its parts unique in the page; `label` is for screen readers.
     """
     take_text_as_it_is(figure)
     text = StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     # Text stays text, which can be searched, read aloud and set in the page's font.
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(
-            text,
-            format="svg",
-            transparent=True,
-            metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")),
-        )
+        figure.savefig(text, format="svg", transparent=True, metadata=nothing)
     found = text.getvalue()
     found = found[found.index("<svg") :]
     found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
