@@ -7,8 +7,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
-from charms_agents.training.job import Job
-from charms_agents.training.reinforcement import reinforcement_job
+from charms_agents.training.job import Job, reinforcement_job
 from charms_agents.training.settings import load_training
 
 from charms_bench.plugins.registry import make_agent
@@ -23,7 +22,7 @@ def job_of(shares: dict[str, float], weights_of: str = "", **options: float) -> 
     changes = {"traffic": TrafficSpec(mixture=shares), **options}
     stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
     drivers = {driver: make_agent(weights_of or driver) for driver in shares}
-    return reinforcement_job(name, suite.model_copy(update={"stages": stages}), drivers)
+    return reinforcement_job(Path(), name, suite.model_copy(update={"stages": stages}), drivers)
 
 
 def test_who_drives_the_others_decides_the_network() -> None:

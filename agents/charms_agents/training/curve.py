@@ -1,7 +1,7 @@
 """Learning curves: the points of both kinds of stages, and their CSV file."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -58,48 +58,28 @@ class Epoch:
         return f"loss {self.loss:.3f}{agrees}"
 
 
-class LearningCurve:
-    """Gathers ended episodes into points."""
+def point_of(
+    ended: Sequence[Mapping[str, Any]], steps: int, loss: float, exploration: float
+) -> Point:
+    """The point of the episodes that ended since the previous point."""
+    count = len(ended)
+    endings = [episode["ending"] for episode in ended]
+    off_road = endings.count(OFF_ROAD)
+    crashed = count - off_road - endings.count(TIME)
 
-    def __init__(self) -> None:
-        self.points: list[Point] = []
-        self._ended: list[dict[str, Any]] = []
+    def mean(total: float) -> float | None:
+        return total / count if count else None
 
-    def add(self, final_info: dict[str, Any]) -> None:
-        """Takes an episode that ended."""
-        self._ended.append(final_info)
-
-    def close(self, steps: int, loss: float, exploration: float) -> None:
-        """Adds a point for the episodes since the previous one."""
-        ended, count = self._ended, len(self._ended)
-        endings = [episode["ending"] for episode in ended]
-        off_road = endings.count(OFF_ROAD)
-        crashed = count - off_road - endings.count(TIME)
-
-        def mean(total: float) -> float | None:
-            return total / count if count else None
-
-        point = Point(
-            steps=steps,
-            episodes=count,
-            return_mean=mean(sum(episode["episode_return"] for episode in ended)),
-            length_mean=mean(sum(episode["steps"] for episode in ended)),
-            crashed_share=mean(crashed),
-            off_road_share=mean(off_road),
-            loss=loss if loss == loss else None,
-            exploration=exploration,
-        )
-        self.points.append(point)
-        self._ended = []
-
-    def state(self) -> dict[str, Any]:
-        """Everything, ready for JSON."""
-        return {"points": [asdict(point) for point in self.points], "ended": self._ended}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Takes over what `state` returned."""
-        self.points = [Point(**point) for point in state["points"]]
-        self._ended = list(state["ended"])
+    return Point(
+        steps=steps,
+        episodes=count,
+        return_mean=mean(sum(episode["episode_return"] for episode in ended)),
+        length_mean=mean(sum(episode["steps"] for episode in ended)),
+        crashed_share=mean(crashed),
+        off_road_share=mean(off_road),
+        loss=loss if loss == loss else None,
+        exploration=exploration,
+    )
 
 
 def write_csv(path: Path, kind: type[Point | Epoch], curve: Sequence[Point | Epoch]) -> None:

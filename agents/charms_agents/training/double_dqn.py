@@ -7,20 +7,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecEnv
-from torch.nn import Sequential
+from torch.nn import Module, Sequential
 from torch.nn.functional import mse_loss
 
-from charms_agents.training.job import Arrays
-from charms_agents.training.network import (
-    load_module,
-    load_optimizer,
-    module_arrays,
-    optimizer_arrays,
-)
+from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise
 
-_NETWORKS = ("q_net", "q_net_target")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
 
@@ -52,6 +46,8 @@ class DoubleDQN(DQN):
         arguments: Further arguments of `DQN`.
     """
 
+    replay_buffer: ReplayBuffer
+
     def __init__(
         self,
         environment: VecEnv,
@@ -69,7 +65,6 @@ class DoubleDQN(DQN):
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""
         buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
-        assert buffer is not None
         rows = self.rng.integers(buffer.size(), size=shape)
         envs = self.rng.integers(buffer.n_envs, size=shape)
         returns = self.returns(rows, envs)
@@ -108,7 +103,6 @@ class DoubleDQN(DQN):
         buffer ends before.
         """
         buffer = self.replay_buffer
-        assert buffer is not None
         newest = (buffer.pos - 1) % buffer.buffer_size
         last, rewards = rows, buffer.rewards[rows, envs]
         discounts = np.full(rows.shape, self.gamma, dtype=np.float32)
@@ -141,7 +135,6 @@ class DoubleDQN(DQN):
     def recorded_observations(self) -> NDArray[np.float32]:
         """All observations in the replay buffer, (M, 7, 5)."""
         buffer = self.replay_buffer
-        assert buffer is not None
         observations: NDArray[np.float32] = buffer.observations[: buffer.size()]
         return observations.reshape(-1, 7, 5)
 
@@ -157,13 +150,14 @@ class DoubleDQN(DQN):
             actions = np.where(explores, actions, greedy)
         return actions, actions
 
+    @property
+    def _networks(self) -> dict[str, Module]:
+        return {"q_net": self.q_net, "q_net_target": self.q_net_target}
+
     def arrays(self) -> Arrays:
         """Everything that further training depends on except the environment, as plain arrays."""
         buffer = self.replay_buffer
-        assert buffer is not None
-        arrays: Arrays = optimizer_arrays(self.policy.optimizer)
-        for network in _NETWORKS:
-            arrays.update(module_arrays(network, getattr(self, network)))
+        arrays = state_arrays(self._networks, self.policy.optimizer)
         for name in _REPLAYED:
             arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()]
         numbers = {
@@ -178,11 +172,8 @@ class DoubleDQN(DQN):
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same configuration."""
         buffer = self.replay_buffer
-        assert buffer is not None
         numbers = json.loads(str(arrays["numbers"]))
-        for network in _NETWORKS:
-            load_module(network, getattr(self, network), arrays)
-        load_optimizer(self.policy.optimizer, arrays)
+        load_state(self._networks, self.policy.optimizer, arrays)
         for name in _REPLAYED:
             stored = arrays[f"replay/{name}"]
             getattr(buffer, name)[: len(stored)] = stored

@@ -2,66 +2,36 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol
-from zipfile import BadZipFile
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from torch.nn import Sequential
+from charms_agents.human.samples import SampleStore
+from charms_agents.training.network import read_network, untrained
+from charms_agents.training.reinforcement import Reinforcement
+from charms_agents.training.settings import (
+    EPISODES_OF_A_SEED,
+    FIRST_TRAINING_SEED,
+    Stage,
+    Supervised,
+    TrainingSuite,
+)
+from charms_agents.training.supervised import Fit
+from charms_bench.plugins.agent import Agent, Policy
 
-from charms_agents.training.curve import Epoch, Point
-from charms_bench.errors import RunFolderError
-from charms_bench.world.files import write_atomically
-from charms_bench.world.scene import Observations
-
-Arrays = dict[str, NDArray[Any]]
-"""The content of a checkpoint: plain arrays, which are read without running any code."""
-
-
-class Learner(Protocol):
-    """A network while it learns."""
-
-    @property
-    def point(self) -> type[Point | Epoch]:
-        """The kind of points in the learning curve."""
-
-    @property
-    def curve(self) -> Sequence[Point | Epoch]:
-        """The points so far."""
-
-    @property
-    def done(self) -> int:
-        """Steps or epochs so far."""
-
-    @property
-    def network(self) -> Sequential:
-        """The network so far."""
-
-    @property
-    def observations(self) -> Observations:
-        """(M, 7, 5) observations on which the exported network is compared with this one."""
-
-    def learn(self, pause: Callable[[], None]) -> None:
-        """Learns to the end; calls `pause` wherever `arrays` can be called."""
-
-    def arrays(self) -> Arrays:
-        """Everything that further learning depends on, as plain arrays."""
-
-    def load_arrays(self, arrays: Arrays) -> None:
-        """Takes over what `arrays` returned for the same job."""
-
-    def results(self, wall_s: float) -> dict[str, Any]:
-        """What the manifest says of the learning, which took `wall_s` seconds."""
+_OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost"}
+"""The settings of a stage that the paper lacks."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A stage that is ready to be trained."""
+    """A stage that is ready to be trained, and its folder."""
 
+    output: Path
+    """The run folder."""
     name: str
     style: str
     """The style of the network in words."""
@@ -73,7 +43,7 @@ class Job:
     """Seconds between two checkpoints."""
     inputs: dict[str, Any]
     """Everything that decides the resulting network, ready for JSON."""
-    make_learner: Callable[[], Learner]
+    make_learner: Callable[[], Reinforcement | Fit]
     """Makes the learner, before it has learnt anything."""
 
     @cached_property
@@ -81,45 +51,126 @@ class Job:
         """SHA-256 of `inputs`."""
         return hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the stage."""
+        return self.output / f"{self.name}-{self.key[:12]}"
 
-class StageFolder:
-    """The files of a stage: its checkpoint and, once it is finished, its network."""
-
-    def __init__(self, output: Path, job: Job) -> None:
-        self.path = output / f"{job.name}-{job.key[:12]}"
-        self.network = self.path / f"{job.name}.onnx"
-        self.manifest = self.path / f"{job.name}.json"
-        self.curve_csv = self.path / f"{job.name}.csv"
-        self.checkpoint = self.path / "checkpoint.npz"
-        self.tensorboard = self.path / "tensorboard"
+    def file(self, ending: str) -> Path:
+        """The stage's network (`.onnx`), manifest (`.json`) or learning curve (`.csv`)."""
+        return self.folder / f"{self.name}{ending}"
 
     @property
     def finished(self) -> bool:
         """Whether the stage is finished; its manifest is written last."""
-        return self.manifest.exists() and self.network.exists()
+        return self.file(".json").exists() and self.file(".onnx").exists()
 
-    def write_checkpoint(self, arrays: Arrays) -> None:
-        """Replaces the checkpoint in one step, so the folder always holds a complete one."""
 
-        def write(partial: Path) -> None:
-            with partial.open("wb") as file:
-                np.savez(file, **arrays)  # type: ignore[arg-type]  # for `allow_pickle`
+def reinforcement_job(
+    output: Path, name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]
+) -> Job:
+    """The job of a stage that learns in a simulation.
 
-        write_atomically(self.checkpoint, write)
+    Args:
+        output: The run folder.
+        name: The stage.
+        suite: The suite of the stage.
+        drivers: The agents that drive the traffic, by name.
+    """
+    stage = suite.stages[name]
+    first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
+    weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
+    # An option at the paper's value is left out, so that stages without it keep their keys.
+    options = stage.model_dump(
+        include={"safety_horizon_s", "safe_headway_m", "lane_change_cost"}, exclude_defaults=True
+    )
+    angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
+    inputs = {
+        "stage": name,
+        "steps": stage.steps,
+        "style": {"svo": stage.svo, "weights": weights, **angle},
+        "seed": suite.seed,
+        "first_episode_seed": first_seed,
+        "hyperparameters": suite.hyperparameters_of(stage).inputs,
+        "curve_steps": suite.curve_steps,
+        "scene": stage.scene.model_dump(mode="json"),
+        "traffic": _traffic_inputs(stage, drivers),
+        "charms_bench": version("charms-bench"),
+        **options,
+    }
+    return Job(
+        output,
+        name,
+        style=f"{stage.weights}, {stage.svo}",
+        total=stage.steps,
+        decision_hz=Policy.decision_hz,
+        checkpoint_s=suite.checkpoint_s,
+        inputs=inputs,
+        make_learner=partial(Reinforcement, suite, stage, drivers, first_seed),
+    )
 
-    def read_checkpoint(self) -> Arrays | None:
-        """The last checkpoint; None before the first.
 
-        Raises:
-            RunFolderError: The checkpoint cannot be read.
-        """
-        if not self.checkpoint.exists():
-            return None
-        try:
-            with self.checkpoint.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-                return dict(arrays)
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise RunFolderError(
-                f"{self.checkpoint}: not a checkpoint: {error}; "
-                "delete it to start this stage from the beginning"
-            ) from error
+def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
+    hashes = {
+        name: driver.weights_sha256 if isinstance(driver, Policy) else ""
+        for name, driver in drivers.items()
+    }
+    if len(hashes) == 1:
+        ((name, sha256),) = hashes.items()
+        return {"agent": name, "weights_sha256": sha256}
+    spec = stage.traffic.model_dump(mode="json", exclude_defaults=True)
+    return {**spec, "weights_sha256": hashes}
+
+
+def human_job(
+    output: Path, name: str, suite: TrainingSuite, samples: SampleStore, start: Path | None
+) -> Job:
+    """The job of a stage that learns from human driving.
+
+    Args:
+        output: The run folder.
+        name: The stage.
+        suite: The suite of the stage.
+        samples: The samples to learn from.
+        start: The network that is fine-tuned; None for imitation.
+    """
+    assert suite.human is not None
+    stage = suite.human.stages[name]
+    default = suite.human.fine_tuning if stage.fine_tunes else suite.human.imitation
+    settings, layers = stage.settings or default, suite.hyperparameters.hidden_layers
+    starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
+    style = "human"
+    if stage.fine_tunes is not None and start is not None:
+        sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
+        starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
+        tuned = suite.stages[stage.fine_tunes]
+        style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
+    inputs = {
+        "stage": name,
+        "starts_from": starts_from,
+        "style": style,
+        "seed": suite.seed,
+        "supervised": settings.model_dump(mode="json"),
+        "samples": {
+            "fingerprint": samples.fingerprint,
+            "settings": samples.settings.model_dump(mode="json"),
+        },
+        "charms_bench": version("charms-bench"),
+    }
+    return Job(
+        output,
+        name,
+        style=style,
+        total=settings.epochs,
+        decision_hz=samples.settings.decision_hz,
+        checkpoint_s=suite.checkpoint_s,
+        inputs=inputs,
+        make_learner=partial(_fit, start, layers, samples, settings, suite.seed),
+    )
+
+
+def _fit(
+    start: Path | None, layers: Sequence[int], samples: SampleStore, settings: Supervised, seed: int
+) -> Fit:
+    network = read_network(start) if start else untrained(layers, seed)
+    return Fit(network, samples.load(), settings, seed)

@@ -10,11 +10,16 @@ import onnx
 import torch
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
-from onnx import numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 from torch.nn import Linear, Module, ReLU, Sequential, Tanh
+from torch.optim import Optimizer
 
 from charms_bench.errors import ModelError
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.files import write_atomically
+from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.observations import Neighbours, described, neighbours
 from charms_bench.world.scene import Observations
 
 OBSERVED = 35
@@ -23,8 +28,15 @@ OBSERVED = 35
 ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
 """The activations that are allowed between layers, by their ONNX name."""
 
+OPSET, IR_VERSION = 17, 8
+"""Old versions, which every onnxruntime that the base install allows can read."""
+TIE = 1e-4
+"""Two actions whose values differ by less are equally good to float32's precision."""
+
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 """The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
+Arrays = dict[str, NDArray[Any]]
+"""The content of a checkpoint: plain arrays, which are read without running any code."""
 
 
 def untrained(hidden_layers: Sequence[int], seed: int) -> Sequential:
@@ -77,14 +89,6 @@ def read_network(path: Path) -> Sequential:
     return network_of(layers, found[0] if found else ReLU)
 
 
-def values_of(network: Sequential, observations: Observations) -> NDArray[np.float32]:
-    """The network's values (M, 5) of observations (M, rows, columns)."""
-    flat = torch.tensor(observations.reshape(len(observations), -1))  # a copy, as writable
-    with torch.no_grad():
-        values: NDArray[np.float32] = network(flat).numpy()
-    return values
-
-
 def _alternating(layers: Sequence[Linear], activation: type[Module]) -> Sequential:
     modules: list[Module] = []
     for layer in layers:
@@ -92,31 +96,101 @@ def _alternating(layers: Sequence[Linear], activation: type[Module]) -> Sequenti
     return Sequential(*modules[:-1])
 
 
-def module_arrays(name: str, module: Module) -> dict[str, NDArray[Any]]:
-    """The parameters of a module as `name/parameter`."""
-    return {f"{name}/{key}": tensor.numpy() for key, tensor in module.state_dict().items()}
+def export(
+    network: Sequential,
+    path: Path,
+    facts: dict[str, str],
+    observations: Observations,
+    observation: Neighbours | Kinematics = neighbours,
+) -> dict[str, int]:
+    """Writes a network as an ONNX file that `OnnxPolicy` runs.
+
+    Args:
+        network: Linear layers with ReLU or tanh between them.
+        path: The file.
+        facts: Further metadata, beside the observation and the actions.
+        observations: (M, rows, columns) on which the file's actions are compared with the
+            network's.
+        observation: The kind of these observations.
+
+    Returns:
+        observations, the number compared; ties, the number in which the file chose a different
+        action of equal value to float32's precision.
+
+    Raises:
+        ModelError: The file chose a worse action than the network; nothing is written.
+        RunFolderError: The file cannot be written.
+    """
+    data = _serialised(network, {"observation": described(observation), **facts}, observation.shape)
+    flat = torch.tensor(observations.reshape(len(observations), -1))  # a copy, as writable
+    with torch.no_grad():
+        expected: NDArray[np.float32] = network(flat).numpy()
+    best = expected.argmax(axis=1)
+    checked: dict[str, int] = {}
+
+    def write(partial: Path) -> None:
+        partial.write_bytes(data)
+        found = OnnxPolicy(partial).decide(observations)
+        lost = expected.max(axis=1) - expected[np.arange(found.size), found]
+        if count := int((lost > TIE).sum()):
+            raise ModelError(
+                f"{path}: would act differently from the network in {count} of {found.size} "
+                "observations; onnxruntime and torch disagree on this machine"
+            )
+        checked.update(observations=int(found.size), ties=int((found != best).sum()))
+
+    write_atomically(path, write)
+    return checked
 
 
-def load_module(name: str, module: Module, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Takes over what `module_arrays` returned for a module of the same shape."""
-    keys = module.state_dict()
-    module.load_state_dict({key: torch.from_numpy(arrays[f"{name}/{key}"]) for key in keys})
+def _serialised(network: Sequential, facts: dict[str, str], shape: tuple[int, int]) -> bytes:
+    layers = layers_of(network)
+    operators = {kind: name for name, kind in ACTIVATIONS.items()}
+    between = [operators[type(module)] for module in network if type(module) in operators]
+    nodes, tensors, last = [], [], "flat"
+    nodes.append(helper.make_node("Flatten", ["observations"], ["flat"], axis=1))
+    for index, (weight, bias) in enumerate(layers):
+        tensors.append(numpy_helper.from_array(weight, f"weight_{index}"))
+        tensors.append(numpy_helper.from_array(bias, f"bias_{index}"))
+        final = index == len(layers) - 1
+        out = "values" if final else f"linear_{index}"
+        inputs = [last, f"weight_{index}", f"bias_{index}"]
+        nodes.append(helper.make_node("Gemm", inputs, [out], transB=1))
+        if not final:
+            nodes.append(helper.make_node(between[index], [out], [f"hidden_{index}"]))
+            last = f"hidden_{index}"
+    seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", *shape])
+    valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", len(ACTIONS)])
+    graph = helper.make_graph(nodes, "policy", [seen], [valued], tensors)
+    exported = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+    )
+    helper.set_model_props(exported, {"actions": ", ".join(ACTIONS), **facts})
+    onnx.checker.check_model(exported, full_check=True)
+    data: bytes = exported.SerializeToString(deterministic=True)
+    return data
 
 
-def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
-    """The state of an optimizer as `optimizer/parameter/moment`."""
+def state_arrays(networks: Mapping[str, Module], optimizer: Optimizer) -> Arrays:
+    """The state of networks as `name/parameter` and of an optimizer as `optimizer/row/moment`."""
+    states = {name: network.state_dict() for name, network in networks.items()}
+    for index, moments in optimizer.state_dict()["state"].items():
+        states[f"optimizer/{index}"] = moments
     return {
-        f"optimizer/{index}/{name}": tensor.numpy()
-        for index, moments in optimizer.state_dict()["state"].items()
-        for name, tensor in moments.items()
+        f"{name}/{key}": tensor.numpy()
+        for name, tensors in states.items()
+        for key, tensor in tensors.items()
     }
 
 
-def load_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Takes over what `optimizer_arrays` returned for an optimizer of the same parameters."""
+def load_state(networks: Mapping[str, Module], optimizer: Optimizer, arrays: Arrays) -> None:
+    """Takes over what `state_arrays` returned for networks of the same shapes."""
+    for name, network in networks.items():
+        keys = network.state_dict()
+        network.load_state_dict({key: torch.from_numpy(arrays[f"{name}/{key}"]) for key in keys})
     state: dict[int, dict[str, torch.Tensor]] = {}
-    for key in (key for key in arrays if key.startswith("optimizer/")):
-        _, index, name = key.split("/")
-        state.setdefault(int(index), {})[name] = torch.from_numpy(arrays[key])
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
+    for key in arrays:
+        if key.startswith("optimizer/"):
+            _, index, name = key.split("/")
+            state.setdefault(int(index), {})[name] = torch.from_numpy(arrays[key])
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})

@@ -7,21 +7,19 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 
 from charms_agents.human.samples import SampleStore
-from charms_agents.training.curves import write_curves
-from charms_agents.training.job import Job, StageFolder
+from charms_agents.training.job import Job, human_job, reinforcement_job
 from charms_agents.training.progress import progress
-from charms_agents.training.reinforcement import reinforcement_job
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
-from charms_agents.training.summary import write_summary
-from charms_agents.training.supervised import human_job
+from charms_agents.training.summary import write_curves, write_summary
 from charms_bench.errors import InputError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
@@ -65,21 +63,16 @@ def run(
     if suite.human is not None and set(names) & set(suite.human.stages):
         samples = _sample_store(suite_file, suite.human, output, recordings)
 
-    def make_job(name: str, finished: Mapping[str, StageFolder]) -> Job:
-        return _make_job(name, suite, samples, finished)
-
     needs = {name: suite.needs[name] for name in names}
     with locked(output):
         if samples is not None:
             samples.load()
         with _stop_on_signals() as stop, progress(console) as tell:
-            folders = run_stages(
-                needs, make_job, output, suite_sha256, workers or os.cpu_count() or 1,
-                tell, say, stop,
-            )  # fmt: skip
-        write_curves(output, suite, folders)
-        folders = {name: folders[name] for name in names}
-        write_summary(output, folders)
+            make_job = partial(_make_job, output, suite, samples)
+            workers = workers or os.cpu_count() or 1
+            jobs = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
+        write_curves(output, suite, jobs)
+        write_summary(output, [jobs[name] for name in names])
 
 
 def _sample_store(
@@ -98,23 +91,26 @@ def _sample_store(
 
 
 def _make_job(
-    name: str,
+    output: Path,
     suite: TrainingSuite,
     samples: SampleStore | None,
-    finished: Mapping[str, StageFolder],
+    name: str,
+    finished: Mapping[str, Job],
 ) -> Job:
     """The job of a stage whose needs are finished."""
     if name in suite.human_stages:
         assert samples is not None
         start = suite.human_stages[name].fine_tunes
-        return human_job(name, suite, samples, finished[start].network if start else None)
+        return human_job(
+            output, name, suite, samples, finished[start].file(".onnx") if start else None
+        )
     drivers = {
-        driver: OnnxPolicy(finished[driver].network)
+        driver: OnnxPolicy(finished[driver].file(".onnx"))
         if driver in suite.stages
         else make_agent(driver)
         for driver in suite.traffic_of(suite.stages[name]).agents
     }
-    return reinforcement_job(name, suite, drivers)
+    return reinforcement_job(output, name, suite, drivers)
 
 
 @contextmanager

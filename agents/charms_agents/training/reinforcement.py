@@ -3,8 +3,6 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from functools import partial
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -13,76 +11,18 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from torch.nn import Sequential
 
-from charms_agents.training.curve import LearningCurve, Point
+from charms_agents.training.curve import Point, point_of
 from charms_agents.training.double_dqn import DoubleDQN
-from charms_agents.training.job import Arrays, Job
-from charms_agents.training.rewards import SAFE_TTC_S, StyleReward
+from charms_agents.training.network import Arrays
+from charms_agents.training.rewards import StyleReward
 from charms_agents.training.settings import (
-    EPISODES_OF_A_SEED,
-    FIRST_TRAINING_SEED,
-    Hyperparameters,
     Stage,
     TrainingSuite,
 )
 from charms_agents.training.vec_env import EpisodesVecEnv
 from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
-from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations
-
-
-def reinforcement_job(name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Job:
-    """The job of a stage that learns in a simulation.
-
-    Args:
-        name: The stage.
-        suite: The suite of the stage.
-        drivers: The agents that drive the traffic, by name.
-    """
-    stage = suite.stages[name]
-    first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
-    weights = suite.weights[stage.weights].model_dump()
-    inputs: dict[str, Any] = {
-        "stage": name,
-        "steps": stage.steps,
-        "style": {"svo": stage.svo, "weights": {"name": stage.weights, **weights}},
-        "seed": suite.seed,
-        "first_episode_seed": first_seed,
-        "hyperparameters": suite.hyperparameters_of(stage).inputs,
-        "curve_steps": suite.curve_steps,
-        "scene": stage.scene.model_dump(mode="json"),
-        "traffic": _traffic_inputs(stage, drivers),
-        "charms_bench": version("charms-bench"),
-    }
-    # An option at the paper's value is left out, so that stages without it keep their keys.
-    if stage.safety_horizon_s != SAFE_TTC_S:
-        inputs["safety_horizon_s"] = stage.safety_horizon_s
-    if stage.safe_headway_m:
-        inputs["safe_headway_m"] = stage.safe_headway_m
-    if stage.lane_change_cost:
-        inputs["lane_change_cost"] = stage.lane_change_cost
-    if stage.svo_angle_rad is not None:
-        inputs["style"]["svo_angle_rad"] = stage.svo_angle_rad
-    return Job(
-        name,
-        style=f"{stage.weights}, {stage.svo}",
-        total=stage.steps,
-        decision_hz=Policy.decision_hz,
-        checkpoint_s=suite.checkpoint_s,
-        inputs=inputs,
-        make_learner=partial(Reinforcement, suite, stage, drivers, first_seed),
-    )
-
-
-def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
-    hashes = {
-        name: driver.weights_sha256 if isinstance(driver, Policy) else ""
-        for name, driver in drivers.items()
-    }
-    if len(hashes) == 1:
-        ((name, sha256),) = hashes.items()
-        return {"agent": name, "weights_sha256": sha256}
-    spec = stage.traffic.model_dump(mode="json", exclude_defaults=True)
-    return {**spec, "weights_sha256": hashes}
 
 
 class Reinforcement(BaseCallback):
@@ -102,7 +42,9 @@ class Reinforcement(BaseCallback):
     ) -> None:
         super().__init__()
         self._steps, self._curve_steps = stage.steps, suite.curve_steps
-        self._curve = LearningCurve()
+        self.curve: list[Point] = []
+        """The points so far, one every `curve_steps`."""
+        self._ended: list[dict[str, Any]] = []
         reward = StyleReward(
             suite.weights[stage.weights],
             stage.angle_rad,
@@ -114,14 +56,33 @@ class Reinforcement(BaseCallback):
         self._episodes = HighwayVectorEnv(
             stage.scene, h.scenes, traffic, drivers, reward, first_seed
         )
-        self._agent = _agent(h, self._episodes, suite.seed)
+        self._agent = DoubleDQN(
+            EpisodesVecEnv(self._episodes),
+            suite.seed,
+            h.return_steps,
+            h.standardised,
+            learning_rate=h.learning_rate_at,
+            buffer_size=h.replay_buffer,
+            learning_starts=h.learning_starts,
+            batch_size=h.batch_size,
+            gamma=h.discount,
+            train_freq=(1, "step"),  # one step of every scene, so `scenes` steps
+            gradient_steps=h.scenes // h.steps_per_gradient_step,
+            target_update_interval=h.target_update_steps,
+            tau=h.target_update_rate,
+            exploration_initial_eps=h.exploration_initial,
+            exploration_final_eps=h.exploration_final,
+            exploration_fraction=h.exploration_share,
+            max_grad_norm=h.max_gradient_norm,
+            policy_kwargs={
+                "net_arch": list(h.hidden_layers),
+                "optimizer_class": torch.optim.Adam,
+                "optimizer_kwargs": {"fused": True},
+            },
+            device="cpu",
+        )
         self._agent.set_logger(Logger(None, []))  # by default it would write a folder
         self._pause: Callable[[], None] = lambda: None
-
-    @property
-    def curve(self) -> list[Point]:
-        """The points so far, one every `curve_steps`."""
-        return self._curve.points
 
     @property
     def done(self) -> int:
@@ -158,29 +119,32 @@ class Reinforcement(BaseCallback):
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if info:
-                self._curve.add(info["final_info"])
+                self._ended.append(info["final_info"])
         return True
 
     def _close_point_when_due(self) -> None:
         last = self.curve[-1].steps if self.curve else 0
         if self.done - last >= self._curve_steps:
-            self._curve.close(self.done, self._agent.loss, self._agent.exploration_rate)
+            agent = self._agent
+            self.curve.append(point_of(self._ended, self.done, agent.loss, agent.exploration_rate))
+            self._ended = []
 
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
         arrays = self._agent.arrays()
         for name, value in self._episodes.state()._asdict().items():
             arrays[f"episodes/{name}"] = np.asarray(value)
-        arrays["curve"] = np.array(json.dumps(self._curve.state()))
+        curve = {"points": [asdict(point) for point in self.curve], "ended": self._ended}
+        arrays["curve"] = np.array(json.dumps(curve))
         return arrays
 
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same job."""
-        self._curve.restore(json.loads(str(arrays["curve"])))
+        curve = json.loads(str(arrays["curve"]))
+        self.curve, self._ended = [Point(**point) for point in curve["points"]], curve["ended"]
         self._agent.load_arrays(arrays)
-        fields = {name: arrays[f"episodes/{name}"] for name in EpisodesState._fields}
-        next_seed = int(fields.pop("next_seed"))
-        state = EpisodesState(next_seed=next_seed, **fields)
+        next_seed, *rest = (arrays[f"episodes/{name}"] for name in EpisodesState._fields)
+        state = EpisodesState(int(next_seed), *rest)
         self._agent._last_obs = self._episodes.restore(state)
         self._agent._last_episode_starts = np.zeros(self._episodes.num_envs, dtype=np.bool_)
 
@@ -197,32 +161,3 @@ class Reinforcement(BaseCallback):
             "curve": curve,
             "steps_per_s": round(self.done / wall_s, 1),
         }
-
-
-def _agent(h: Hyperparameters, episodes: HighwayVectorEnv[Any], seed: int) -> DoubleDQN:
-    """The untrained Double DQN of a stage."""
-    return DoubleDQN(
-        EpisodesVecEnv(episodes),
-        seed,
-        h.return_steps,
-        h.standardised,
-        learning_rate=h.learning_rate_at,
-        buffer_size=h.replay_buffer,
-        learning_starts=h.learning_starts,
-        batch_size=h.batch_size,
-        gamma=h.discount,
-        train_freq=(1, "step"),  # one step of every scene, so `scenes` steps
-        gradient_steps=h.scenes // h.steps_per_gradient_step,
-        target_update_interval=h.target_update_steps,
-        tau=h.target_update_rate,
-        exploration_initial_eps=h.exploration_initial,
-        exploration_final_eps=h.exploration_final,
-        exploration_fraction=h.exploration_share,
-        max_grad_norm=h.max_gradient_norm,
-        policy_kwargs={
-            "net_arch": list(h.hidden_layers),
-            "optimizer_class": torch.optim.Adam,
-            "optimizer_kwargs": {"fused": True},
-        },
-        device="cpu",
-    )

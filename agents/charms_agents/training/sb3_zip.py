@@ -16,8 +16,7 @@ from zipfile import ZipFile, ZipInfo, is_zipfile
 import numpy as np
 import torch
 
-from charms_agents.training.export import export
-from charms_agents.training.network import ACTIVATIONS, Layers, layers_of, network_of
+from charms_agents.training.network import ACTIVATIONS, Layers, export, layers_of, network_of
 from charms_bench.errors import ModelError
 from charms_bench.testing import example_scene
 from charms_bench.world.actions import ACTIONS

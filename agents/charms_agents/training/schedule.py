@@ -6,11 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from graphlib import TopologicalSorter
-from pathlib import Path
 from queue import Empty
 from typing import Any
 
-from charms_agents.training.job import Job, StageFolder
+from charms_agents.training.job import Job
 from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
 from charms_bench.errors import RunFolderError
@@ -18,8 +17,8 @@ from charms_bench.runs.workers import start_worker, starting
 
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""
-MakeJob = Callable[[str, Mapping[str, StageFolder]], Job]
-"""Makes the job of a stage, from the folders of the stages that are finished."""
+MakeJob = Callable[[str, Mapping[str, Job]], Job]
+"""Makes the job of a stage, from the jobs of the stages that are finished."""
 
 POLL_S = 0.2
 _told: Any = None
@@ -29,13 +28,12 @@ _stopping: Any = None
 def run_stages(
     needs: Needs,
     make_job: MakeJob,
-    output: Path,
     suite_sha256: str,
     workers: int,
     tell: Tell,
     say: Callable[[str], None],
     stop: Callable[[], bool],
-) -> dict[str, StageFolder]:
+) -> dict[str, Job]:
     """Trains the stages that are not finished.
 
     Stages are trained in worker processes, or in this process if only one can be trained at a
@@ -44,7 +42,6 @@ def run_stages(
     Args:
         needs: All stages, and the stages that each of them needs.
         make_job: Called for a stage when the stages that it needs are finished.
-        output: The run folder.
         suite_sha256: For the manifests.
         workers: Most stages to train at a time.
         tell: Told of the progress of each stage.
@@ -52,14 +49,14 @@ def run_stages(
         stop: Whether to write checkpoints and stop.
 
     Returns:
-        All folders, by stage.
+        All jobs, by stage.
 
     Raises:
         Interrupted: `stop` returned True.
         CharmsBenchError: The first error of a stage; the other stages have written checkpoints.
     """
     workers = min(workers, _width(needs))
-    finished: dict[str, StageFolder] = {}
+    finished: dict[str, Job] = {}
     sorter = TopologicalSorter(needs)
     sorter.prepare()
 
@@ -68,45 +65,45 @@ def run_stages(
         jobs = []
         for name in sorter.get_ready():
             job = make_job(name, finished)
-            folder = StageFolder(output, job)
-            if folder.finished:
-                end(name, folder, "was finished before")
+            if job.finished:
+                end(job, "was finished before")
             else:
                 jobs.append(job)
         return jobs
 
-    def end(name: str, folder: StageFolder, how: str = "finished") -> None:
-        say(f"{name}: {how}, in {folder.path}")
-        finished[name] = folder
-        sorter.done(name)
+    def end(job: Job, how: str = "finished") -> None:
+        say(f"{job.name}: {how}, in {job.folder}")
+        finished[job.name] = job
+        sorter.done(job.name)
 
     if workers == 1:
         while sorter.is_active():
             for job in ready():
-                end(job.name, train_stage(job, output, suite_sha256, tell, stop))
+                train_stage(job, suite_sha256, tell, stop)
+                end(job)
         return finished
 
     context = multiprocessing.get_context("spawn")
     told, stopping = context.Queue(), context.Event()
     executor = ProcessPoolExecutor(workers, context, _start_worker, (told, stopping))
-    running: dict[Future[StageFolder], str] = {}
+    running: dict[Future[None], Job] = {}
     try:
         while sorter.is_active():
             for job in ready():
                 with starting({}):
-                    future = executor.submit(_train_in_worker, job, output, suite_sha256)
-                running[future] = job.name
+                    running[executor.submit(_train_in_worker, job, suite_sha256)] = job
             done, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
             _pass_on(told, tell)
             if stop():
                 raise Interrupted
             for future in done:
-                end(running.pop(future), future.result())
+                future.result()
+                end(running.pop(future))
     except BrokenProcessPool as error:
         if stop():  # a signal that reached all processes
             raise Interrupted from error
         raise RunFolderError(
-            f"a stage's process died; checkpoints are in {output}, "
+            f"a stage's process died; checkpoints are in {job.output}, "
             "and the same command continues from there"
         ) from error
     finally:
@@ -147,7 +144,7 @@ def _start_worker(told: Any, stopping: Any) -> None:
     start_worker()
 
 
-def _train_in_worker(job: Job, output: Path, suite_sha256: str) -> StageFolder:
+def _train_in_worker(job: Job, suite_sha256: str) -> None:
     last = 0.0
 
     def tell(stage: str, done: int, total: int, words: str) -> None:
@@ -156,4 +153,4 @@ def _train_in_worker(job: Job, output: Path, suite_sha256: str) -> StageFolder:
             last = time.monotonic()
             _told.put((stage, done, total, words))
 
-    return train_stage(job, output, suite_sha256, tell, _stopping.is_set)
+    train_stage(job, suite_sha256, tell, _stopping.is_set)

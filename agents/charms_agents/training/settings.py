@@ -105,11 +105,6 @@ class Supervised(FrozenModel):
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
 
-    @property
-    def inputs(self) -> dict[str, Any]:
-        """The settings, ready for JSON."""
-        return self.model_dump(mode="json")
-
 
 class Stage(FrozenModel):
     """A network that learns by reinforcement: its style (weights and SVO), scene and traffic."""
@@ -156,10 +151,6 @@ class Human(FrozenModel):
     fine_tuning: Supervised = Supervised()
     imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
     stages: Annotated[dict[Name, HumanStage], Field(min_length=1, max_length=100)]
-
-    def settings_of(self, stage: HumanStage) -> Supervised:
-        """The settings of a stage."""
-        return stage.settings or (self.fine_tuning if stage.fine_tunes else self.imitation)
 
 
 class TrainingSuite(FrozenModel):

@@ -1,31 +1,20 @@
-"""The table `stages.csv` of all finished stages, with their times and results."""
+"""What a training writes about its stages: tables, and a figure like the paper's Fig. 3."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import polars as pl
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
-from charms_agents.training.job import StageFolder
+from charms_agents.training.job import Job
+from charms_agents.training.settings import TrainingSuite
+from charms_bench.report.figures.drawing import panels, save
 from charms_bench.report.training_tables import ColumnsFile, CurveColumn, StageColumn
 from charms_bench.world.files import write_bytes
 
-SCHEMA = pl.Schema(
-    {
-        "stage": pl.String(),
-        "style": pl.String(),
-        "steps": pl.Int64(),  # decisions; null for stages that learn from human driving
-        "wall_s": pl.Float64(),
-        "steps_per_s": pl.Float64(),
-        "return": pl.Float64(),  # of the learning curve's last point, exploring
-        "crashed": pl.Float64(),  # share of episodes there
-        "agreement_before": pl.Float64(),  # with held-out human decisions
-        "agreement": pl.Float64(),
-        "log_likelihood_before": pl.Float64(),  # of held-out human decisions
-        "log_likelihood": pl.Float64(),
-    }
-)
 COLUMNS = ColumnsFile(
     stages={
         "style": StageColumn(definition="weights of the reward, and the social value orientation"),
@@ -68,12 +57,16 @@ COLUMNS = ColumnsFile(
     },
 )
 """Meaning, unit and format of the columns of `stages.csv` and `curves.csv`."""
+SCHEMA = pl.Schema(
+    {"stage": pl.String(), **dict.fromkeys(COLUMNS.stages, pl.Float64())}
+    | {"style": pl.String(), "steps": pl.Int64()}
+)
+"""The columns of `stages.csv`; those that do not apply to a stage are null."""
 
 
-def write_summary(output: Path, folders: Mapping[str, StageFolder]) -> pl.DataFrame:
+def write_summary(output: Path, jobs: Iterable[Job]) -> pl.DataFrame:
     """Writes `stages.csv`, one row per stage, and `columns.json`; returns the stages."""
-    rows = [_row(name, folder) for name, folder in folders.items()]
-    table = pl.DataFrame(rows, schema=SCHEMA)
+    table = pl.DataFrame([_row(job) for job in jobs], schema=SCHEMA)
     columns = COLUMNS.model_dump_json(indent=2, exclude_defaults=True)
     for name, text in (("stages.csv", table.write_csv()), ("columns.json", columns)):
         path = output / name
@@ -82,9 +75,9 @@ def write_summary(output: Path, folders: Mapping[str, StageFolder]) -> pl.DataFr
     return table
 
 
-def _row(name: str, folder: StageFolder) -> dict[str, Any]:
-    made = json.loads(folder.manifest.read_text(encoding="utf-8"))
-    row = {"stage": name, "wall_s": made["wall_s"]}
+def _row(job: Job) -> dict[str, Any]:
+    made = json.loads(job.file(".json").read_text(encoding="utf-8"))
+    row = {"stage": job.name, "wall_s": made["wall_s"]}
     if "supervised" in made:
         before, after = made["before"], made["after"]
         return row | {
@@ -102,3 +95,48 @@ def _row(name: str, folder: StageFolder) -> dict[str, Any]:
         "return": last.get("return_mean"),
         "crashed": last.get("crashed_share"),
     }
+
+
+def write_curves(output: Path, suite: TrainingSuite, jobs: Mapping[str, Job]) -> None:
+    """Writes `curves.csv`, one row per stage and point, and `curves.png` into the run folder.
+
+    The figure has a panel for the returns of stages among installed agents, one for the returns of
+    stages among other stages' networks, and one for the losses of learning from human driving.
+    """
+    tables = {
+        name: pl.read_csv(jobs[name].file(".csv"), infer_schema_length=None)
+        for name in suite.needs
+        if name in jobs
+    }
+    long = pl.concat(
+        [table.select(pl.lit(name).alias("stage"), pl.all()) for name, table in tables.items()],
+        how="diagonal_relaxed",
+    )
+    csv, png = output / "curves.csv", output / "curves.png"
+    text = long.write_csv()
+    if png.exists() and csv.exists() and csv.read_text(encoding="utf-8") == text:
+        return
+    write_bytes(csv, text.encode())
+    titled: dict[str, dict[str, pl.DataFrame]] = {}
+    for name, table in tables.items():
+        titled.setdefault(_title(name, suite), {})[name] = table
+    save(_figure({title: titled[title] for title in sorted(titled)}), png)
+
+
+def _title(name: str, suite: TrainingSuite) -> str:
+    if name in suite.human_stages:
+        return "(c) learning from human driving"
+    return "(b) among other stages' networks" if suite.needs[name] else "(a) among agents"
+
+
+def _figure(titled: Mapping[str, Mapping[str, pl.DataFrame]]) -> Figure:
+    figure, every = panels(len(titled), 5.6, 4.0)
+    for axes, (title, tables) in zip(every, titled.items(), strict=True):
+        x, y = ("epoch", "loss") if title.startswith("(c)") else ("steps", "return_mean")
+        for name, table in tables.items():
+            points = table.drop_nulls(y)
+            axes.plot(points[x], points[y], label=name.replace("_", " "), linewidth=1.2)
+        axes.set(title=title, xlabel=x, ylabel=y.removesuffix("_mean"))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

@@ -3,13 +3,9 @@
 Fine-tuning starts from a trained network. Imitation starts from an untrained one, with no pull.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,74 +14,11 @@ from torch import Tensor
 from torch.nn import Sequential
 from torch.nn.functional import log_softmax
 
-from charms_agents.human.samples import Samples, SampleStore
+from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
-from charms_agents.training.job import Arrays, Job
-from charms_agents.training.network import (
-    OBSERVED,
-    load_module,
-    load_optimizer,
-    module_arrays,
-    optimizer_arrays,
-    read_network,
-    untrained,
-)
-from charms_agents.training.settings import Supervised, TrainingSuite
+from charms_agents.training.network import OBSERVED, Arrays, load_state, state_arrays
+from charms_agents.training.settings import Supervised
 from charms_bench.world.actions import ACTIONS
-
-
-def human_job(name: str, suite: TrainingSuite, samples: SampleStore, start: Path | None) -> Job:
-    """The job of a stage that learns from human driving.
-
-    Args:
-        name: The stage.
-        suite: The suite of the stage.
-        samples: The samples to learn from.
-        start: The network that is fine-tuned; None for imitation.
-    """
-    assert suite.human is not None
-    stage = suite.human.stages[name]
-    settings, layers = suite.human.settings_of(stage), suite.hyperparameters.hidden_layers
-    starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
-    style = "human"
-    if stage.fine_tunes is not None and start is not None:
-        sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
-        starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
-        tuned = suite.stages[stage.fine_tunes]
-        style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
-    inputs = {
-        "stage": name,
-        "starts_from": starts_from,
-        "style": style,
-        "seed": suite.seed,
-        "supervised": settings.inputs,
-        "samples": {
-            "fingerprint": samples.fingerprint,
-            "settings": samples.settings.model_dump(mode="json"),
-        },
-        "charms_bench": version("charms-bench"),
-    }
-
-    return Job(
-        name,
-        style=style,
-        total=settings.epochs,
-        decision_hz=samples.settings.decision_hz,
-        checkpoint_s=suite.checkpoint_s,
-        inputs=inputs,
-        make_learner=partial(_fit, start, layers, samples, settings, suite.seed),
-    )
-
-
-def _fit(
-    start: Path | None,
-    layers: Sequence[int],
-    samples: SampleStore,
-    settings: Supervised,
-    seed: int,
-) -> "Fit":
-    network = read_network(start) if start else untrained(layers, seed)
-    return Fit(network, samples.load(), settings, seed)
 
 
 class Fit:
@@ -156,16 +89,11 @@ class Fit:
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
         curve = np.array(json.dumps([asdict(point) for point in self.curve]))
-        return {
-            **module_arrays("network", self.network),
-            **optimizer_arrays(self._optimizer),
-            "curve": curve,
-        }
+        return {**state_arrays({"network": self.network}, self._optimizer), "curve": curve}
 
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same job."""
-        load_module("network", self.network, arrays)
-        load_optimizer(self._optimizer, arrays)
+        load_state({"network": self.network}, self._optimizer, arrays)
         self.curve = [Epoch(**point) for point in json.loads(str(arrays["curve"]))]
 
     def results(self, wall_s: float) -> dict[str, Any]:
