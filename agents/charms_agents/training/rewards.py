@@ -101,11 +101,8 @@ class StyleReward:
         scene = simulation.scene
         rows, ego = simulation.ego_vehicles
         followers = scene.followers[rows, ego]
-        expected = np.zeros(followers.shape)
-        if self._others:
-            _expect(scene, followers, expected)
-        egos = simulation.ego_vehicles
-        consistent = simulation.has_action[egos] & (simulation.action[egos] == actions)
+        expected = _expected(scene, followers) if self._others else np.zeros(followers.shape)
+        consistent = simulation.has_action[rows, ego] & (simulation.action[rows, ego] == actions)
         lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
         return Prepared(consistent, lane, target_lane, followers, expected)
 
@@ -126,6 +123,7 @@ class StyleReward:
         return np.where(simulation.failed, FAILURE, rewards)
 
 
+@compiled
 def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
     """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `horizon_s` away.
 
@@ -135,7 +133,15 @@ def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) 
     have, each share is multiplied by the distance as a share of `headway_m`, at most 1.
     """
     result = np.empty(scene.ego.size)
-    _safety(scene, horizon_s, headway_m, result)
+    for b in range(result.size):
+        ego = scene.ego[b]
+        lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
+        front = _safe(scene, b, ego, scene.leaders[b, ego, target], horizon_s, headway_m)
+        if lane == target:
+            result[b] = front
+        else:
+            rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
+            result[b] = 0.5 * front + 0.5 * rear
     return result
 
 
@@ -147,6 +153,7 @@ def efficiency(scene: Scene) -> Floats:
     return share.clip(0.0, 1.0)
 
 
+@compiled
 def others(scene: Scene, prepared: Prepared) -> Floats:
     """r_o (B,), eq. 7: gain in acceleration of the followers in both lanes, from -6 to 6 m/s2.
 
@@ -157,7 +164,11 @@ def others(scene: Scene, prepared: Prepared) -> Floats:
     when it is decided.
     """
     result = np.empty(scene.ego.size)
-    _others(scene, prepared.lane, prepared.followers, prepared.expected, result)
+    for b in range(result.size):
+        lane, target = prepared.lane[b], scene.target_lane[b, scene.ego[b]]
+        result[b] = _increase(scene, b, lane, prepared)
+        if target != lane:
+            result[b] += _increase(scene, b, target, prepared)
     return result
 
 
@@ -188,19 +199,6 @@ def _safe(
 
 
 @compiled
-def _safety(scene: Scene, horizon_s: float, headway_m: float, result: Floats) -> None:
-    for b in range(result.size):
-        ego = scene.ego[b]
-        lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = _safe(scene, b, ego, scene.leaders[b, ego, target], horizon_s, headway_m)
-        if lane == target:
-            result[b] = front
-        else:
-            rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
-            result[b] = 0.5 * front + 0.5 * rear
-
-
-@compiled
 def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     """IDM acceleration of vehicle i on a lane, with the ego in its target lane, m/s2."""
     ego = scene.ego[b]
@@ -224,28 +222,20 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
 
 
 @compiled
-def _expect(scene: Scene, followers: Ints, expected: Floats) -> None:
-    """Fills `expected` (B, L), the expected accelerations of the followers on each lane."""
+def _expected(scene: Scene, followers: Ints) -> Floats:
+    """The expected accelerations (B, L) of the followers on each lane."""
+    expected = np.zeros(followers.shape)
     for b in range(followers.shape[0]):
         for lane in range(followers.shape[1]):
             if followers[b, lane] >= 0:
                 expected[b, lane] = expected_acceleration(scene, b, followers[b, lane], lane)
+    return expected
 
 
 @compiled
-def _increase(scene: Scene, b: int, lane: int, followers: Ints, expected: Floats) -> float:
-    if followers[b, lane] < 0:
+def _increase(scene: Scene, b: int, lane: int, prepared: Prepared) -> float:
+    follower = prepared.followers[b, lane]
+    if follower < 0:
         return 0.0
-    gain = expected_acceleration(scene, b, followers[b, lane], lane) - expected[b, lane]
+    gain = expected_acceleration(scene, b, follower, lane) - prepared.expected[b, lane]
     return float(min(max(gain, -INCREASE_LIMIT_MPS2), INCREASE_LIMIT_MPS2))
-
-
-@compiled
-def _others(
-    scene: Scene, lane_before: Ints, followers: Ints, expected: Floats, result: Floats
-) -> None:
-    for b in range(result.size):
-        lane, target = lane_before[b], scene.target_lane[b, scene.ego[b]]
-        result[b] = _increase(scene, b, lane, followers, expected)
-        if target != lane:
-            result[b] += _increase(scene, b, target, followers, expected)

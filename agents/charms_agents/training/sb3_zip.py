@@ -5,12 +5,13 @@ the JSON of `data`. The pickles in `data` could run any code and are never loade
 """
 
 import json
+import math
 import pickletools
 import re
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zipfile import ZipFile, ZipInfo, is_zipfile
 
 import numpy as np
@@ -39,7 +40,9 @@ CHECKED_SEEDS = range(4)
 _Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
 _POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
 _LOGITS = re.compile(r"action_net\.(weight|bias)")
-_VALUES = re.compile(r"(mlp_extractor\.value_net\.\d{1,3}|value_net)\.(weight|bias)")
+_OF_POLICY = re.compile(
+    r"(mlp_extractor\.(policy|value)_net\.\d{1,3}|action_net|value_net)\.(weight|bias)"
+)
 _OF_TENSORS = re.compile(
     r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage"
 )
@@ -51,18 +54,13 @@ KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
 
+Tensors = dict[str, torch.Tensor]
+Numbered = dict[int, Tensors]
+"""The weight and the bias of each layer, by its position in the network."""
+
+
 class _Refusal(Exception):
     """Why a checkpoint is refused; `export_zip` adds the file's name."""
-
-
-class Checkpoint(NamedTuple):
-    """The parts of a zip that are read."""
-
-    sha256: str
-    weights: bytes
-    """`policy.pth`."""
-    data: bytes
-    """`data`; empty if the zip has none."""
 
 
 def export_zip(
@@ -95,28 +93,23 @@ def export_zip(
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
     try:
-        read = _read(checkpoint)
-        numbered, usual = _deciding(_tensors(read.weights))
-        said = _activation(read.data, usual)
+        content_sha256, weights, data = _read(checkpoint)
+        numbered, usual = _deciding(_tensors(weights))
+        said = _activation(data, usual)
         network = network_of(_layers(numbered, observation), KINDS[said or usual])
     except _Refusal as error:
         raise ModelError(f"{checkpoint}: {error}") from error
-    rows, columns = observation.shape
-    sizes = [rows * columns, *(bias.size for _, bias in layers_of(network))]
     name = checkpoint.name.encode(errors="replace").decode()
+    activation = said or f"{usual} (assumed)"
     provenance = {
         "source": f"{name}, a Stable-Baselines3 checkpoint",
-        "source_sha256": read.sha256,
-        "activation": said or f"{usual} (assumed)",
+        "source_sha256": content_sha256,
+        "activation": activation,
     }
     scenes = np.concatenate([_seen(observation, seed) for seed in CHECKED_SEEDS])
     checked = export(network, output, {**provenance, **facts}, scenes, observation)
-    return {
-        "sizes": sizes,
-        "activation": provenance["activation"],
-        "sha256": read.sha256,
-        **checked,
-    }
+    sizes = [math.prod(observation.shape), *(bias.size for _, bias in layers_of(network))]
+    return {"sizes": sizes, "activation": activation, "sha256": content_sha256, **checked}
 
 
 def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
@@ -125,12 +118,8 @@ def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
     return observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
 
 
-def _read(path: Path) -> Checkpoint:
-    """Reads a checkpoint.
-
-    Raises:
-        _Refusal: The file cannot be read, or is not a zip with weights of a plausible size.
-    """
+def _read(path: Path) -> tuple[str, bytes, bytes]:
+    """The SHA-256 of a checkpoint, its `policy.pth`, and its `data`, empty if it has none."""
     try:
         content = read_limited(path, FILE_LIMIT_BYTES)
     except OSError as error:
@@ -150,7 +139,7 @@ def _read(path: Path) -> Checkpoint:
             raise _Refusal(f"has no {WEIGHTS}; it holds: {found}")
         with ZipFile(BytesIO(content)) as archive:
             data = archive.read(DATA) if DATA in names else b""
-            return Checkpoint(sha256(content).hexdigest(), archive.read(WEIGHTS), data)
+            return sha256(content).hexdigest(), archive.read(WEIGHTS), data
     except _Refusal:
         raise
     except Exception as error:  # zipfile and its decompressors raise many kinds
@@ -166,11 +155,7 @@ def _members(content: bytes, place: str = "") -> list[ZipInfo]:
 
 
 def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
-    """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much.
-
-    Raises:
-        _Refusal: The unpacked size or the compression is above its limit.
-    """
+    """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much."""
     unpacked = sum(info.file_size for info in members)
     if unpacked > limit:
         raise _Refusal(f"{name} unpacks to {unpacked:,} bytes; expected {limit:,} at most")
@@ -184,15 +169,7 @@ def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
 
 
 def _activation(data: bytes, usual: str) -> str | None:
-    """The torch name of the activation between layers; None if `data` cannot be read.
-
-    Args:
-        data: The member `data`; only its text is used.
-        usual: The activation if `data` does not name one.
-
-    Raises:
-        _Refusal: The activation cannot be exported.
-    """
+    """The activation that the text of `data` names, or else `usual`; None if it cannot be read."""
     try:
         said = json.loads(data)["policy_kwargs"].get("activation_fn")
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
@@ -205,9 +182,7 @@ def _activation(data: bytes, usual: str) -> str | None:
     return match[1]
 
 
-def _deciding(
-    tensors: dict[str, torch.Tensor],
-) -> tuple[dict[int, dict[str, torch.Tensor]], str]:
+def _deciding(tensors: Tensors) -> tuple[Numbered, str]:
     """The layers of the deciding network by position, and its default activation."""
     if any("features_extractor." in name for name in tensors):
         raise _Refusal("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
@@ -215,8 +190,7 @@ def _deciding(
         return q_network, "ReLU"
     logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
     policy = _matching(_POLICY_LAYER, tensors)
-    patterns = (_POLICY_LAYER, _LOGITS, _VALUES)
-    other = [name for name in tensors if not any(each.fullmatch(name) for each in patterns)]
+    other = [name for name in tensors if not _OF_POLICY.fullmatch(name)]
     if not logits or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
         raise _Refusal(
@@ -227,21 +201,15 @@ def _deciding(
     return policy, "Tanh"
 
 
-def _matching(
-    pattern: re.Pattern[str], tensors: dict[str, torch.Tensor]
-) -> dict[int, dict[str, torch.Tensor]]:
-    """Weight and bias of the layers whose names match, by position."""
-    found: dict[int, dict[str, torch.Tensor]] = {}
+def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
+    found: Numbered = {}
     for name, tensor in tensors.items():
         if match := pattern.fullmatch(name):
             found.setdefault(int(match[1]), {})[match[2]] = tensor
     return found
 
 
-def _layers(
-    network: dict[int, dict[str, torch.Tensor]],
-    observation: Neighbours | Kinematics,
-) -> Layers:
+def _layers(network: Numbered, observation: Neighbours | Kinematics) -> Layers:
     """The layers as arrays; refuses layers that do not fit together."""
     # Linear layers are at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
@@ -260,7 +228,19 @@ def _layers(
     )
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]
-        _check_layer(index, weight, bias, width, source)
+        for tensor in (weight, bias):
+            plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
+            if not plain or tensor.dtype != torch.float32:
+                raise _Refusal(f"layer {index} is {tensor.dtype}; expected torch.float32")
+        if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.numel():
+            shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
+            raise _Refusal(f"layer {index} is not linear: {shapes}")
+        taken = weight.shape[1]
+        if taken != width:
+            raise _Refusal(f"layer {index} takes {taken} numbers; expected {width}, {source}")
+        # A view can repeat a few stored numbers any number of times.
+        if weight.numel() * weight.element_size() > weight.untyped_storage().nbytes():
+            raise _Refusal(f"layer {index} repeats stored numbers")
         source = "the outputs of the layer before"
         layers.append((weight.detach().resolve_neg().numpy(), bias.detach().resolve_neg().numpy()))
         width = weight.shape[0]
@@ -271,24 +251,7 @@ def _layers(
     return layers
 
 
-def _check_layer(
-    index: int, weight: torch.Tensor, bias: torch.Tensor, width: int, source: str
-) -> None:
-    for tensor in (weight, bias):
-        plain = tensor.layout == torch.strided and tensor.device.type == "cpu"
-        if not plain or tensor.dtype != torch.float32:
-            raise _Refusal(f"layer {index} is {tensor.dtype}; expected torch.float32")
-    if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.numel():
-        shapes = f"weight {tuple(weight.shape)}, bias {tuple(bias.shape)}"
-        raise _Refusal(f"layer {index} is not linear: {shapes}")
-    if weight.shape[1] != width:
-        raise _Refusal(f"layer {index} takes {weight.shape[1]} numbers; expected {width}, {source}")
-    # A view can repeat a few stored numbers any number of times.
-    if weight.numel() * weight.element_size() > weight.untyped_storage().nbytes():
-        raise _Refusal(f"layer {index} repeats stored numbers")
-
-
-def _tensors(weights: bytes) -> dict[str, torch.Tensor]:
+def _tensors(weights: bytes) -> Tensors:
     """The tensors of a `policy.pth`; no other objects are ever made."""
     if not is_zipfile(BytesIO(weights)):
         raise _Refusal(f"{WEIGHTS} is not in the format of torch 1.6 and later")
@@ -320,10 +283,6 @@ def _check_pickle(info: ZipInfo, archive: ZipFile) -> None:
     """Refuses a pickle that refers to anything but tensors.
 
     torch would not make other objects either, but it would make a bytearray of any size.
-
-    Raises:
-        _Refusal: The pickle refers to something else, or is too large.
-        ValueError: The member is not a pickle.
     """
     if info.file_size > PICKLE_LIMIT_BYTES:
         what = f"{WEIGHTS}: {info.filename[:40]}"

@@ -55,20 +55,14 @@ class EpisodesVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        raise NotImplementedError("episodes share attributes; set them in the constructor")
-
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
-        raise NotImplementedError("episodes have no methods of their own")
-
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         return [False for _ in self._get_indices(indices)]
+
+    def set_attr(self, *_: Any, **__: Any) -> None:
+        raise NotImplementedError("episodes share attributes; set them in the constructor")
+
+    def env_method(self, *_: Any, **__: Any) -> list[Any]:
+        raise NotImplementedError("episodes have no methods of their own")
 
     def get_images(self) -> Sequence[NDArray[Any] | None]:
         raise NotImplementedError("episodes are not drawn")
