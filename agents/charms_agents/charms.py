@@ -1,6 +1,5 @@
 """The paper's agents that are networks; the network files are in this package."""
 
-from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
 
@@ -35,16 +34,14 @@ def packaged(network: str) -> OnnxPolicy:
     return OnnxPolicy(str(file))
 
 
-Factory = Callable[[], OnnxPolicy]
-
-efficient_competitive: Factory = partial(packaged, "charms_efficient_competitive")
-efficient_egoistic: Factory = partial(packaged, "charms_efficient_egoistic")
-efficient_prosocial: Factory = partial(packaged, "charms_efficient_prosocial")
-efficient_altruistic: Factory = partial(packaged, "charms_efficient_altruistic")
-safe_competitive: Factory = partial(packaged, "charms_safe_competitive")
-safe_egoistic: Factory = partial(packaged, "charms_safe_egoistic")
-safe_prosocial: Factory = partial(packaged, "charms_safe_prosocial")
-safe_altruistic: Factory = partial(packaged, "charms_safe_altruistic")
-imitation: Factory = partial(packaged, "imitation")
-prior_level_k: Factory = partial(packaged, "prior_level_k")
-prior_level_k_safe: Factory = partial(packaged, "prior_level_k_safe")
+efficient_competitive = partial(packaged, "charms_efficient_competitive")
+efficient_egoistic = partial(packaged, "charms_efficient_egoistic")
+efficient_prosocial = partial(packaged, "charms_efficient_prosocial")
+efficient_altruistic = partial(packaged, "charms_efficient_altruistic")
+safe_competitive = partial(packaged, "charms_safe_competitive")
+safe_egoistic = partial(packaged, "charms_safe_egoistic")
+safe_prosocial = partial(packaged, "charms_safe_prosocial")
+safe_altruistic = partial(packaged, "charms_safe_altruistic")
+imitation = partial(packaged, "imitation")
+prior_level_k = partial(packaged, "prior_level_k")
+prior_level_k_safe = partial(packaged, "prior_level_k_safe")

@@ -75,7 +75,7 @@ def test_each_learnt_among_the_packaged_ones_it_was_trained_against(name: str) -
 @pytest.mark.parametrize("name", HUMAN_STAGES)
 def test_each_learnt_from_people_as_the_suite_says(name: str) -> None:
     stage, made = human().stages[name], manifest(name)
-    assert made["supervised"] == human().settings_of(stage).inputs
+    assert made["supervised"] == human().settings_of(stage).model_dump(mode="json")
     assert made["samples"]["settings"] == human().samples.model_dump(mode="json")
     if stage.fine_tunes is not None:
         start = {"stage": stage.fine_tunes, "weights_sha256": sha256(stage.fine_tunes)}

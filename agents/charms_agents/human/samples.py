@@ -156,7 +156,7 @@ def collect(folder: Path, settings: SampleSettings | None = None) -> Samples:
     sampler = CharmsSampler(settings)
     for recording in read_folder(folder):
         sampler.add(recording, *situations(recording, sampler.settings.decision_hz))
-    return sampler.samples()
+    return sampler.samples(sampler.decisions())
 
 
 class CharmsSampler:
@@ -206,28 +206,20 @@ class CharmsSampler:
         accepted = decisions["rejected"].is_null()
         rows = decisions.filter(accepted)
         labels = np.zeros((decisions.height, 5), dtype=np.float32)
-        labels[accepted.to_numpy()] = soft_labels(
-            rows["longitudinal"].to_numpy(),
-            rows["lateral"].to_numpy(),
-            rows["acceleration"].to_numpy(),
-            rows["lateral_speed"].to_numpy(),
-        )
+        measured = rows["longitudinal", "lateral", "acceleration", "lateral_speed"]
+        labels[accepted.to_numpy()] = soft_labels(*(column.to_numpy() for column in measured))
         label = pl.Series(labels, dtype=_SAMPLES["label"])
         return decisions.with_columns(label=pl.when(accepted).then(label))
 
-    def samples(self, decisions: pl.DataFrame | None = None) -> Samples:
-        """The samples of the recordings that were added.
-
-        Args:
-            decisions: What `decisions` returned, if it was called before.
+    def samples(self, decisions: pl.DataFrame) -> Samples:
+        """The samples among the decisions that `decisions` returned.
 
         Raises:
             DataError: Every decision is rejected.
         """
-        table = self.decisions() if decisions is None else decisions
-        chosen = table.filter("sampled")
+        chosen = decisions.filter("sampled")
         if chosen.is_empty():
-            counts = table["rejected"].drop_nulls().value_counts(sort=True).rows()
+            counts = decisions["rejected"].drop_nulls().value_counts(sort=True).rows()
             found = ", ".join(f"{reason} {count:,}" for reason, count in counts) or "none"
             folder = self._trios[0].tracks.parent
             raise DataError(f"{folder}: no row to learn from; rejected: {found}")
@@ -249,15 +241,13 @@ class CharmsSampler:
         accepted = decisions.filter(pl.col("rejected").is_null())
         reasons = decisions["rejected"].cast(pl.String)
         two_intents = (accepted["longitudinal"] != 0) & (accepted["lateral"] != 0)
+        labelled = {"accepted": accepted["label"].to_numpy(), "sampled": samples.labels}
         held_out = int(samples.held_out.sum())
         return Learnable(
             accepted=accepted.height,
             rejected={reason: int((reasons == reason).sum()) for reason in REASONS},
             two_actions=float(two_intents.to_numpy().mean()),
-            label_shares={
-                "accepted": _shares(accepted["label"].to_numpy()),
-                "sampled": _shares(samples.labels),
-            },
+            label_shares={name: _shares(labels) for name, labels in labelled.items()},
             training=len(samples.labels) - held_out,
             held_out=held_out,
             fingerprint=fingerprint(self._trios, self.settings),

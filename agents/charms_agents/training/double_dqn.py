@@ -1,7 +1,7 @@
 """Double DQN (van Hasselt et al. 2016) on Stable-Baselines3's DQN."""
 
 import json
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,19 +15,9 @@ from torch.nn.functional import mse_loss
 from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise
 
+Returns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
-
-
-class Returns(NamedTuple):
-    """The parts of y_t, eq. 3 of the paper, over one or more steps."""
-
-    rewards: NDArray[np.float32]
-    """Sum of the discounted rewards of the steps."""
-    discounts: NDArray[np.float32]
-    """Discount of the value after the last step; 0 after a failure."""
-    last: NDArray[Any]
-    """Row of the last step in the replay buffer."""
 
 
 class DoubleDQN(DQN):
@@ -67,12 +57,11 @@ class DoubleDQN(DQN):
         buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
         rows = self.rng.integers(buffer.size(), size=shape)
         envs = self.rng.integers(buffer.n_envs, size=shape)
-        returns = self.returns(rows, envs)
+        returns, discounts, last = self.returns(rows, envs)
         observations = self._seen(buffer.observations[rows, envs])
-        next_observations = self._seen(buffer.next_observations[returns.last, envs])
+        next_observations = self._seen(buffer.next_observations[last, envs])
         actions = torch.from_numpy(buffer.actions[rows, envs])
-        rewards = torch.from_numpy(returns.rewards)
-        discounts = torch.from_numpy(returns.discounts)
+        rewards, factors = torch.from_numpy(returns), torch.from_numpy(discounts)
         # The inner networks: the outer ones only flatten observations first.
         online, target = self.q_net.q_net, self.q_net_target.q_net
         optimizer, parameters = self.policy.optimizer, list(online.parameters())
@@ -85,7 +74,7 @@ class DoubleDQN(DQN):
             with torch.no_grad():
                 best = online(next_observations[k]).argmax(dim=1, keepdim=True)
                 following = next_values[k].gather(1, best)[:, 0]
-                wanted = rewards[k] + discounts[k] * following
+                wanted = rewards[k] + factors[k] * following
             values = online(observations[k]).gather(1, actions[k])[:, 0]
             loss = mse_loss(values, wanted)
             optimizer.zero_grad()
@@ -96,11 +85,15 @@ class DoubleDQN(DQN):
         self._n_updates += gradient_steps
         self.loss = float(losses.mean())
 
-    def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> "Returns":
-        """The returns from steps in the replay buffer, in arrays of any one shape.
+    def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
+        """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
 
         A return adds up the rewards of `return_steps` steps, or of fewer if the episode or the
         buffer ends before.
+
+        Returns:
+            The sums of discounted rewards; the discounts of the values after the last steps, 0
+            after a failure; and the rows of the last steps in the buffer.
         """
         buffer = self.replay_buffer
         newest = (buffer.pos - 1) % buffer.buffer_size
@@ -113,7 +106,7 @@ class DoubleDQN(DQN):
             discounts *= np.where(goes_on, np.float32(self.gamma), 1)
         # An episode that ended by time could have continued, so its last observation has a value.
         discounts *= 1 - buffer.dones[last, envs] * (1 - buffer.timeouts[last, envs])
-        return Returns(rewards, discounts, last)
+        return rewards, discounts, last
 
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """The online network's values (M, 5) of observations (M, 7, 5)."""
@@ -131,12 +124,6 @@ class DoubleDQN(DQN):
         """Observations (..., 7, 5) in the form that the networks take, (..., 35)."""
         flat = torch.from_numpy(observations).flatten(-2)
         return standardise(flat) if self.standardised else flat
-
-    def recorded_observations(self) -> NDArray[np.float32]:
-        """All observations in the replay buffer, (M, 7, 5)."""
-        buffer = self.replay_buffer
-        observations: NDArray[np.float32] = buffer.observations[: buffer.size()]
-        return observations.reshape(-1, 7, 5)
 
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1

@@ -136,8 +136,7 @@ def human_job(
     """
     assert suite.human is not None
     stage = suite.human.stages[name]
-    default = suite.human.fine_tuning if stage.fine_tunes else suite.human.imitation
-    settings, layers = stage.settings or default, suite.hyperparameters.hidden_layers
+    settings, layers = suite.human.settings_of(stage), suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
     style = "human"
     if stage.fine_tunes is not None and start is not None:

@@ -4,15 +4,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich import progress as rich
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 Tell = Callable[[str, int, int, str], None]
 """Takes a stage's name, the steps done, the steps in total, and the last results in words."""
@@ -25,14 +18,14 @@ def progress(console: Console) -> Iterator[Tell]:
         yield _lines()
         return
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[words]}"),
+        rich.TextColumn("{task.description}"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TimeRemainingColumn(),
+        rich.TextColumn("{task.fields[words]}"),
     )
-    with Progress(*columns, console=console) as bars:
-        tasks: dict[str, TaskID] = {}
+    with rich.Progress(*columns, console=console) as bars:
+        tasks: dict[str, rich.TaskID] = {}
 
         def move(stage: str, done: int, total: int, words: str) -> None:
             if stage not in tasks:

@@ -97,7 +97,9 @@ class Reinforcement(BaseCallback):
     @property
     def observations(self) -> Observations:
         """The observations in the replay buffer."""
-        return self._agent.recorded_observations()
+        buffer = self._agent.replay_buffer
+        observations: Observations = buffer.observations[: buffer.size()]
+        return observations.reshape(-1, 7, 5)
 
     def learn(self, pause: Callable[[], None]) -> None:
         """Learns until the stage's last step; calls `pause` before each rollout."""

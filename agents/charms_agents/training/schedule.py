@@ -17,9 +17,6 @@ from charms_bench.runs.workers import start_worker, starting
 
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""
-MakeJob = Callable[[str, Mapping[str, Job]], Job]
-"""Makes the job of a stage, from the jobs of the stages that are finished."""
-
 POLL_S = 0.2
 _told: Any = None
 _stopping: Any = None
@@ -27,7 +24,7 @@ _stopping: Any = None
 
 def run_stages(
     needs: Needs,
-    make_job: MakeJob,
+    make_job: Callable[[str, Mapping[str, Job]], Job],
     suite_sha256: str,
     workers: int,
     tell: Tell,
@@ -41,7 +38,7 @@ def run_stages(
 
     Args:
         needs: All stages, and the stages that each of them needs.
-        make_job: Called for a stage when the stages that it needs are finished.
+        make_job: Makes the job of a stage, from the jobs of all stages that are finished.
         suite_sha256: For the manifests.
         workers: Most stages to train at a time.
         tell: Told of the progress of each stage.

@@ -83,15 +83,12 @@ class Hyperparameters(FrozenModel):
     @property
     def inputs(self) -> dict[str, Any]:
         """The hyperparameters, ready for JSON; unused options that the paper lacks are left out."""
-        unused = {name for name in OPTIONS if getattr(self, name) == OPTIONS[name]}
-        return self.model_dump(mode="json", exclude=unused)
+        used = self.model_dump(include=OPTIONS, exclude_defaults=True)
+        return self.model_dump(mode="json", exclude=OPTIONS - used.keys())
 
 
-OPTIONS = {
-    name: Hyperparameters.model_fields[name].default
-    for name in ("return_steps", "target_update_rate", "learning_rate_decay", "standardised")
-}
-"""The options that the paper's Double DQN lacks, with the value that turns each off."""
+OPTIONS = {"return_steps", "target_update_rate", "learning_rate_decay", "standardised"}
+"""The options that the paper's Double DQN lacks; the default of each turns it off."""
 
 
 class Supervised(FrozenModel):
@@ -152,6 +149,10 @@ class Human(FrozenModel):
     imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
     stages: Annotated[dict[Name, HumanStage], Field(min_length=1, max_length=100)]
 
+    def settings_of(self, stage: HumanStage) -> Supervised:
+        """The settings of a stage."""
+        return stage.settings or (self.fine_tuning if stage.fine_tunes else self.imitation)
+
 
 class TrainingSuite(FrozenModel):
     """A training: its stages, each named like the network that it makes."""
@@ -208,11 +209,11 @@ class TrainingSuite(FrozenModel):
 
     def needed_for(self, name: str) -> tuple[str, ...]:
         """The names of a stage and of all stages that it needs, in order."""
-        order, needs, needed = self.order, self.needs, {name}
-        for later in reversed(order):
+        needs, needed = self.needs, {name}
+        for later in reversed(self.order):
             if later in needed:
                 needed.update(needs[later])
-        return tuple(each for each in order if each in needed)
+        return tuple(each for each in self.order if each in needed)
 
 
 def load_training(path: Path) -> TrainingSuite:

@@ -115,12 +115,8 @@ def divergence(logits: Tensor, labels: Tensor, floor: float) -> Tensor:
 
 def squared_distance(parameters: Sequence[Tensor], pretrained: Sequence[Tensor]) -> Tensor:
     """||theta - theta_pre||_2^2, the second term of eq. 11 without its weight."""
-    return torch.stack(
-        [
-            (parameter - before).square().sum()
-            for parameter, before in zip(parameters, pretrained, strict=True)
-        ]
-    ).sum()
+    pairs = zip(parameters, pretrained, strict=True)
+    return torch.stack([(parameter - before).square().sum() for parameter, before in pairs]).sum()
 
 
 def log_likelihood(logits: Tensor, labels: Tensor) -> float:
