@@ -7,7 +7,7 @@
 The command line is a thin layer over these functions.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -45,11 +45,10 @@ from charms_bench.runs.suite import Suite, suite_of
 PathLike = str | Path
 
 
-def _together(rows: Iterable[tuple[CellRows, pl.DataFrame]]) -> pl.DataFrame:
-    """The rows of several cells, each with the labels of its cell."""
-    return pl.concat(
-        frame.select(pl.lit(cell.agent).alias("agent"), pl.lit(cell.traffic).alias("traffic"), "*")
-        for cell, frame in rows
+def _labelled(cell: CellRows, rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows after the labels of their cell."""
+    return rows.select(
+        pl.lit(cell.agent).alias("agent"), pl.lit(cell.traffic).alias("traffic"), "*"
     )
 
 
@@ -83,12 +82,12 @@ class Run:
     @property
     def episodes(self) -> pl.DataFrame:
         """The episode rows of all cells, with columns `agent` and `traffic`."""
-        return _together((cell, cell.episodes) for cell in self.cells)
+        return pl.concat(_labelled(cell, cell.episodes) for cell in self.cells)
 
     @property
     def steps(self) -> pl.DataFrame:
         """The step rows of all cells, one per decision, with columns `agent` and `traffic`."""
-        return _together((cell, cell.steps) for cell in self.cells)
+        return pl.concat(_labelled(cell, cell.steps) for cell in self.cells)
 
     @property
     def tables(self) -> Mapping[str, Table]:

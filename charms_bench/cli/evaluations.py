@@ -147,18 +147,13 @@ def show(
     if metrics:
         table, others = table.select(*metrics), []
     if as_json:
-        found = {
-            "suite": suite.suite,
-            "title": suite.title,
-            "episodes": suite.episodes,
-            "seed": suite.seed,
-            "tables": {each.name: each.frame().to_dicts() for each in (table, *others)},
-        }
-        print_json(found)
+        facts = {name: getattr(suite, name) for name in ("suite", "title", "episodes", "seed")}
+        tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
+        print_json({**facts, "tables": tables})
         return
-    cells = f"{len(suite.egos)} × {len(suite.traffics)} cells"
-    facts = f"{cells} of {suite.episodes:,} episodes, seeds from {suite.seed:,}"
-    say(f"{suite.title or suite.suite}\n{facts}, engine {folder.manifest().get('engine')}")
+    cells = f"{len(suite.egos)} × {len(suite.traffics)} cells of {suite.episodes:,} episodes"
+    engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
+    say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out.print(drawn(each, out.width))
 

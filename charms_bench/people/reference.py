@@ -107,7 +107,7 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
     return [
         from_recordings(folder / spec.recordings, name=spec.title)
         if spec.recordings is not None
-        else _shipped(spec.title)
+        else Reference.model_validate_json((REFERENCES / f"{spec.title}.json").read_bytes())
         for spec in specs
     ]
 
@@ -129,16 +129,11 @@ def from_recordings(folder: Path, **fields: str) -> Reference:
         "terms": "the terms of the recordings",
         "speed_is": SPEED,
         "dhw_is": f"{DHW}; {START}",
-    }
+    } | fields
     return Reference(
-        **{**described, **fields},
+        **described,
         vehicles=found.vehicles,
         lane_changes=found.lane_changes,
         speed=histogram(found.speed),
         dhw=histogram(found.dhw),
     )
-
-
-def _shipped(name: str) -> Reference:
-    text = (REFERENCES / f"{name}.json").read_text(encoding="utf-8")
-    return Reference.model_validate_json(text)

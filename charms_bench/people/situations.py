@@ -60,13 +60,11 @@ def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Ob
             observations = np.zeros((part.height, 7, 5), dtype=np.float32)
             distance, cut = np.full(part.height, np.nan), np.zeros(part.height, dtype=np.bool_)
         observed.append(observations)
-        tables.append(
-            part.with_columns(
-                pl.lit(lanes).alias("lanes"),
-                pl.Series("view_cut", cut),
-                pl.Series("leader_distance", distance, nan_to_null=True),
-            )
+        found = (
+            pl.Series("view_cut", cut),
+            pl.Series("leader_distance", distance, nan_to_null=True),
         )
+        tables.append(part.with_columns(pl.lit(lanes).alias("lanes"), *found))
     return pl.concat(tables), np.concatenate(observed)
 
 
