@@ -2,12 +2,9 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric
+from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDED_BADLY = pl.first("ending").is_in(["rear_end", "side", "off_road"])
-EPISODES = pl.lit(1)
-MEGAMETRES = pl.first("distance_m") / 1e6
-TRAFFIC_MEGAMETRES = pl.first("traffic_distance_m") / 1e6
 
 COLLISION_RATE = Metric(
     name="collision_rate",
@@ -17,20 +14,20 @@ COLLISION_RATE = Metric(
     sums=(pl.first("steps"), pl.first("steps"), ENDED_BADLY),
     interval="garwood",
 )
-CRASHED_EPISODES = Metric(
-    name="crashed_episodes",
-    unit="",
-    description="share of episodes in which the ego collides or leaves the road",
-    rests_on="episodes",
-    sums=(EPISODES, ENDED_BADLY),
+CRASHED_EPISODES = per_episode(
+    "crashed_episodes",
+    "",
+    ENDED_BADLY,
+    "share of episodes in which the ego collides or leaves the road",
     interval="wilson",
 )
-TRAFFIC_CRASHED = Metric(
-    name="traffic_crashed",
-    unit="",
-    description="share of the other vehicles that collide or leave the road within an episode",
+TRAFFIC_CRASHED = per_episode(
+    "traffic_crashed",
+    "",
+    pl.first("traffic_crashed"),
+    "share of the other vehicles that collide or leave the road within an episode",
     rests_on="vehicles",
-    sums=(pl.first("traffic_vehicles"), pl.first("traffic_crashed")),
+    counts=pl.first("traffic_vehicles"),
     interval="share",
 )
 TRAFFIC_CRASHES_PER_1000KM = Metric(
@@ -38,7 +35,7 @@ TRAFFIC_CRASHES_PER_1000KM = Metric(
     unit="1/1,000 km",
     description="other vehicles that collide or leave the road, per 1,000 km driven by them",
     rests_on="episodes",
-    sums=(EPISODES, TRAFFIC_MEGAMETRES, pl.first("traffic_crashed")),
+    sums=(EPISODES, pl.first("traffic_distance_m") / 1e6, pl.first("traffic_crashed")),
     interval="rate",
 )
 
@@ -49,7 +46,7 @@ def _per_1000km(name: str, what: str, happened: pl.Expr) -> Metric:
         unit="1/1,000 km",
         description=f"{what}, per 1,000 km driven by the ego",
         rests_on="episodes",
-        sums=(EPISODES, MEGAMETRES, happened),
+        sums=(EPISODES, pl.first("distance_m") / 1e6, happened),
         interval="garwood",
     )
 

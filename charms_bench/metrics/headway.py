@@ -7,7 +7,7 @@ drives freely (Vogel 2003, Accident Analysis and Prevention 35).
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name, moments, standard_deviation, total
+from charms_bench.metrics.metric import Metric, Sample, in_name
 from charms_bench.metrics.rows import DRIVING, LOGGED
 
 FREE_HEADWAY_S = 6.0
@@ -15,39 +15,19 @@ SHORT_HEADWAY_S = 1.0
 
 DISTANCE = pl.col("leader_distance")
 HEADWAY = pl.col("time_headway_s")
-FOLLOWING = HEADWAY <= FREE_HEADWAY_S
+FOLLOWING = Sample("following steps", HEADWAY <= FREE_HEADWAY_S)
 
-DHW_MEAN = Metric(
-    name="dhw_mean",
-    unit="m",
-    description="distance headway in logged steps",
-    rests_on="logged steps",
-    sums=(LOGGED.sum(), total(DISTANCE, LOGGED)),
-)
-DHW_STD = Metric(
-    name="dhw_std",
-    unit="m",
-    description="standard deviation of the distance headway in logged steps",
-    rests_on="logged steps",
-    sums=moments(DISTANCE, LOGGED),
-    value=standard_deviation,
-)
-TIME_HEADWAY_MEAN = Metric(
-    name="time_headway_mean",
-    unit="s",
-    description="time headway while following, which is up to 6 s",
-    rests_on="following steps",
-    sums=(FOLLOWING.sum(), total(HEADWAY, FOLLOWING)),
+DHW_MEAN = LOGGED.mean("dhw_mean", "m", DISTANCE, "distance headway in logged steps")
+DHW_STD = LOGGED.deviation("dhw_std", "m", DISTANCE, "distance headway in logged steps")
+TIME_HEADWAY_MEAN = FOLLOWING.mean(
+    "time_headway_mean", "s", HEADWAY, "time headway while following, which is up to 6 s"
 )
 
 
 def time_headway_below(threshold_s: float) -> Metric:
     """The share of time in which the time headway is below a threshold."""
-    return Metric(
-        name=f"time_headway_below_{in_name(threshold_s)}s",
-        unit="",
-        description=f"share of time with a time headway below {threshold_s:g} s",
-        rests_on="steps",
-        sums=(DRIVING.sum(), HEADWAY.lt(threshold_s).sum()),
-        interval="share",
+    return DRIVING.share(
+        f"time_headway_below_{in_name(threshold_s)}s",
+        HEADWAY.lt(threshold_s),
+        f"share of time with a time headway below {threshold_s:g} s",
     )

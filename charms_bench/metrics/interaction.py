@@ -2,13 +2,11 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, total
 from charms_bench.metrics.rows import LOGGED
 
-INTERACTION_DENSITY = Metric(
-    name="interaction_density",
-    unit="vehicles",
-    description="vehicles within 30 m and at most one lane away in logged steps, the ego included",
-    rests_on="logged steps",
-    sums=(LOGGED.sum(), total(pl.col("vehicles_near"), LOGGED)),
+INTERACTION_DENSITY = LOGGED.mean(
+    "interaction_density",
+    "vehicles",
+    pl.col("vehicles_near"),
+    "vehicles within 30 m and at most one lane away in logged steps, the ego included",
 )

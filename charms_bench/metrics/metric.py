@@ -6,7 +6,7 @@ the totals of a run's shards add up to the totals of the run.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -23,6 +23,9 @@ rate: The same, except that Garwood's interval is used if nothing was counted.
 wilson: For a share of episodes, each of which is one trial.
 garwood: For the rate of an event that happens at most once per episode and ends it.
 """
+
+EPISODES = pl.lit(1)
+"""Counts episodes, as a sum of a metric."""
 
 
 def ratio(totals: Floats) -> Floats:
@@ -76,11 +79,6 @@ def total(expression: pl.Expr, where: pl.Expr) -> pl.Expr:
     return pl.when(where).then(expression).sum()
 
 
-def moments(expression: pl.Expr, where: pl.Expr) -> tuple[pl.Expr, pl.Expr, pl.Expr]:
-    """Count, sum and sum of squares, for `standard_deviation`."""
-    return where.sum(), total(expression, where), total(expression.pow(2), where)
-
-
 def root_mean_square(totals: Floats) -> Floats:
     """The root mean square, from (count, sum of squares)."""
     result: Floats = np.sqrt(ratio(totals))
@@ -95,3 +93,40 @@ def standard_deviation(totals: Floats) -> Floats:
     variance = np.where(variance < 1e-12 * mean_square, 0.0, variance)
     result: Floats = np.sqrt(variance)
     return result
+
+
+class Sample(NamedTuple):
+    """The rows over which a metric is taken, such as all steps up to a collision."""
+
+    name: str
+    """`Metric.rests_on`."""
+    where: pl.Expr
+
+    def mean(self, name: str, unit: str, value: pl.Expr, description: str) -> Metric:
+        """The mean of a value."""
+        sums = (self.where.sum(), total(value, self.where))
+        return Metric(name, unit, description, self.name, sums)
+
+    def deviation(self, name: str, unit: str, value: pl.Expr, what: str) -> Metric:
+        """The standard deviation of a value."""
+        sums = (self.where.sum(), total(value, self.where), total(value.pow(2), self.where))
+        description = f"standard deviation of the {what}"
+        return Metric(name, unit, description, self.name, sums, standard_deviation)
+
+    def share(self, name: str, happens: pl.Expr, description: str) -> Metric:
+        """The share of the rows in which a condition holds."""
+        sums = (self.where.sum(), (self.where & happens).sum())
+        return Metric(name, "", description, self.name, sums, interval="share")
+
+
+def per_episode(
+    name: str,
+    unit: str,
+    value: pl.Expr,
+    description: str,
+    rests_on: str = "episodes",
+    counts: pl.Expr = EPISODES,
+    interval: Interval = "bootstrap",
+) -> Metric:
+    """The mean of a value that an episode has once, over the episodes that count."""
+    return Metric(name, unit, description, rests_on, (counts, value), interval=interval)

@@ -6,7 +6,7 @@ DRAC is the closing speed squared over twice the bumper gap (Cooper & Ferguson 1
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name
+from charms_bench.metrics.metric import Metric, in_name, per_episode
 from charms_bench.metrics.rows import DRIVING
 
 DRAC_LIMIT_MPS2 = 3.35
@@ -15,23 +15,20 @@ DRAC_CAP_MPS2 = 9.81
 
 DRAC = pl.col("drac_mps2")
 
-DRAC_MAX = Metric(
-    name="drac_max",
-    unit="m/s²",
-    description="largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a "
-    "leader",
+DRAC_MAX = per_episode(
+    "drac_max",
+    "m/s²",
+    DRAC.max().clip(upper_bound=DRAC_CAP_MPS2),
+    "largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a leader",
     rests_on="episodes with a leader",
-    sums=(DRAC.is_not_null().any(), DRAC.max().clip(upper_bound=DRAC_CAP_MPS2)),
+    counts=DRAC.is_not_null().any(),
 )
 
 
 def drac_above(limit_mps2: float) -> Metric:
     """The share of time in which more braking than the limit would be required."""
-    return Metric(
-        name=f"drac_above_{in_name(limit_mps2)}",
-        unit="",
-        description=f"share of time with a DRAC above {limit_mps2:g} m/s²",
-        rests_on="steps",
-        sums=(DRIVING.sum(), DRAC.gt(limit_mps2).sum()),
-        interval="share",
+    return DRIVING.share(
+        f"drac_above_{in_name(limit_mps2)}",
+        DRAC.gt(limit_mps2),
+        f"share of time with a DRAC above {limit_mps2:g} m/s²",
     )

@@ -11,11 +11,11 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.metrics.metric import Metric
+from charms_bench.metrics.metric import Metric, Sample
 from charms_bench.world.scene import Floats, SceneSettings
 
-LOGGED, DRIVING = pl.col("logged"), pl.col("driving")
-"""Columns of `join_rows` that select the steps that a metric counts."""
+LOGGED = Sample("logged steps", pl.col("logged"))
+DRIVING = Sample("steps", pl.col("driving"))
 LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""
 IMPOSED_BRAKING_WINDOW_S = 2.0

@@ -7,7 +7,7 @@ Surrogate Safety Assessment Model) for the 1.5 s below which a TTC is a conflict
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, in_name, total
+from charms_bench.metrics.metric import Metric, Sample, in_name, per_episode, total
 from charms_bench.metrics.rows import DRIVING, LOGGED
 
 TTC_THRESHOLD_S = 3.0
@@ -16,90 +16,73 @@ CONFLICT_TTC_S = 1.5
 TTC_CAP_S = 100.0
 """The paper's logs have this cap; a longer TTC is harmless, but would dominate any mean."""
 
-CLOSING = LOGGED & (pl.col("speed") > pl.col("leader_speed"))
+CLOSING = Sample("closing steps", LOGGED.where & (pl.col("speed") > pl.col("leader_speed")))
 PAPER_TTC = (
-    pl.when(CLOSING)
+    pl.when(CLOSING.where)
     .then(pl.col("leader_distance") / (pl.col("speed") - pl.col("leader_speed")))
     .otherwise(TTC_CAP_S)
     .clip(upper_bound=TTC_CAP_S)
 )
 TTC = pl.col("ttc_s")
-HAS_TTC = TTC.is_not_null().any()
 
-PAPER_TTC_BELOW_3S = Metric(
-    name="ttc_below_3s",
-    unit="",
-    description="share of logged steps with a centre-to-centre TTC below 3 s",
-    rests_on="logged steps",
-    sums=(LOGGED.sum(), (LOGGED & (PAPER_TTC < TTC_THRESHOLD_S)).sum()),
-    interval="share",
+PAPER_TTC_BELOW_3S = LOGGED.share(
+    "ttc_below_3s",
+    PAPER_TTC < TTC_THRESHOLD_S,
+    "share of logged steps with a centre-to-centre TTC below 3 s",
 )
-PAPER_TTC_BELOW_3S_CLOSING = Metric(
-    name="ttc_below_3s_closing",
-    unit="",
-    description="share with a centre-to-centre TTC below 3 s among the logged steps in which the "
-    "ego is faster than its leader",
-    rests_on="closing steps",
-    sums=(CLOSING.sum(), (CLOSING & (PAPER_TTC < TTC_THRESHOLD_S)).sum()),
-    interval="share",
+PAPER_TTC_BELOW_3S_CLOSING = CLOSING.share(
+    "ttc_below_3s_closing",
+    PAPER_TTC < TTC_THRESHOLD_S,
+    "share with a centre-to-centre TTC below 3 s among the logged steps in which the ego is "
+    "faster than its leader",
 )
-TTC_MIN = Metric(
-    name="ttc_min",
-    unit="s",
-    description="smallest bumper-to-bumper TTC of an episode, at most 100 s: mean over the "
-    "episodes in which the ego closes in on a leader",
+TTC_MIN = per_episode(
+    "ttc_min",
+    "s",
+    TTC.min().clip(upper_bound=TTC_CAP_S),
+    "smallest bumper-to-bumper TTC of an episode, at most 100 s: mean over the episodes in which "
+    "the ego closes in on a leader",
     rests_on="episodes with a closing leader",
-    sums=(HAS_TTC, TTC.min().clip(upper_bound=TTC_CAP_S)),
+    counts=TTC.is_not_null().any(),
 )
 
 
 def ttc_below(threshold_s: float) -> Metric:
     """The share of time in which the TTC is below a threshold."""
-    return Metric(
-        name=f"ttc_below_{in_name(threshold_s)}s",
-        unit="",
-        description=f"share of time with a bumper-to-bumper TTC below {threshold_s:g} s",
-        rests_on="steps",
-        sums=(DRIVING.sum(), TTC.lt(threshold_s).sum()),
-        interval="share",
+    return DRIVING.share(
+        f"ttc_below_{in_name(threshold_s)}s",
+        TTC.lt(threshold_s),
+        f"share of time with a bumper-to-bumper TTC below {threshold_s:g} s",
     )
 
 
 def conflict_episodes(threshold_s: float) -> Metric:
     """The share of episodes with a conflict, which is a TTC below the threshold."""
-    return Metric(
-        name="conflict_episodes",
-        unit="",
-        description="share of episodes in which the bumper-to-bumper TTC falls below "
-        f"{threshold_s:g} s",
-        rests_on="episodes",
-        sums=(pl.lit(1), TTC.lt(threshold_s).any()),
+    return per_episode(
+        "conflict_episodes",
+        "",
+        TTC.lt(threshold_s).any(),
+        f"share of episodes in which the bumper-to-bumper TTC falls below {threshold_s:g} s",
         interval="wilson",
     )
 
 
 def time_exposed(threshold_s: float) -> Metric:
     """TET, the time per episode with a TTC below a threshold (Minderhoud & Bovy 2001)."""
-    return Metric(
-        name="tet",
-        unit="s",
-        description=f"time exposed TTC: time in an episode with a TTC below {threshold_s:g} s, "
-        "mean",
-        rests_on="episodes",
-        sums=(pl.lit(1), total(pl.col("interval_s"), TTC.lt(threshold_s))),
+    return per_episode(
+        "tet",
+        "s",
+        total(pl.col("interval_s"), TTC.lt(threshold_s)),
+        f"time exposed TTC: time in an episode with a TTC below {threshold_s:g} s, mean",
     )
 
 
 def time_integrated(threshold_s: float) -> Metric:
     """TIT, the shortfall of the TTC below a threshold over time (Minderhoud & Bovy 2001)."""
-    return Metric(
-        name="tit",
-        unit="s²",
-        description=f"time integrated TTC: {threshold_s:g} s less TTC, over the time in an "
-        "episode in which that is positive, mean",
-        rests_on="episodes",
-        sums=(
-            pl.lit(1),
-            total((threshold_s - TTC) * pl.col("interval_s"), TTC.lt(threshold_s)),
-        ),
+    return per_episode(
+        "tit",
+        "s²",
+        total((threshold_s - TTC) * pl.col("interval_s"), TTC.lt(threshold_s)),
+        f"time integrated TTC: {threshold_s:g} s less TTC, over the time in an episode in which "
+        "that is positive, mean",
     )
