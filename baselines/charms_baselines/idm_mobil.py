@@ -32,23 +32,21 @@ class IdmMobil(DriverModel):
     highway_env_class: ClassVar[str] = "highway_env.vehicle.behavior:IDMVehicle"
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
-        acceleration = np.empty(vehicles[0].size)
-        target_lane = np.empty(vehicles[0].size, dtype=np.int64)
-        _drive(scene, vehicles[0], vehicles[1], acceleration, target_lane)
-        return acceleration, target_lane
+        return _drive(scene, vehicles[0], vehicles[1])
 
 
 @compiled
-def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_lane: Ints) -> None:
+def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
     p = scene.constants.idm_mobil
     x, y, lane_of, leaders, followers = scene.x, scene.y, scene.lane, scene.leaders, scene.followers
     crashed, timer_s, temperament = scene.crashed, scene.timer_s, scene.temperament
     targets = scene.target_lane.copy()
+    acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     for m in range(rows.size):
         b, i = rows[m], places[m]
         lane, target = lane_of[b, i], targets[b, i]
-        acceleration[m], target_lane[m] = 0.0, target
+        target_lane[m] = target
         if crashed[b, i]:
             continue
         exponent = p.exponent_low + temperament[b, i] * (p.exponent_high - p.exponent_low)
@@ -79,6 +77,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, acceleration: Floats, target_
             leader = motion_ahead(b, leaders[b, i, target], scene)
             wanted = min(wanted, free - interaction(own, leader, p))
         acceleration[m] = clip(wanted, -p.acceleration_limit_mps2, p.acceleration_limit_mps2)
+    return acceleration, target_lane
 
 
 @compiled

@@ -57,15 +57,9 @@ class Stackelberg(DriverModel):
         follower_loss_mps2: float = 1.0,
         gain: float = 0.1,
     ) -> None:
-        self._options = _Options(
-            deceleration=float(deceleration_mps2),
-            exponent=float(exponent),
-            braking=-float(acceleration_low_mps2),
-            accelerating=float(acceleration_high_mps2),
-            open_distance=float(open_distance_m),
-            follower_loss=float(follower_loss_mps2),
-            gain=float(gain),
-        )
+        limits = (-acceleration_low_mps2, acceleration_high_mps2)
+        costs = (open_distance_m, follower_loss_mps2, gain)
+        self._options = _Options(*map(float, (deceleration_mps2, exponent, *limits, *costs)))
         if not min(self._options) > 0:
             raise InputError(
                 "stackelberg: acceleration_low_mps2 must be negative and every other option "
@@ -73,34 +67,25 @@ class Stackelberg(DriverModel):
             )
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
-        rows, places = vehicles
-        acceleration = np.empty(rows.size)
-        target_lane = np.empty(rows.size, dtype=np.int64)
         options = self._options
         parameters = scene.constants.idm_mobil._replace(
             acceleration_mps2=options.accelerating, deceleration_mps2=options.deceleration
         )
-        _drive(scene, rows, places, acceleration, target_lane, parameters, options)
-        return acceleration, target_lane
+        return _drive(scene, vehicles[0], vehicles[1], parameters, options)
 
 
 @compiled
 def _drive(
-    scene: Scene,
-    rows: Ints,
-    places: Ints,
-    acceleration: Floats,
-    target_lane: Ints,
-    p: IdmMobilParameters,
-    options: _Options,
-) -> None:
+    scene: Scene, rows: Ints, places: Ints, p: IdmMobilParameters, options: _Options
+) -> tuple[Floats, Ints]:
     lane_of, target_of, crashed = scene.lane, scene.target_lane, scene.crashed
     leaders, followers = scene.leaders, scene.followers
     exponent = options.exponent
+    acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     for m in range(rows.size):
         b, i = rows[m], places[m]
         lane, target = lane_of[b, i], target_of[b, i]
-        acceleration[m], target_lane[m] = 0.0, target
+        target_lane[m] = target
         if crashed[b, i]:
             continue
         own = motion(b, i, scene)
@@ -124,6 +109,7 @@ def _drive(
             wanted = min(wanted, following(own, leader, exponent, p))
         acceleration[m] = clip(wanted, -options.braking, options.accelerating)
         target_lane[m] = target
+    return acceleration, target_lane
 
 
 @compiled

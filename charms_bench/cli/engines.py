@@ -88,15 +88,11 @@ def bench(
     Measures this engine, highway-env and, if it is installed, EnvPool.
     """
     from charms_bench.testing.bench import bench as measure
-    from charms_bench.testing.bench import bench_environments
 
     def tell(name: str) -> None:
         err.print(f"[dim]{name}[/]", highlight=False)
 
-    if environments:
-        results = bench_environments(environments, vehicles, traffic, seconds, rounds, tell)
-    else:
-        results = measure(vehicles, traffic, seconds, rounds, tell)
+    results = measure(vehicles, traffic, seconds, rounds, tell, environments)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
     pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
     rows = [

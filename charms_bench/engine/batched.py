@@ -27,14 +27,7 @@ class BatchedEngine:
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         scene, profile = self.scene, self._settings.profile
         for row, seed in zip(rows, seeds, strict=True):
-            scene.ego[row] = kernels.draw_scene(
-                np.random.default_rng(int(seed)),
-                self._spawn_rule,
-                scene.x[row],
-                scene.lane[row],
-                scene.speed[row],
-                scene.temperament[row],
-            )
+            kernels.draw_scene(np.random.default_rng(int(seed)), self._spawn_rule, scene, row)
         is_ego = np.arange(self._settings.vehicles) == scene.ego[rows, None]
         drivers = np.zeros(is_ego.shape, dtype=np.int64)
         drivers[~is_ego] = traffic.ravel()

@@ -13,6 +13,7 @@ ONE_THREAD = dict.fromkeys(_THREADS, "1")
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
 """The oldest core type that OpenBLAS knows; it has no fused multiply-add."""
+_IS_X86 = platform.machine() in ("x86_64", "AMD64")
 
 
 def worker_environment(engine: EngineName) -> dict[str, str]:
@@ -26,7 +27,7 @@ def worker_environment(engine: EngineName) -> dict[str, str]:
     if engine == "batched":
         return ONE_THREAD
     environment = {**ONE_THREAD, "NPY_DISABLE_CPU_FEATURES": " ".join(_vectorised())}
-    if _is_x86():
+    if _IS_X86:
         environment[_OPENBLAS] = _CORE_TYPE
     return environment
 
@@ -38,7 +39,7 @@ def check_exact_maths(engine: EngineName) -> None:
         RuntimeError: NumPy computes highway-env's vehicles with other functions.
     """
     if engine == "highway-env" and (
-        _vectorised() or (_is_x86() and os.environ.get(_OPENBLAS) != _CORE_TYPE)
+        _vectorised() or (_IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE)
     ):
         raise RuntimeError("the engine highway-env needs a process with exact maths")
 
@@ -47,7 +48,3 @@ def _vectorised() -> list[str]:
     """Returns the processor features beyond the baseline that NumPy uses in this process."""
     extensions = np.show_config(mode="dicts")["SIMD Extensions"]
     return list(extensions.get("found", ()))
-
-
-def _is_x86() -> bool:
-    return platform.machine() in ("x86_64", "AMD64")

@@ -38,8 +38,11 @@ class HighwayEnvEngine:
         self._classes = {
             agent: _reference_class(model, settings.profile) for agent, model in models.items()
         }
-        self._commanded = _commanded_class(settings.profile)
-        self._spawner = _with_constants(_SpawningVehicle, settings.profile)
+        speeds = settings.profile.target_speeds_mps
+        commanded = MDPVehicle if speeds else _RelativeMetaVehicle
+        self._commanded = _with_constants(commanded, settings.profile)
+        self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
+        self._spawner = _with_constants(Vehicle, settings.profile)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         for row, seed, others in zip(rows, seeds, traffic, strict=True):
@@ -149,11 +152,7 @@ class HighwayEnvEngine:
                 scene.timer_s[row, place] = vehicle.timer
 
 
-class _SpawningVehicle(Vehicle):  # type: ignore[misc]  # highway-env is untyped
-    """Draws an initial state and does nothing else."""
-
-
-class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
+class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-env is untyped
     """Obeys meta-actions; lane commands count from the current lane, speeds have a range."""
 
     target_lane_index: tuple[str, str, int]
@@ -210,14 +209,6 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
         return _with_constants(_ModelledVehicle, profile)
     module, name = model.highway_env_class.split(":")
     return _with_constants(getattr(import_module(module), name), profile)
-
-
-def _commanded_class(profile: Profile) -> Any:
-    if not profile.target_speeds_mps:
-        return _with_constants(_RelativeMetaVehicle, profile)
-    stock = _with_constants(MDPVehicle, profile)
-    stock.DEFAULT_TARGET_SPEEDS = np.array(profile.target_speeds_mps)
-    return stock
 
 
 def _with_constants(vehicle_class: Any, profile: Profile) -> Any:

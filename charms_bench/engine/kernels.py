@@ -305,12 +305,8 @@ def collide(scene: Scene, rows: Ints) -> None:
                     corners[0], corners[1], relative_x, relative_y
                 )
                 if now or soon:
-                    hits[found, 0] = i
-                    hits[found, 1] = j
-                    hits[found, 2] = now
-                    hits[found, 3] = soon
-                    hits[found, 4] = part_x
-                    hits[found, 5] = part_y
+                    hits[found, :4] = (i, j, int(now), int(soon))
+                    hits[found, 4:] = (part_x, part_y)
                     found += 1
         if found:
             in_turn = np.argsort(hits[:found, 0] * vehicles + hits[:found, 1])
@@ -349,23 +345,18 @@ def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
 
 @compiled
 def obey(
-    scene: Scene,
-    rows: Ints,
-    places: Ints,
-    acceleration: Floats,
-    target_lane: Ints,
-    modelled: Bools,
+    scene: Scene, rows: Ints, places: Ints, wanted: Floats, target_lane: Ints, modelled: Bools
 ) -> None:
     """Sets what a driver model returned and marks its vehicles in `modelled` [B, N].
 
     Crashed vehicles no longer obey [`IDMVehicle.act`].
     """
-    crashed, accelerations, target_lanes = scene.crashed, scene.acceleration, scene.target_lane
+    crashed, acceleration, target_lanes = scene.crashed, scene.acceleration, scene.target_lane
     for m in range(rows.size):
         b, i = rows[m], places[m]
         modelled[b, i] = True
         if not crashed[b, i]:
-            accelerations[b, i] = acceleration[m]
+            acceleration[b, i] = wanted[m]
             target_lanes[b, i] = target_lane[m]
 
 
@@ -393,20 +384,14 @@ def locate(scene: Scene, rows: Ints) -> None:
 
 
 @compiled
-def draw_scene(
-    rng: np.random.Generator,
-    rule: SpawnRule,
-    x: Floats,
-    lane: Ints,
-    speed: Floats,
-    temperament: Floats,
-) -> int:
-    """Draws a scene's vehicles (N,) and returns the ego's place.
+def draw_scene(rng: np.random.Generator, rule: SpawnRule, scene: Scene, b: int) -> None:
+    """Draws the ego's place and the vehicles of scene b.
 
     The draws are those of `Vehicle.create_random` in `HighwayEnv._create_vehicles`. The ego's
     temperament is drawn last, so that with one slot the draws are the same as in `highway-v0`.
     """
-    ego = rng.integers(0, rule.ego_slots)
+    x, lane, speed, temperament = scene.x[b], scene.lane[b], scene.speed[b], scene.temperament[b]
+    ego = scene.ego[b] = rng.integers(0, rule.ego_slots)
     furthest = 0.0
     for i in range(x.size):
         lane[i] = rng.integers(0, rule.lanes)
@@ -422,4 +407,3 @@ def draw_scene(
         if i != ego:
             temperament[i] = rng.random()
     temperament[ego] = rng.random()
-    return int(ego)

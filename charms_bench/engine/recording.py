@@ -41,17 +41,11 @@ class Recording:
         near = (np.abs(scene.x[rows] - scene.x[egos][:, None]) <= INTERACTION_RANGE_M) & (
             np.abs(scene.lane[rows] - lane[:, None]) <= 1
         )
+        own = ("x", "y", "heading", "speed", "acceleration", "steering", "lane", "target_lane")
         columns = {
             "episode": simulation.seeds[rows],
             "step": simulation.steps[rows],
-            "x": scene.x[egos],
-            "y": scene.y[egos],
-            "heading": scene.heading[egos],
-            "speed": scene.speed[egos],
-            "acceleration": scene.acceleration[egos],
-            "steering": scene.steering[egos],
-            "lane": lane,
-            "target_lane": scene.target_lane[egos],
+            **{name: getattr(scene, name)[egos] for name in own},
             "action": _where(simulation.has_action[egos], simulation.action[egos]),
             "leader_distance": _where(has_leader, scene.x[rows, leader] - scene.x[egos]),
             "leader_speed": _where(has_leader, scene.speed[rows, leader]),

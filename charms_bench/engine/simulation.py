@@ -135,7 +135,8 @@ class Simulation:
             self._command((rows, self.scene.ego[rows]), ego_actions[rows])
         decisions = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
-            now = active & (self._frames % _period(policy, self.settings) == 0)
+            period = round(self.settings.simulation_hz / policy.decision_hz)
+            now = active & (self._frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
             if vehicles[0].size:
                 decisions.append((vehicles, self._decide(self._names[agent], policy, vehicles)))
@@ -179,14 +180,7 @@ class Simulation:
     def blame(
         self, name: str, vehicles: Vehicles, what: str, wrong: Bools | None = None
     ) -> AgentError:
-        """An agent's error, with the first episode and step in which it occurred.
-
-        Args:
-            name: The agent's name.
-            vehicles: M vehicles that the agent was asked about.
-            what: What the agent did.
-            wrong: (M,) the vehicles concerned; by default all.
-        """
+        """An agent's error about M vehicles: the first of those that are `wrong`, or of all."""
         row = vehicles[0][0 if wrong is None else int(wrong.argmax())]
         return AgentError(
             f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
@@ -220,11 +214,6 @@ def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool
     overlap[ego] = -np.inf
     other = int(overlap.argmax())
     return other, bool(along[other] < across[other])
-
-
-def _period(policy: Policy, settings: SceneSettings) -> int:
-    """Simulation steps between two decisions of a policy."""
-    return round(settings.simulation_hz / policy.decision_hz)
 
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.files import read_limited
-from charms_bench.world.observations import Observation, observation_described
+from charms_bench.world.observations import observation_described
 from charms_bench.world.scene import Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
@@ -42,11 +43,15 @@ class OnnxPolicy(Policy):
         data = _read(self.path)
         self._sha256 = sha256(data).hexdigest()
         self._session = _session(self.path, data)
-        self.observation = _observation(self.path, self._session)
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        try:
+            self.observation = observation_described(metadata.get("observation", "neighbours"))
+        except InputError as error:
+            raise ModelError(f"{self.path}: metadata: {error}") from error
         self._input, self._shape = _input(self.path, self._session, self.observation.shape)
-        self.decision_hz = (
-            _decision_hz(self.path, self._session) if decision_hz is None else decision_hz
-        )
+        if decision_hz is None:
+            decision_hz = _decision_hz(self.path, metadata.get("decision_hz", "3"))
+        self.decision_hz = decision_hz
         self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
 
     @property
@@ -57,14 +62,14 @@ class OnnxPolicy(Policy):
         actions: Actions = np.argmax(self.values(observations), axis=1)
         return actions
 
-    def values(self, observations: Observations) -> np.ndarray[Any, np.dtype[np.float32]]:
+    def values(self, observations: Observations) -> NDArray[np.float32]:
         """The network's output (M, 5) for observations (M, rows, columns).
 
         Raises:
             ModelError: It cannot be computed, has another shape, or contains NaN.
         """
         inputs = observations.reshape(-1, *self._shape)
-        values: np.ndarray[Any, np.dtype[np.float32]]
+        values: NDArray[np.float32]
         try:
             (values,) = self._session.run(None, {self._input: inputs})
         except Exception as error:  # onnxruntime's errors share no public base
@@ -126,9 +131,7 @@ def _reason(error: Exception) -> str:
     return text.rpartition("Status Message: ")[2][:300]
 
 
-def _decision_hz(path: Path, session: Any) -> float:
-    """Decisions per second, from the file's metadata."""
-    said = session.get_modelmeta().custom_metadata_map.get("decision_hz", "3")
+def _decision_hz(path: Path, said: str) -> float:
     try:
         hz = float(said)
     except ValueError:
@@ -136,15 +139,6 @@ def _decision_hz(path: Path, session: Any) -> float:
     if not 0 < hz <= 1000:
         raise ModelError(f"{path}: metadata: decision_hz is '{said}'; expected a positive rate")
     return hz
-
-
-def _observation(path: Path, session: Any) -> Observation:
-    """The network's observation, from the file's metadata."""
-    said = session.get_modelmeta().custom_metadata_map.get("observation", "neighbours")
-    try:
-        return observation_described(said)
-    except InputError as error:
-        raise ModelError(f"{path}: metadata: {error}") from error
 
 
 def _input(path: Path, session: Any, shape: tuple[int, int]) -> tuple[str, tuple[int, ...]]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, cast
 
 from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
@@ -86,12 +86,7 @@ def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
         RegistryError: It is not installed, cannot be imported, does not accept the options, or is
             not an agent.
     """
-    agent = _make(find(AGENTS, name), options or {})
-    if not isinstance(agent, (Policy, DriverModel)):
-        raise RegistryError(
-            f"agent '{name}' is a {type(agent).__name__}, not a Policy or a DriverModel"
-        )
-    return agent
+    return cast(Agent, _make(find(AGENTS, name), options, Policy, DriverModel))
 
 
 def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
@@ -107,10 +102,7 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
             return OneAgent(name)
         known = {**installed, **agents}
         raise RegistryError(f"no traffic named '{name}'. {suggestion(name, known)}")
-    traffic = _make(installed[name], options or {})
-    if not isinstance(traffic, Traffic):
-        raise RegistryError(f"traffic '{name}' is a {type(traffic).__name__}, not a Traffic")
-    return traffic
+    return cast(Traffic, _make(installed[name], options, Traffic))
 
 
 def load(group: str, name: str) -> Any:
@@ -143,17 +135,23 @@ def _remedy(plugin: Plugin, error: ImportError) -> str:
     return ""
 
 
-def _make(plugin: Plugin, options: Mapping[str, Any]) -> Any:
+def _make(plugin: Plugin, options: Mapping[str, Any] | None, *kinds: type) -> Any:
+    """What a plugin makes with options, which is of one of these kinds."""
     factory = _load(plugin)
     try:
-        return factory(**options)
+        made = factory(**(options or {}))
     except CharmsBenchError:
         raise
     except Exception as error:
-        given = ", ".join(options) or "none"
+        given = ", ".join(options or ()) or "none"
         raise RegistryError(
             f"{_whose(plugin)} cannot be made (options: {given}): {type(error).__name__}: {error}"
         ) from error
+    if not isinstance(made, kinds):
+        expected = " or a ".join(kind.__name__ for kind in kinds)
+        found = type(made).__name__
+        raise RegistryError(f"{plugin.role} '{plugin.name}' is a {found}, not a {expected}")
+    return made
 
 
 def _whose(plugin: Plugin) -> str:

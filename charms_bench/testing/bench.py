@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -34,15 +34,8 @@ Step = Callable[[], int]
 """Makes some environment steps and returns how many."""
 Stepping = Callable[[float], tuple[int, float]]
 """Steps for about so many seconds: the environment steps made, and the seconds that they took."""
-
-
-class Contestant(NamedTuple):
-    """What is measured."""
-
-    name: str
-    threads: int
-    vehicles: int
-    stepping: Stepping
+Contestant = tuple[str, int, int, Stepping]
+"""A name, a number of threads, the vehicles in a scene, and what is measured."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +63,7 @@ def bench(
     seconds: float = 2.0,
     rounds: int = 3,
     progress: Callable[[str], None] = lambda name: None,
+    environments: int | None = None,
 ) -> list[Measurement]:
     """Measures every contestant `rounds` times for about `seconds`, in turn.
 
@@ -79,68 +73,16 @@ def bench(
         seconds: Duration of one measurement.
         rounds: Measurements of each contestant.
         progress: Called with the name of what is measured next.
+        environments: If given, the contestants are Gymnasium's vector environments of this many
+            environments each; otherwise they are the engines.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
-    crowded = _SETTINGS.model_copy(update={"traffic_vehicles": 199})
-    cores = os.cpu_count() or 1
-    ours = [
-        ("batched", 1, vehicles, _stepping(_ours(settings, traffic))),
-        ("batched", cores, vehicles, _in_processes(settings, traffic, cores)),
-        ("batched", 1, 200, _stepping(_ours(crowded, traffic))),
-        ("highway-env engine", 1, vehicles, _stepping(_ours(settings, traffic, "highway-env", 1))),
-        ("highway-env", 1, vehicles, _stepping(_highway_env(settings))),
-    ]
-    envpool = [
-        ("EnvPool", threads, vehicles, _stepping(_envpool(settings, threads)))
-        for threads in (1, cores)
-        if find_spec("envpool")
-    ]
-    return _in_turn([Contestant(*each) for each in ours + envpool], seconds, rounds, progress)
-
-
-def bench_environments(
-    count: int,
-    vehicles: int = 21,
-    traffic: str = "idm_mobil",
-    seconds: float = 2.0,
-    rounds: int = 3,
-    progress: Callable[[str], None] = lambda name: None,
-) -> list[Measurement]:
-    """Measures Gymnasium's vector environments of `count` environments each, in the same way.
-
-    All of them observe seven rows of `Kinematics`. highway-env's environments run in one process,
-    or in one process each.
-    """
-    import gymnasium
-    import highway_env  # noqa: F401  # registers highway-v0
-
-    from charms_bench import envs
-
-    theirs = _config(_SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1}))
-    ours: dict[str, Any] = {
-        "traffic": traffic,
-        "traffic_vehicles": vehicles - 1,
-        "observation": _OBSERVATION,
-    }
-    processes = min(count, os.cpu_count() or 1)  # that run at the same time
-    contestants = []
-    for name, threads, environments in (
-        ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
-        ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
-        ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
-    ):
-        environments.reset(seed=_SEED)
-        stepping = _stepping(_together(environments, count))
-        contestants.append(Contestant(name, threads, vehicles, stepping))
-    return _in_turn(contestants, seconds, rounds, progress)
-
-
-def _in_turn(
-    contestants: list[Contestant], seconds: float, rounds: int, progress: Callable[[str], None]
-) -> list[Measurement]:
-    """Measures every contestant in each round; see `bench`."""
-    for contestant in contestants:
-        contestant.stepping(0.0)  # compiles and allocates
+    if environments:
+        contestants = _vector_environments(settings, traffic, environments)
+    else:
+        contestants = _engines(settings, traffic)
+    for *_, stepping in contestants:
+        stepping(0.0)  # compiles and allocates
     rates: list[list[float]] = [[] for _ in contestants]
     for _ in range(rounds):
         for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
@@ -151,6 +93,52 @@ def _in_turn(
         Measurement(name, threads, size, median(measured), min(measured), max(measured))
         for (name, threads, size, _), measured in zip(contestants, rates, strict=True)
     ]
+
+
+def _engines(settings: SceneSettings, traffic: str) -> list[Contestant]:
+    crowded = settings.model_copy(update={"traffic_vehicles": 199})
+    cores, vehicles = os.cpu_count() or 1, settings.vehicles
+    ours = [
+        ("batched", 1, vehicles, _stepping(_ours(settings, traffic))),
+        ("batched", cores, vehicles, _in_processes(settings, traffic, cores)),
+        ("batched", 1, 200, _stepping(_ours(crowded, traffic))),
+        ("highway-env engine", 1, vehicles, _stepping(_ours(settings, traffic, "highway-env", 1))),
+        ("highway-env", 1, vehicles, _stepping(_highway_env(settings))),
+    ]
+    return ours + [
+        ("EnvPool", threads, vehicles, _stepping(_envpool(settings, threads)))
+        for threads in (1, cores)
+        if find_spec("envpool")
+    ]
+
+
+def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> list[Contestant]:
+    """All of them observe seven rows of `Kinematics`.
+
+    highway-env's environments run in one process, or in one process each.
+    """
+    import gymnasium
+    import highway_env  # noqa: F401  # registers highway-v0
+
+    from charms_bench import envs
+
+    theirs = _config(settings)
+    ours: dict[str, Any] = {
+        "traffic": traffic,
+        "traffic_vehicles": settings.traffic_vehicles,
+        "observation": _OBSERVATION,
+    }
+    processes = min(count, os.cpu_count() or 1)  # that run at the same time
+    contestants: list[Contestant] = []
+    for name, threads, environments in (
+        ("Ego-v0", 1, gymnasium.make_vec(envs.ID, count, **ours)),
+        ("highway-env, sync", 1, gymnasium.make_vec("highway-v0", count, "sync", config=theirs)),
+        ("highway-env", processes, gymnasium.make_vec("highway-v0", count, "async", config=theirs)),
+    ):
+        environments.reset(seed=_SEED)
+        stepping = _stepping(_together(environments, count))
+        contestants.append((name, threads, settings.vehicles, stepping))
+    return contestants
 
 
 def _stepping(step: Step) -> Stepping:

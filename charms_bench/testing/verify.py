@@ -97,13 +97,9 @@ def default_cases() -> tuple[list[Case], int]:
 
 def cases_of(suite: Suite) -> list[Case]:
     """The cells of a suite."""
+    scene, folder = suite.scene, suite.folder
     return [
-        Case(
-            scene=suite.scene,
-            ego=cell.ego.agent,
-            traffic=cell.traffic.traffic,
-            folder=suite.folder,
-        )
+        Case(scene=scene, ego=cell.ego.agent, traffic=cell.traffic.traffic, folder=folder)
         for cell in suite.cells
     ]
 
@@ -129,9 +125,8 @@ def verify(
     ]
     environment = worker_environment("highway-env")
     count = min(workers or os.cpu_count() or 1, len(chunks))
-    for chunk, found in in_processes(
-        _compare, chunks, count, _Chunk.title, environment=environment
-    ):
+    done = in_processes(_Chunk.compare, chunks, count, _Chunk.title, environment=environment)
+    for chunk, found in done:
         results[chunk.index] += found
         progress(chunk.episodes)
     return results
@@ -149,9 +144,8 @@ class _Chunk:
     def title(self) -> str:
         return f"{self.case.title}, episodes {self.seed} to {self.seed + self.episodes - 1}"
 
-
-def _compare(chunk: _Chunk) -> Comparison:
-    return compare(chunk.case, chunk.seed, chunk.episodes)
+    def compare(self) -> Comparison:
+        return compare(self.case, self.seed, self.episodes)
 
 
 def compare(case: Case, seed: int, episodes: int) -> Comparison:

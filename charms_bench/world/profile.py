@@ -133,26 +133,6 @@ class Constants(NamedTuple):
     idm_mobil: IdmMobilParameters
 
 
-def constants(profile: Profile, lanes: int, simulation_hz: int) -> Constants:
-    """The constants of a scene, from its profile, number of lanes and simulation rate."""
-    return Constants(
-        lanes=lanes,
-        lane_width=profile.lane_width_m,
-        road_length=profile.road_length_m,
-        speed_limit=profile.speed_limit_mps,
-        length=profile.vehicle_length_m,
-        width=profile.vehicle_width_m,
-        speed_min=profile.speed_min_mps,
-        speed_max=profile.speed_max_mps,
-        tau_acceleration=profile.tau_acceleration_s,
-        tau_heading=profile.tau_heading_s,
-        tau_lateral=profile.tau_lateral_s,
-        steering_limit=profile.steering_limit_rad,
-        dt=1.0 / simulation_hz,
-        idm_mobil=IdmMobilParameters(**profile.idm_mobil.model_dump()),
-    )
-
-
 CHARMS = Profile(
     name="charms",
     speed_limit_mps=33.0,

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from charms_bench.errors import suggestion
 from charms_bench.world.fields import FrozenModel, Positive
 from charms_bench.world.lanes import is_on_lane
-from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile, constants
+from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -90,7 +90,23 @@ class SceneSettings(FrozenModel):
     @property
     def constants(self) -> Constants:
         """The constants of a scene as compiled code reads them."""
-        return constants(self.profile, self.lanes, self.simulation_hz)
+        profile = self.profile
+        return Constants(
+            lanes=self.lanes,
+            lane_width=profile.lane_width_m,
+            road_length=profile.road_length_m,
+            speed_limit=profile.speed_limit_mps,
+            length=profile.vehicle_length_m,
+            width=profile.vehicle_width_m,
+            speed_min=profile.speed_min_mps,
+            speed_max=profile.speed_max_mps,
+            tau_acceleration=profile.tau_acceleration_s,
+            tau_heading=profile.tau_heading_s,
+            tau_lateral=profile.tau_lateral_s,
+            steering_limit=profile.steering_limit_rad,
+            dt=1.0 / self.simulation_hz,
+            idm_mobil=IdmMobilParameters(**profile.idm_mobil.model_dump()),
+        )
 
 
 class Scene(NamedTuple):

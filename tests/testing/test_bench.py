@@ -2,12 +2,12 @@
 
 import pytest
 
-from charms_bench.testing.bench import bench_environments
+from charms_bench.testing.bench import bench
 
 
 def test_environments_of_both_kinds_are_measured_in_the_same_scene() -> None:
     told: list[str] = []
-    measured = bench_environments(2, vehicles=6, seconds=0.05, rounds=2, progress=told.append)
+    measured = bench(6, seconds=0.05, rounds=2, progress=told.append, environments=2)
     assert [m.name for m in measured] == ["Ego-v0", "highway-env, sync", "highway-env"]
     assert len(told) == 2 * len(measured)
     for m in measured:
