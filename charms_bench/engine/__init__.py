@@ -46,14 +46,10 @@ class Engine(Protocol):
 def make_engine(
     name: EngineName, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
 ) -> Engine:
-    """An engine by name; nothing is spawned yet.
+    """An engine of B scenes by name; nothing is spawned yet.
 
-    Args:
-        name: One of `ENGINES`.
-        settings: What the scenes have in common.
-        scenes: B.
-        models: The driver models by the index of their agent, in the order in which they act.
-            `command` drives the vehicles of all other agents.
+    The driver models stand under the index of their agent, in the order in which they act.
+    `command` drives the vehicles of all other agents.
     """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine

@@ -81,8 +81,7 @@ class BatchedEngine:
         speeds = np.array(self._settings.profile.target_speeds_mps, dtype=np.float64)
         share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
         index = np.round(share * (speeds.size - 1)).clip(0, speeds.size - 1) + change
-        nearest: Floats = speeds[index.clip(0, speeds.size - 1).astype(np.int64)]
-        return nearest
+        return np.asarray(speeds[index.clip(0, speeds.size - 1).astype(np.int64)])
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:

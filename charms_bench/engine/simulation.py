@@ -82,8 +82,7 @@ class Simulation:
     @property
     def drivers(self) -> NDArray[np.str_]:
         """[B, N] the name of each vehicle's agent; empty for an ego driven from outside."""
-        drivers: NDArray[np.str_] = np.array(self._names)[self.engine.drivers]
-        return drivers
+        return np.asarray(np.array(self._names)[self.engine.drivers])
 
     @property
     def failed(self) -> Bools:
@@ -120,8 +119,7 @@ class Simulation:
     def step(self, ego_actions: Actions | None = None) -> None:
         """Advances every running episode by one decision interval.
 
-        Args:
-            ego_actions: (B,) meta-actions for egos driven from outside.
+        `ego_actions` are the (B,) meta-actions of egos driven from outside.
         """
         for frame in range(self.settings.simulation_hz // self.settings.decision_hz):
             self.advance(ego_actions if frame == 0 else None)
@@ -167,14 +165,13 @@ class Simulation:
             actions = np.asarray(policy.decide(observations))
         except Exception as error:
             raise self.blame(name, vehicles, _raised(error)) from error
-        shape = vehicles[0].shape
+        shape, wrong, what = vehicles[0].shape, None, ""
         if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
             what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
-            raise self.blame(name, vehicles, f"decide returned {what}")
-        wrong = (actions < 0) | (actions >= len(ACTIONS))
-        if wrong.any():
-            what = f"decide returned action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
-            raise self.blame(name, vehicles, what, wrong)
+        elif (wrong := (actions < 0) | (actions >= len(ACTIONS))).any():
+            what = f"action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
+        if what:
+            raise self.blame(name, vehicles, f"decide returned {what}", wrong)
         return actions
 
     def blame(
@@ -198,15 +195,8 @@ class Simulation:
 def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
     """The vehicle that the ego has hit, and whether this is a rear-end collision.
 
-    Args:
-        x: (N,) centres along the road, m.
-        y: (N,) centres across the road, m.
-        ego: The ego's place.
-        c: The scene's constants.
-
-    Returns:
-        The place of the vehicle that overlaps the ego most, and whether the two overlap less along
-        the road than across it.
+    Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps the ego most. In a
+    rear-end collision, the two overlap less along the road than across it.
     """
     along = c.length - np.abs(x - x[ego])
     across = c.width - np.abs(y - y[ego])
@@ -244,22 +234,17 @@ class _CheckedModel(DriverModel):
         except Exception as error:
             raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
         shape, lanes = vehicles[0].shape, scene.constants.lanes
-        what = ""
+        wrong, what = None, ""
         if acceleration.shape != shape or target_lane.shape != shape:
             what = f"shapes {acceleration.shape} and {target_lane.shape}; expected {shape} twice"
         elif not np.issubdtype(target_lane.dtype, np.integer):
             what = f"lanes of {target_lane.dtype}; expected integers"
+        elif (wrong := ~np.isfinite(acceleration)).any():
+            what = f"{acceleration[wrong][0]}; expected a finite acceleration"
+        elif (wrong := (target_lane < 0) | (target_lane >= lanes)).any():
+            what = f"{target_lane[wrong][0]}; expected a lane from 0 to {lanes - 1}"
         if what:
-            raise self._simulation.blame(self._name, vehicles, f"drive returned {what}")
-        infinite = ~np.isfinite(acceleration)
-        off = (target_lane < 0) | (target_lane >= lanes)
-        for wrong, values, expected in (
-            (infinite, acceleration, "a finite acceleration"),
-            (off, target_lane, f"a lane from 0 to {lanes - 1}"),
-        ):
-            if wrong.any():
-                what = f"drive returned {values[wrong][0]}; expected {expected}"
-                raise self._simulation.blame(self._name, vehicles, what, wrong)
+            raise self._simulation.blame(self._name, vehicles, f"drive returned {what}", wrong)
         return acceleration, target_lane
 
 

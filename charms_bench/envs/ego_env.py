@@ -91,9 +91,8 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         return self._observe(), reward, failed, truncated, info
 
     def _observe(self) -> Observations:
-        observations = self._observation(self.simulation.scene, self.simulation.ego_vehicles)
-        first: Observations = observations[0]
-        return first
+        scene, ego = self.simulation.scene, self.simulation.ego_vehicles
+        return np.asarray(self._observation(scene, ego)[0])
 
 
 def ego_vector_env(
@@ -104,16 +103,9 @@ def ego_vector_env(
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
-    plugin, agents = _drivers(traffic)
-    return HighwayVectorEnv(
-        _settings(scene),
-        num_envs,
-        plugin,
-        agents,
-        reward or HighwayReward(),
-        EVALUATION_SEEDS,
-        observation_of(observation),
-    )
+    drivers, shown = _drivers(traffic), observation_of(observation)
+    rule = reward or HighwayReward()
+    return HighwayVectorEnv(_settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown)
 
 
 def _settings(scene: dict[str, Any]) -> SceneSettings:

@@ -30,8 +30,7 @@ def highway_reward(
     right = target_lane / (lanes - 1)
     raw = COLLISION * crashed + RIGHT_LANE * right + HIGH_SPEED * fast
     normalised = (raw - COLLISION) / (HIGH_SPEED + RIGHT_LANE - COLLISION)
-    rewards: Floats = np.where(off_road, 0.0, normalised)
-    return rewards
+    return np.where(off_road, 0.0, normalised)
 
 
 class HighwayReward:

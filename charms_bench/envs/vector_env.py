@@ -151,13 +151,8 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
 
     def state(self) -> EpisodesState:
         """The state of every episode, for `restore`."""
-        simulation = self.simulation
-        return EpisodesState(
-            self._next_seed,
-            simulation.seeds.copy(),
-            simulation.steps.copy(),
-            self._actions.copy(),
-        )
+        seeds, steps = self.simulation.seeds, self.simulation.steps
+        return EpisodesState(self._next_seed, seeds.copy(), steps.copy(), self._actions.copy())
 
     def restore(self, state: EpisodesState) -> Observations:
         """Simulates every episode again up to `state`; returns the egos' observations."""
@@ -203,10 +198,6 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             "seed": self.simulation.seeds,
         }
         final_info = {name: np.where(ended, every, 0) for name, every in values.items()}
-        masks = {f"_{name}": ended.copy() for name in values}
-        return {
-            "final_obs": final_obs,
-            "_final_obs": ended.copy(),
-            "final_info": final_info | masks,
-            "_final_info": ended.copy(),
-        }
+        final_info |= {f"_{name}": ended.copy() for name in values}
+        final = {"final_obs": final_obs, "final_info": final_info}
+        return final | {f"_{name}": ended.copy() for name in final}

@@ -81,8 +81,7 @@ def total(expression: pl.Expr, where: pl.Expr) -> pl.Expr:
 
 def root_mean_square(totals: Floats) -> Floats:
     """The root mean square, from (count, sum of squares)."""
-    result: Floats = np.sqrt(ratio(totals))
-    return result
+    return np.asarray(np.sqrt(ratio(totals)))
 
 
 def standard_deviation(totals: Floats) -> Floats:
@@ -91,8 +90,7 @@ def standard_deviation(totals: Floats) -> Floats:
     variance = mean_square - ratio(totals[..., [0, 1]]) ** 2
     # Of a constant, rounding leaves less than this.
     variance = np.where(variance < 1e-12 * mean_square, 0.0, variance)
-    result: Floats = np.sqrt(variance)
-    return result
+    return np.asarray(np.sqrt(variance))
 
 
 class Sample(NamedTuple):

@@ -76,18 +76,11 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
 
 
 def sums_by_episode(
-    metrics: Sequence[Metric],
-    episodes: pl.DataFrame,
-    steps: pl.DataFrame,
-    settings: SceneSettings,
+    metrics: Sequence[Metric], episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings
 ) -> list[Floats]:
-    """The sums [E, k] of each metric: one row per episode, sorted by episode.
+    """The sums [E, k] of each metric, by episode.
 
-    Args:
-        metrics: The metrics.
-        episodes: E episode rows (`recording.EPISODE_SCHEMA`).
-        steps: Their step rows (`recording.STEP_SCHEMA`).
-        settings: What the scenes had in common.
+    They are those of E episode rows (`rows.EPISODE`) and their step rows (`rows.STEP`).
     """
     rows = join_rows(episodes, steps, settings)
     aggregations = [

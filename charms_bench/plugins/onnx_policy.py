@@ -59,8 +59,7 @@ class OnnxPolicy(Policy):
         return self._sha256
 
     def decide(self, observations: Observations) -> Actions:
-        actions: Actions = np.argmax(self.values(observations), axis=1)
-        return actions
+        return np.asarray(np.argmax(self.values(observations), axis=1))
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
         """The network's output (M, 5) for observations (M, rows, columns).

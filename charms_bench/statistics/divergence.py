@@ -49,8 +49,7 @@ def wasserstein(reference: Floats, other: Floats, width: float) -> Floats:
 
 def _shares(counts: Floats) -> Floats:
     total = counts.sum(axis=-1, keepdims=True)
-    shares: Floats = counts / np.where(total > 0, total, 1.0)
-    return shares
+    return np.asarray(counts / np.where(total > 0, total, 1.0))
 
 
 def _defined(values: Floats, reference: Floats, other: Floats) -> Floats:

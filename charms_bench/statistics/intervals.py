@@ -58,20 +58,12 @@ def estimate(
 ) -> list[Estimate]:
     """The value and the interval of each metric; all metrics share one set of resamples.
 
-    Args:
-        metrics: The metrics.
-        sums: Their sums [E, k], one row per episode (`metrics.sums_by_episode`).
-        rng: Draws the resamples.
+    `sums` are the metrics' sums [E, k], one row per episode (`metrics.sums_by_episode`).
     """
-    weights = resample(rng, len(sums[0]))
-    resampled = weights @ np.concatenate(sums, axis=1)
+    resampled = resample(rng, len(sums[0])) @ np.concatenate(sums, axis=1)
     ends = np.cumsum([each.shape[1] for each in sums])[:-1]
-    return [
-        _estimate(metric, own, totals)
-        for metric, own, totals in zip(
-            metrics, sums, np.split(resampled, ends, axis=1), strict=True
-        )
-    ]
+    totals = np.split(resampled, ends, axis=1)
+    return list(map(_estimate, metrics, sums, totals))
 
 
 def _estimate(metric: Metric, sums: Floats, resampled: Floats) -> Estimate:

@@ -48,11 +48,8 @@ def differences(
 ) -> list[Difference]:
     """The difference of two agents in each metric.
 
-    Args:
-        metrics: The metrics.
-        first: The first agent's sums [E, k], one row per episode (`metrics.sums_by_episode`).
-        second: The second agent's sums, of the same episodes.
-        weights: [R, E], resampled episodes (`intervals.resample`).
+    `first` and `second` are the agents' sums [E, k], one row per episode, of the same episodes
+    (`metrics.sums_by_episode`); `weights` [R, E] are resampled episodes (`intervals.resample`).
     """
     return [
         _of_shares(ours, theirs)
@@ -160,8 +157,7 @@ def _error(
     squares = np.einsum("...i,...ij,...j->...", gradient, second_moments, gradient)
     mean = np.einsum("...i,...i->...", gradient, totals)
     variance = (squares - mean**2 / episodes) * episodes / max(episodes - 1, 1)
-    result: Floats = np.sqrt(np.maximum(variance, 0.0))
-    return result
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _degrees(deviations: Floats, errors: Floats) -> float:

@@ -210,8 +210,7 @@ class Scene(NamedTuple):
     @property
     def off_road(self) -> Bools:
         """[B, N] whether the vehicle's centre is outside its lane [`RoadObject.on_road`]."""
-        margin = 0.0
-        return np.asarray(~is_on_lane(self.x, self.y, self.lane, self.constants, margin))
+        return np.asarray(~is_on_lane(self.x, self.y, self.lane, self.constants, margin=0.0))
 
 
 _PER_VEHICLE: dict[type, str] = {
