@@ -93,9 +93,8 @@ def compare(
         f"for {len(apart)} tests by Holm's method, is below 0.05. detectable: the "
         f"{COLUMNS[4].definition}."
     )
-    return Table.from_records(
-        records, "comparison", "First agent minus second", KEYS, COLUMNS, note
-    )
+    title = "First agent minus second"
+    return Table.from_records(records, "comparison", title, KEYS, COLUMNS, note)
 
 
 def defined(value: float) -> float | None:
@@ -130,12 +129,6 @@ def to_dicts(table: Table) -> list[dict[str, Any]]:
     """A comparison for JSON: a dictionary per row; what is not defined is None."""
     place = table.columns.index(COLUMNS[2])
     return [
-        {
-            **record,
-            "episodes": difference.n,
-            "low": difference.low,
-            "high": difference.high,
-            "separated": difference.marked,
-        }
-        for record, difference in zip(table.records(), table.column(place), strict=True)
+        {**record, "episodes": each.n, "low": each.low, "high": each.high, "separated": each.marked}
+        for record, each in zip(table.records(), table.column(place), strict=True)
     ]

@@ -63,7 +63,5 @@ def _installed(label: str) -> dict[str, Column]:
 
 def first_column(metric: str) -> Column:
     """The column of a metric, from the first metric set of the harness that has it."""
-    for metric_set in METRIC_SETS:
-        if metric in (columns := columns_of(metric_set)):
-            return columns[metric]
-    return installed_column("unknown", metric)
+    found = filter(None, (columns_of(each).get(metric) for each in METRIC_SETS))
+    return next(found, None) or installed_column("unknown", metric)

@@ -7,13 +7,10 @@ from charms_bench.report.table import Table
 
 
 def markdown(table: Table, full: bool = False) -> str:
-    """The table with intervals in brackets and marked numbers in bold.
+    """The table with intervals in brackets, marked numbers in bold, references in parentheses.
 
-    Args:
-        table: What to write.
-        full: Whether reference values have columns of their own, with the difference from them,
-            and a row ends with n if all its numbers share it. Else reference values stand in
-            parentheses.
+    If it is `full`, reference values have columns of their own, with the difference from them, and
+    a row ends with n if all its numbers share it.
     """
     texts = write_cells(table)
     reported = [any(row[i].reference for row in texts) for i in range(len(table.columns))]
@@ -32,10 +29,12 @@ def markdown(table: Table, full: bool = False) -> str:
         for cell, has_reference in zip(cells, reported, strict=True):
             lines[-1].append(_cell(cell, in_line=not full))
             if has_reference and full:
-                lines[-1].append(_reference(cell))
+                difference = f" ({cell.difference})" * bool(cell.difference)
+                lines[-1].append((cell.reference or NOTHING) + difference)
         lines[-1] += [cells[0].n] * has_n
     rule = "|" + "---|" * len(table.keys) + "---:|" * (len(header) - len(table.keys))
-    head, *body = (f"| {' | '.join(map(_escaped, line))} |" for line in (header, *lines))
+    escaped = [[text.replace("|", "\\|") for text in line] for line in (header, *lines)]
+    head, *body = (f"| {' | '.join(line)} |" for line in escaped)
     return "\n".join([head, rule, *body]) + "\n"
 
 
@@ -62,12 +61,3 @@ def _cell(cell: Written, in_line: bool) -> str:
     interval = f" [{interval}]" if (interval := cell.interval(", ")) else ""
     reference = f" ({cell.reference})" if in_line and cell.reference else ""
     return f"{value}{interval}{reference}"
-
-
-def _reference(cell: Written) -> str:
-    difference = f" ({cell.difference})" if cell.difference else ""
-    return (cell.reference or NOTHING) + difference
-
-
-def _escaped(text: str) -> str:
-    return text.replace("|", "\\|")

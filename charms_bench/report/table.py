@@ -119,10 +119,8 @@ class Table:
     ) -> "Table":
         """The table of a long frame, in the order of its rows; the inverse of `frame`.
 
-        Args:
-            frame: One number per row, with the columns `keys` and `long`.
-            name: A field of the table, like `title`, `keys`, `long` and those in `more`.
-            define: Makes a column from its group and name.
+        The frame has one number per row, with the columns `keys` and `long`; `define` makes a
+        column from its group and name. The other arguments are fields of the table.
         """
         at = {part: column for column, part in long.items()}
         parts = {part: column for part, column in at.items() if part not in ("group", "name")}

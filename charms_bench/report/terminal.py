@@ -17,13 +17,10 @@ GAP = 2
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
-    """The table with as many columns side by side as fit.
+    """The table with as many columns side by side as fit into a width in characters.
 
-    Args:
-        table: What to show.
-        width: Of the terminal, in characters.
-        stacked: Whether an interval and a reference value stand under the value; else the
-            interval has a column of its own, and all columns stand in one block.
+    If it is `stacked`, an interval and a reference value stand under the value; else the interval
+    has a column of its own, and all columns stand in one block.
     """
     labels = max((sum(map(len, row.labels)) for row in table.rows), default=0)
     side_by_side = max(1, (width - labels - 6) // COLUMN_WIDTH) if stacked else len(table.columns)

@@ -1,5 +1,6 @@
 """The sections of a report, one per run: its tables and the figures that belong to them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,11 +42,11 @@ class Section:
 
     id: str
     title: str
-    facts: tuple[str, ...]
+    facts: Sequence[str]
     """What was run, in a few words each."""
-    tables: tuple[Table, ...]
-    pictures: tuple[Picture, ...]
-    more: tuple[Table, ...] = ()
+    tables: Sequence[Table]
+    pictures: Sequence[Picture]
+    more: Sequence[Table] = ()
     """Tables that are folded away at first."""
     drawn_first: bool = False
     """Whether the figures stand above the tables."""
@@ -75,9 +76,9 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
             f"{scene.duration_s:g} s per episode",
             f"run folder {source.path.name}",
         ),
-        tables=tuple(shown),
-        pictures=tuple(_pictures(source, folder)),
-        more=tuple(more),
+        tables=shown,
+        pictures=_pictures(source, folder),
+        more=more,
         drawn_first=bool(matrices(tables.metrics)),
     )
 
@@ -96,11 +97,11 @@ def training_section(source: TrainingFolder) -> Section:
         id=f"run-{source.key}",
         title="Training and fine-tuning",
         facts=(_counted(count, "stage"), f"run folder {source.path.name}"),
-        tables=() if training.stages is None else tuple(training.stages.blocks(COLUMNS)),
-        pictures=tuple(
+        tables=() if training.stages is None else training.stages.blocks(COLUMNS),
+        pictures=[
             _picture(f"{source.key}-{k}", title, caption, figure)
             for k, (title, figure) in enumerate(draw_curves(training))
-        ),
+        ],
     )
 
 
@@ -131,10 +132,8 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         found.append(_picture(f"{key}-places", title, caption, draw_places(table)))
     if pairs is not None:
         title = "Styles apart: pair by pair"
-        caption = (
-            f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
-            "(Holm-corrected p < 0.05)."
-        )
+        caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
+        caption += "(Holm-corrected p < 0.05)."
         found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
     if not suite.references:
         return found

@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from charms_bench.report.formatting import Written, write_cells
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.table import Cell, Column, Row, Table
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -31,18 +31,14 @@ def environment() -> Environment:
 def written(table: Table) -> list[tuple[Row, list[Written]]]:
     """Each row with its cells as text; numbers have the minus sign of typography."""
     return [
-        (
-            row,
-            [
-                _typeset(text) if isinstance(cell, Number) else text
-                for cell, text in zip(row.cells, texts, strict=True)
-            ],
-        )
+        (row, list(map(_typeset, row.cells, texts)))
         for row, texts in zip(table.rows, write_cells(table), strict=True)
     ]
 
 
-def _typeset(text: Written) -> Written:
+def _typeset(cell: Cell, text: Written) -> Written:
+    if isinstance(cell, str):
+        return text
     fields = ("value", "low", "high", "reference", "difference")
     return replace(text, **{name: getattr(text, name).replace("-", "−") for name in fields})
 
@@ -60,5 +56,4 @@ def definition_ids(columns: Iterable[Column]) -> dict[Column, str]:
 
 def notebook(table: Table) -> str:
     """The table as HTML that needs nothing around it."""
-    template = environment().get_template("notebook.html")
-    return template.render(tables=table.parts())
+    return environment().get_template("notebook.html").render(tables=table.parts())
