@@ -52,11 +52,8 @@ TRAFFIC = {
     "interaction density": ("interaction_density", ".2f"),
 }
 EGO_STD = {"ego's speed std": ("speed_std", ".2f")}
-ENVIRONMENT = {
-    **TRAFFIC,
-    **EGO_STD,
-    "ego's TTC < 3 s, closing": ("ttc_below_3s_closing", ".4f"),
-}
+EGO_TTC = {"ego's TTC < 3 s, closing": ("ttc_below_3s_closing", ".4f")}
+ENVIRONMENT = {**TRAFFIC, **EGO_STD, **EGO_TTC}
 PCH = {**TRAFFIC, "ego's speed, m/s": ("speed_mean", ".2f"), **EGO_STD}
 
 
@@ -120,17 +117,12 @@ def fine_tuning(run: Path) -> str:
     """What learning from human driving did to each style; nothing if no stage learnt from it."""
     table = stored_training(run).stages
     assert table is not None
-    records = [
-        {
-            "style": record["stage"].removeprefix("charms_").replace("_", " "),
-            "before": record["agreement_before"],
-            "after": record["agreement"],
-        }
-        for record in table.records()
-        if record["agreement"] is not None
-    ]
-    columns = (Column("before", form=".1%"), Column("after", form=".1%"))
-    return markdown(Table.from_records(records, "", "", ("style",), columns))
+    records = [each for each in table.records() if each["agreement"] is not None]
+    for each in records:
+        each["style"] = each["stage"].removeprefix("charms_").replace("_", " ")
+    columns = (Column("agreement_before", form=".1%"), Column("agreement", form=".1%"))
+    chosen = Table.from_records(records, "", "", ("style",), columns)
+    return markdown(chosen.named("before", "after"))
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
@@ -149,10 +141,8 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
 def filled(text: str) -> str:
     """A page with the files of `docs/results` in their places."""
 
-    def block(found: re.Match[str]) -> str:
-        return f"{found[1]}{(RESULTS / f'{found[2]}.md').read_text(encoding='utf-8')}\n{found[3]}"
-
-    return BLOCK.sub(block, text)
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in RESULTS.glob("*.md")}
+    return BLOCK.sub(lambda found: f"{found[1]}{texts[found[2]]}\n{found[3]}", text)
 
 
 def main(runs: Path) -> None:

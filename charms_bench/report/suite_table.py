@@ -81,11 +81,7 @@ def printed(table: Table, columns: Sequence[str]) -> Table:
             reports are shown, and if there are none, all.
     """
     names = list(dict.fromkeys(column.name for column in table.columns))
-    reported = {
-        column.name
-        for i, column in enumerate(table.columns)
-        if any(number.reference is not None for number in table.column(i))
-    }
+    reported = [table.columns[i].name for i in table.reported()]
     chosen = [name for name in columns if name in names]
     chosen = chosen or [name for name in names if name in reported] or names
     return table.select(*chosen).without_constant_keys()
@@ -97,9 +93,9 @@ def one_per_metric(table: Table) -> Table:
     Of a metric that several sets have, it is the one with the paper's values, else the last.
     """
     places: dict[str, int] = {}
+    reported = table.reported()
     for i, column in enumerate(table.columns):
-        known = places.get(column.name)
-        if known is None or all(each.reference is None for each in table.column(known)):
+        if places.get(column.name) not in reported:
             places[column.name] = i
     return table.take(list(places.values()))
 

@@ -246,6 +246,11 @@ class Table:
         """The numbers of the column at this place."""
         return [row.numbers[place] for row in self.rows]
 
+    def reported(self) -> list[int]:
+        """The places of the columns with reference values."""
+        known = [[number.reference is not None for number in row.numbers] for row in self.rows]
+        return [i for i in range(len(self.columns)) if any(row[i] for row in known)]
+
     def places(self, *names: str) -> list[int] | None:
         """The places of these columns, the last of each name; None if one is missing or empty."""
         last = {column.name: i for i, column in enumerate(self.columns)}

@@ -65,11 +65,8 @@ class Training:
 
     def to_dict(self) -> dict[str, Any]:
         """Stages and curves as records, for JSON; those that the folder has."""
-        found = {
-            "stages": None if self.stages is None else self.stages.records(),
-            "curves": None if self.curves is None else self.curves.to_dicts(),
-        }
-        return {name: records for name, records in found.items() if records is not None}
+        stages = {} if self.stages is None else {"stages": self.stages.records()}
+        return stages | ({} if self.curves is None else {"curves": self.curves.to_dicts()})
 
     def _repr_html_(self) -> str | None:
         return None if self.stages is None else self.stages._repr_html_()
@@ -108,18 +105,17 @@ def stored_training(folder: Path) -> Training:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
             raise RunFolderError(f"{folder / COLUMNS}: {where}: {first['msg']}") from error
-    found = {}
-    for path in (folder / name for name in (STAGES, CURVES) if holds(folder, name)):
-        found[path.name] = read_csv(path)
-        if "stage" not in found[path.name].columns:
-            columns_found = ", ".join(found[path.name].columns)
-            raise RunFolderError(f"{path}: expected a column 'stage', found {columns_found}")
+    found = {name: read_csv(folder / name) for name in (STAGES, CURVES) if holds(folder, name)}
+    for name, table in found.items():
+        if "stage" not in table.columns:
+            others = ", ".join(table.columns)
+            raise RunFolderError(f"{folder / name}: expected a column 'stage', found {others}")
     stages = None
     if STAGES in found:
         unknown = StageColumn(definition="As the pipeline calls it")
-        names = [name for name in found[STAGES].columns if name != "stage"]
         described = tuple(
-            Column(name, **columns.stages.get(name, unknown).model_dump()) for name in names
+            Column(name, **columns.stages.get(name, unknown).model_dump())
+            for name in found[STAGES].drop("stage").columns
         )
         rows = found[STAGES].iter_rows(named=True)
         stages = Table.from_records(rows, "stages", "Stages", ("stage",), described)

@@ -14,11 +14,7 @@ PANELS = 4
 
 def draw_beside_paper(table: Table) -> list[Figure]:
     """Rows of panels for the metrics that the paper reports; none if it reports none."""
-    places = [
-        i
-        for i in range(len(table.columns))
-        if any(number.reference is not None for number in table.column(i))
-    ]
+    places = table.reported()
     short = table.without_constant_keys()
     return [_row(short, places[k : k + PANELS]) for k in range(0, len(places), PANELS)]
 

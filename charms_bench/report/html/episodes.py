@@ -1,10 +1,8 @@
 """Chooses the episodes of a report and simulates them again."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.edge_cases import ranked
 from charms_bench.episodes.replay import Replay, find_cell, replay
 from charms_bench.errors import InputError, RunFolderError
@@ -12,16 +10,6 @@ from charms_bench.report.html.sources import Evaluation
 
 Place = tuple[int, int, int]
 """Where an episode is: the place of its run, the place of its cell, and its seed."""
-
-
-@dataclass(frozen=True)
-class Episode:
-    """An episode of a report."""
-
-    id: str
-    """Its name in links: the key of its run, the place of its cell, and its seed."""
-    criticality: float
-    replay: Replay
 
 
 def asked(text: str, runs: Sequence[Evaluation]) -> Place:
@@ -51,16 +39,17 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
 
 def choose(
     runs: Sequence[Evaluation], top: int, named: Sequence[Place], folder: Path
-) -> list[Episode]:
+) -> list[tuple[str, Replay]]:
     """The named episodes, then the `top` most critical of all runs, simulated again.
 
-    An episode that two runs share is shown once. Relative paths of networks start at `folder`.
+    An episode that two runs share is shown once. Relative paths of networks start at `folder`. The
+    names are those of links: the key of the run, the place of the cell, and the seed.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
     """
     wanted = list(dict.fromkeys([*named, *(_most_critical(runs, top) if top else [])]))
-    found: dict[Place, Episode] = {}
+    found: dict[Place, tuple[str, Replay]] = {}
     for index, cell in sorted({place[:2] for place in wanted}):
         seeds = [seed for *place, seed in wanted if (index, cell) == tuple(place)]
         try:
@@ -68,10 +57,8 @@ def choose(
         except RunFolderError as error:
             raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
         for each in replays:
-            measured = criticality(each.episodes, each.steps, each.settings)
-            found[index, cell, each.episode] = Episode(
-                f"{runs[index].key}-{cell}-{each.episode}", measured["criticality"].item(), each
-            )
+            name = f"{runs[index].key}-{cell}-{each.episode}"
+            found[index, cell, each.episode] = name, each
     return [found[place] for place in wanted]
 
 

@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from charms_bench import __version__
+from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.report.figures.timelines import LEFT, RIGHT, draw_timelines
-from charms_bench.report.html.episodes import Episode, asked, choose
+from charms_bench.report.html.episodes import asked, choose
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.page import render
 from charms_bench.report.html.sections import evaluation_section, training_section
@@ -42,7 +44,7 @@ def write_report(
     if episodes and not runs:
         raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
-    shown = [_for_page(each) for each in choose(runs, top, named, suite_folder)]
+    shown = [_for_page(*each) for each in choose(runs, top, named, suite_folder)]
     sections = [
         evaluation_section(source, suite_folder)
         if isinstance(source, Evaluation)
@@ -69,23 +71,23 @@ def write_report(
     }
 
 
-def _for_page(episode: Episode) -> dict[str, Any]:
+def _for_page(name: str, replay: Replay) -> dict[str, Any]:
     """An episode for the page's templates and player."""
-    replay, view = episode.replay, ego_view(episode.replay)
-    ego, traffic = replay.cell.ego.title, replay.cell.traffic.title
+    view, ego, traffic = ego_view(replay), replay.cell.ego.title, replay.cell.traffic.title
+    measured = criticality(replay.episodes, replay.steps, replay.settings)["criticality"].item()
     label = (
         "Over time: gaps ahead and behind, time to collision, speed and reward of "
         f"{ego} in {traffic}, episode {replay.episode}"
     )
     return {
-        "id": episode.id,
+        "id": name,
         "ego": ego,
         "traffic": traffic,
         "episode": replay.episode,
-        "criticality": f"{episode.criticality:.2f}",
+        "criticality": f"{measured:.2f}",
         "what": replay.what_happened(),
         "seconds": f"{replay.t_s[-1]:.1f}",
-        "timelines": in_page(draw_timelines(replay, view), f"replay-{episode.id}", label),
+        "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
         "packed": pack(replay, view),
     }
 
