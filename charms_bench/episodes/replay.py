@@ -167,13 +167,9 @@ def find_cell(
 
 
 def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
-    """Simulates episodes of a cell again and returns them in the order asked for.
+    """Simulates episodes of a cell, given by their seeds, again; returns them in the same order.
 
-    Args:
-        run: A finished run.
-        cell: Index into `cells` of its suite.
-        episodes: Seeds of the episodes; all episodes are kept in memory.
-        folder: The folder that relative paths of networks in the suite start from.
+    All are kept in memory. Relative paths of networks in the suite start from `folder`.
 
     Raises:
         RunFolderError: The run has no such episode, or the new rows differ from those of the run.
