@@ -138,13 +138,11 @@ class HighwayEnvEngine:
         scene = self.scene
         for place, vehicle in enumerate(self.roads[row].vehicles):
             scene.x[row, place], scene.y[row, place] = vehicle.position
-            scene.heading[row, place] = vehicle.heading
-            scene.speed[row, place] = vehicle.speed
-            scene.acceleration[row, place] = vehicle.action["acceleration"]
-            scene.steering[row, place] = vehicle.action["steering"]
-            scene.target_speed[row, place] = vehicle.target_speed
+            for name in ("heading", "speed", "target_speed", "crashed"):
+                getattr(scene, name)[row, place] = getattr(vehicle, name)
+            for name in ("acceleration", "steering"):
+                getattr(scene, name)[row, place] = vehicle.action[name]
             scene.target_lane[row, place] = vehicle.target_lane_index[2]
-            scene.crashed[row, place] = vehicle.crashed
             scene.impact[row, place] = vehicle.impact is not None
             if vehicle.impact is not None:
                 scene.impact_x[row, place], scene.impact_y[row, place] = vehicle.impact

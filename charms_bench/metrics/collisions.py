@@ -4,7 +4,8 @@ import polars as pl
 
 from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
-ENDED_BADLY = pl.first("ending").is_in(["rear_end", "side", "off_road"])
+ENDING = pl.first("ending")
+ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
 
 COLLISION_RATE = Metric(
     name="collision_rate",
@@ -40,9 +41,9 @@ TRAFFIC_CRASHES_PER_1000KM = Metric(
 )
 
 
-def _per_1000km(name: str, what: str, happened: pl.Expr) -> Metric:
+def _per_1000km(kind: str, what: str, happened: pl.Expr) -> Metric:
     return Metric(
-        name=name,
+        name=f"{kind}_per_1000km",
         unit="1/1,000 km",
         description=f"{what}, per 1,000 km driven by the ego",
         rests_on="episodes",
@@ -52,14 +53,12 @@ def _per_1000km(name: str, what: str, happened: pl.Expr) -> Metric:
 
 
 CRASHES_PER_1000KM = _per_1000km(
-    "crashes_per_1000km", "collisions of the ego and departures from the road", ENDED_BADLY
+    "crashes", "collisions of the ego and departures from the road", ENDED_BADLY
 )
 REAR_END_PER_1000KM = _per_1000km(
-    "rear_end_per_1000km", "rear-end collisions of the ego", pl.first("ending") == "rear_end"
+    "rear_end", "rear-end collisions of the ego", ENDING == "rear_end"
 )
-SIDE_PER_1000KM = _per_1000km(
-    "side_per_1000km", "side collisions of the ego", pl.first("ending") == "side"
-)
+SIDE_PER_1000KM = _per_1000km("side", "side collisions of the ego", ENDING == "side")
 OFF_ROAD_PER_1000KM = _per_1000km(
-    "off_road_per_1000km", "departures of the ego from the road", pl.first("ending") == "off_road"
+    "off_road", "departures of the ego from the road", ENDING == "off_road"
 )

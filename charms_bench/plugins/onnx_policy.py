@@ -40,7 +40,12 @@ class OnnxPolicy(Policy):
 
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
-        data = _read(self.path)
+        try:
+            data = read_limited(self.path, SIZE_LIMIT_BYTES)
+        except OSError as error:
+            raise ModelError(f"{self.path}: cannot be read: {error.strerror}") from error
+        if problem := problem_of(data):
+            raise ModelError(f"{self.path}: {problem}")
         self._sha256 = sha256(data).hexdigest()
         self._session = _session(self.path, data)
         metadata = self._session.get_modelmeta().custom_metadata_map
@@ -84,16 +89,6 @@ class OnnxPolicy(Policy):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self.decision_hz)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        data = read_limited(path, SIZE_LIMIT_BYTES)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
-    if problem := problem_of(data):
-        raise ModelError(f"{path}: {problem}")
-    return data
 
 
 def _session(path: Path, data: bytes) -> Any:

@@ -50,14 +50,9 @@ def plugins(group: str) -> dict[str, Plugin]:
     """
     found: dict[str, Plugin] = {}
     for entry_point in entry_points(group=group):
-        distribution = entry_point.dist
-        plugin = Plugin(
-            name=entry_point.name,
-            role=_ROLES[group],
-            distribution=distribution.name if distribution else "unknown",
-            version=distribution.version if distribution else "unknown",
-            entry_point=entry_point,
-        )
+        source = entry_point.dist
+        origin = (source.name, source.version) if source else ("unknown", "unknown")
+        plugin = Plugin(entry_point.name, _ROLES[group], *origin, entry_point)
         rival = found.setdefault(plugin.name, plugin)
         if rival.distribution != plugin.distribution:
             raise RegistryError(

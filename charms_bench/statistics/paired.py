@@ -175,11 +175,8 @@ def _degrees(deviations: Floats, errors: Floats) -> float:
         return 0.0
     if point <= stats.t.ppf(UPPER, MANY_DEGREES):
         return MANY_DEGREES
-    return float(
-        optimize.brentq(
-            lambda degrees: stats.t.ppf(UPPER, degrees) - point, FEWEST_DEGREES, MANY_DEGREES
-        )
-    )
+    bracket = (FEWEST_DEGREES, MANY_DEGREES)
+    return float(optimize.brentq(lambda degrees: stats.t.ppf(UPPER, degrees) - point, *bracket))
 
 
 def holm(p: Floats) -> Floats:

@@ -176,10 +176,9 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
         ours.finish_step()
         theirs.finish_step()
         for row in np.nonzero(running & (ours.ending != theirs.ending))[0]:
+            where = (int(ours.seeds[row]), frame, int(ours.scene.ego[row]))
             pair = (float(ours.ending[row]), float(theirs.ending[row]))
-            differences.append(
-                Difference(int(ours.seeds[row]), frame, int(ours.scene.ego[row]), "ending", *pair)
-            )
+            differences.append(Difference(*where, "ending", *pair))
             ours.scene.active[row] = theirs.scene.active[row] = False
     crashed = int(ours.scene.crashed.sum())
     return Comparison(case, episodes, steps, lane_changes, crashed, largest, tuple(differences))

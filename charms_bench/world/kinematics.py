@@ -32,6 +32,7 @@ FEATURES: dict[str, Callable[[Scene, Vehicles], Floats]] = {
 }
 """The features that a row can have [`Vehicle.to_dict`]."""
 RELATIVE = ("x", "y", "vx", "vy")
+DEFAULT = ("presence", *RELATIVE)
 SPEED_MPS = 40.0
 """The default ranges depend on this speed, not on the profile's [Vehicle.MAX_SPEED]."""
 LANE_WIDTH_M = 4.0
@@ -47,6 +48,7 @@ def _known(feature: str) -> str:
 
 
 Feature = Annotated[str, AfterValidator(_known)]
+Ranges = dict[Feature, Annotated[tuple[Finite, Finite], Field(strict=False)]]
 
 
 class Kinematics(FrozenModel):
@@ -59,14 +61,9 @@ class Kinematics(FrozenModel):
 
     vehicles_count: Annotated[int, Field(ge=2, le=501)] = 5
     """Number of rows."""
-    features: Annotated[tuple[Feature, ...], Field(strict=False, min_length=1)] = (
-        "presence",
-        *RELATIVE,
-    )
+    features: Annotated[tuple[Feature, ...], Field(strict=False, min_length=1)] = DEFAULT
     """The columns."""
-    features_range: dict[Feature, Annotated[tuple[Finite, Finite], Field(strict=False)]] | None = (
-        None
-    )
+    features_range: Ranges | None = None
     """The features that are mapped to [-1, 1], and their ranges. By default, x has ±200 m, y has
     ± one lane width times the number of lanes, and vx and vy have ±80 m/s."""
     absolute: bool = False
@@ -92,9 +89,7 @@ class Kinematics(FrozenModel):
 
     @field_validator("features_range")
     @classmethod
-    def _ranges_have_a_width(
-        cls, value: dict[str, tuple[float, float]] | None
-    ) -> dict[str, tuple[float, float]] | None:
+    def _ranges_have_a_width(cls, value: Ranges | None) -> Ranges | None:
         for feature, (low, high) in (value or {}).items():
             if low >= high:
                 raise ValueError(f"the range of {feature} is {low} to {high}; expected low < high")
@@ -129,7 +124,7 @@ class Kinematics(FrozenModel):
         values = -1 + (values - low) * 2 / (high - low)  # in the order of `utils.lmap`
         return values.clip(-1.0, 1.0) if self.clip else values
 
-    def _ranges(self, lanes: int) -> dict[str, tuple[float, float]]:
+    def _ranges(self, lanes: int) -> Ranges:
         """[`KinematicObservation.normalize_obs`]"""
         if self.features_range:
             return self.features_range
