@@ -5,12 +5,12 @@ NASTIEST = {
     "suite: code: apply": "A suite whose title is `!!python/object/apply:os.mkdir [canary]`",
     "a link to /dev/zero as a network": "A network that is a link to `/dev/zero`",
     "network: weights elsewhere, disguised": "A network whose weights are in another file, "
-    "with an encoding of the file's name that a byte search does not find",
-    "network: a loop without end": "A network with a loop of 2^62 rounds",
+    "whose name is encoded so that a byte search does not find it",
+    "network: a loop without end": "A network with a loop of 2^62 iterations",
     "network: a product of 80 GB": "A network of 1 MB with a product that needs 80 GB",
     "checkpoint: a pickle that makes a folder": "A checkpoint with a pickle that calls `os.mkdir`",
     "checkpoint: a bytearray of 32 GB": "A checkpoint whose pickle asks for a `bytearray` of 32 "
-    "GB, which `torch.load(weights_only=True)` makes",
+    "GB, which `torch.load(weights_only=True)` would allocate",
     "recordings: 10^9 rows announced": "A recording whose metadata declares 10^9 rows",
     "network: a sparse tensor of 32 GiB": "A network of 200 bytes with a sparse tensor of 32 GiB",
 }
