@@ -69,14 +69,7 @@ class Job:
 def reinforcement_job(
     output: Path, name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]
 ) -> Job:
-    """The job of a stage that learns in a simulation.
-
-    Args:
-        output: The run folder.
-        name: The stage.
-        suite: The suite of the stage.
-        drivers: The agents that drive the traffic, by name.
-    """
+    """The job of the suite's stage `name`, whose traffic `drivers` drive, in a run folder."""
     stage = suite.stages[name]
     first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
@@ -125,13 +118,9 @@ def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any
 def human_job(
     output: Path, name: str, suite: TrainingSuite, samples: SampleStore, start: Path | None
 ) -> Job:
-    """The job of a stage that learns from human driving.
+    """The job of the suite's stage `name`, which learns from samples of human driving.
 
     Args:
-        output: The run folder.
-        name: The stage.
-        suite: The suite of the stage.
-        samples: The samples to learn from.
         start: The network that is fine-tuned; None for imitation.
     """
     assert suite.human is not None

@@ -5,6 +5,7 @@ along the road.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -67,6 +68,7 @@ class Prepared(NamedTuple):
     """(B, L) the followers' expected accelerations, m/s2."""
 
 
+@dataclass(frozen=True)
 class StyleReward:
     """R_2, eq. 8: E (a r_s + b r_e + c r_c) + O r_o with E = cos phi and O = sin phi.
 
@@ -83,43 +85,39 @@ class StyleReward:
             `lane_change_reward` with the opposite sign.
     """
 
-    def __init__(
-        self,
-        weights: Weights,
-        angle_rad: float,
-        safety_horizon_s: float = SAFE_TTC_S,
-        safe_headway_m: float = 0.0,
-        lane_change_cost: float = 0.0,
-    ) -> None:
-        self._weights = weights
-        self._horizon_s, self._headway_m = safety_horizon_s, safe_headway_m
-        self._lane_change_cost = lane_change_cost
-        self._own, self._others = math.cos(angle_rad), math.sin(angle_rad)
+    weights: Weights
+    angle_rad: float
+    safety_horizon_s: float = SAFE_TTC_S
+    safe_headway_m: float = 0.0
+    lane_change_cost: float = 0.0
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
         """Observes the scenes before the egos' actions (B,) are executed."""
         scene = simulation.scene
         rows, ego = simulation.ego_vehicles
         followers = scene.followers[rows, ego]
-        expected = _expected(scene, followers) if self._others else np.zeros(followers.shape)
+        expected = (
+            _expected(scene, followers) if math.sin(self.angle_rad) else np.zeros(followers.shape)
+        )
         consistent = simulation.has_action[rows, ego] & (simulation.action[rows, ego] == actions)
         lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
         return Prepared(consistent, lane, target_lane, followers, expected)
 
     def __call__(self, simulation: Simulation, prepared: Prepared) -> Floats:
         """The rewards (B,) of the decisions."""
-        scene, weights = simulation.scene, self._weights
+        scene, weights = simulation.scene, self.weights
+        own_share, others_share = math.cos(self.angle_rad), math.sin(self.angle_rad)
         own = (
-            weights.safety * safety(scene, self._horizon_s, self._headway_m)
+            weights.safety * safety(scene, self.safety_horizon_s, self.safe_headway_m)
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
-        rewards = self._own * own / weights.largest
-        if self._others:
-            rewards += self._others * (others(scene, prepared) + 6) / 12
-        if self._lane_change_cost:
+        rewards = own_share * own / weights.largest
+        if others_share:
+            rewards += others_share * (others(scene, prepared) + 6) / 12
+        if self.lane_change_cost:
             changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
-            rewards -= self._lane_change_cost * changed
+            rewards -= self.lane_change_cost * changed
         return np.where(simulation.failed, FAILURE, rewards)
 
 
