@@ -173,13 +173,7 @@ class CharmsSampler:
         self._observations: list[Observations] = []
 
     def add(self, recording: Recording, rows: pl.DataFrame, observations: Observations) -> None:
-        """Takes the decisions of a recording.
-
-        Args:
-            recording: The recording.
-            rows: Its decisions, as `situations` returns them.
-            observations: (M, 7, 5) what the drivers saw.
-        """
+        """Takes the decisions of a recording and what the drivers saw (M, 7, 5)."""
         trio = recording.trio
         rows = _judged(rows, observations, self.settings)
         rng = np.random.default_rng([self.settings.seed, trio.number])

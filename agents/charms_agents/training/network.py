@@ -147,15 +147,15 @@ def _serialised(network: Sequential, facts: dict[str, str], shape: tuple[int, in
     layers = layers_of(network)
     operators = {kind: name for name, kind in ACTIVATIONS.items()}
     between = [operators[type(module)] for module in network if type(module) in operators]
-    nodes, tensors, last = [], [], "flat"
-    nodes.append(helper.make_node("Flatten", ["observations"], ["flat"], axis=1))
+    tensors: list[TensorProto] = []
+    last = "flat"
+    nodes = [helper.make_node("Flatten", ["observations"], [last], axis=1)]
     for index, (weight, bias) in enumerate(layers):
-        tensors.append(numpy_helper.from_array(weight, f"weight_{index}"))
-        tensors.append(numpy_helper.from_array(bias, f"bias_{index}"))
+        inputs = [f"weight_{index}", f"bias_{index}"]
+        tensors += map(numpy_helper.from_array, (weight, bias), inputs)
         final = index == len(layers) - 1
         out = "values" if final else f"linear_{index}"
-        inputs = [last, f"weight_{index}", f"bias_{index}"]
-        nodes.append(helper.make_node("Gemm", inputs, [out], transB=1))
+        nodes.append(helper.make_node("Gemm", [last, *inputs], [out], transB=1))
         if not final:
             nodes.append(helper.make_node(between[index], [out], [f"hidden_{index}"]))
             last = f"hidden_{index}"

@@ -53,7 +53,6 @@ KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 """The activations that can be exported, by their torch name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
-
 Tensors = dict[str, torch.Tensor]
 Numbered = dict[int, Tensors]
 """The weight and the bias of each layer, by its position in the network."""
@@ -156,8 +155,7 @@ def _members(content: bytes, place: str = "") -> list[ZipInfo]:
 
 def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
     """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much."""
-    unpacked = sum(info.file_size for info in members)
-    if unpacked > limit:
+    if (unpacked := sum(info.file_size for info in members)) > limit:
         raise _Refusal(f"{name} unpacks to {unpacked:,} bytes; expected {limit:,} at most")
     for info in members:
         if info.file_size > RATIO_LIMIT * max(info.compress_size, 1):
