@@ -66,26 +66,26 @@ def bench(
     vehicles: Annotated[
         int, typer.Option(min=6, max=500, help="Vehicles per scene, including the ego.")
     ] = 21,
-    traffic: Annotated[str, typer.Option(help="Traffic in this project's engine.")] = "idm_mobil",
+    traffic: Annotated[str, typer.Option(help="Traffic of the compiled engine.")] = "idm_mobil",
     seconds: Annotated[
         float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")
     ] = 2.0,
     rounds: Annotated[
-        int, typer.Option(min=1, max=1000, help="Number of measurements per contestant.")
+        int, typer.Option(min=1, max=1000, help="Number of measurements per engine.")
     ] = 3,
     environments: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=10_000,
-            help="Measure Gymnasium vector environments with this many environments instead.",
+            help="Measure Gymnasium vector environments of this size instead of engines.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure environment steps per second.
 
-    Measures this engine, highway-env and, if it is installed, EnvPool.
+    It measures the compiled engine, highway-env and, if it is installed, EnvPool.
     """
     from charms_bench.testing.bench import bench as measure
 

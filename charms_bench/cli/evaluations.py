@@ -41,7 +41,7 @@ def run(
         Path | None,
         typer.Option(
             metavar="RUN",
-            help="Copy episodes that this other run folder already has instead of simulating them.",
+            help="Another run folder; episodes that it contains are copied, not simulated.",
         ),
     ] = None,
     shard_limit_s: Annotated[
@@ -58,8 +58,7 @@ def run(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Run on the Dask cluster with its scheduler at this address, "
-            "e.g. tcp://HOST:8786.",
+            help="Address of a Dask scheduler; its cluster runs the suite, e.g. tcp://HOST:8786.",
         ),
     ] = None,
     only: Annotated[
@@ -76,7 +75,7 @@ def run(
 ) -> None:
     """Run a suite, or continue an interrupted run of it.
 
-    Finished parts of a run are never simulated again.
+    Finished shards are not simulated again.
     """
     from charms_bench import api
     from charms_bench.runs.document import Document

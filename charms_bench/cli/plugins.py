@@ -84,7 +84,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 def check(
     name: Annotated[str, typer.Argument(help="Agent or traffic.")], as_json: Json = False
 ) -> None:
-    """Test a plugin against the contract.
+    """Test whether a plugin follows the rules.
 
     The exit code is 1 if the plugin breaks a rule.
     """
@@ -116,7 +116,7 @@ def new_agent(
     name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
     folder: Annotated[
         Path | None,
-        typer.Option(help="Folder to write; the default is a new folder with the agent's name."),
+        typer.Option(help="Folder to create; the default is the agent's name."),
     ] = None,
 ) -> None:
     """Write a package with a new agent, its tests and a suite."""

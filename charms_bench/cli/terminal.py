@@ -41,13 +41,15 @@ MetricSets = Annotated[
     ),
 ]
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
-EgoLabel = Annotated[str | None, typer.Option("--agent", help="Label of the ego in the tables.")]
+EgoLabel = Annotated[
+    str | None, typer.Option("--agent", help="Only this ego, by its label in the tables.")
+]
 TrafficLabel = Annotated[
-    str | None, typer.Option("--traffic", help="Label of the traffic in the tables.")
+    str | None, typer.Option("--traffic", help="Only this traffic, by its label in the tables.")
 ]
 SuiteFolder = Annotated[
     Path,
-    typer.Option(help="Folder of the suite file, if relative paths in the suite start there."),
+    typer.Option(help="Folder that relative paths in the suite refer to."),
 ]
 FigurePath = Annotated[
     Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
