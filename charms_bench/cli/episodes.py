@@ -27,7 +27,7 @@ def edge_cases(
     kind: Annotated[
         Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"] | None,
         typer.Option(
-            help="Only this kind. A lane change counts as abandoned if another vehicle took the gap."
+            help="Only this kind. In an abandoned lane change, another vehicle takes the gap."
         ),
     ] = None,
     agent: EgoLabel = None,
