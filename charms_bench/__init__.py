@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from charms_bench.world.actions import LANE_RIGHT as LANE_RIGHT
     from charms_bench.world.actions import SLOWER as SLOWER
     from charms_bench.world.compiled import compiled as compiled
-    from charms_bench.world.kinematics import Kinematics as Kinematics
+    from charms_bench.world.kinematics_observation import Kinematics as Kinematics
     from charms_bench.world.scene import Scene as Scene
     from charms_bench.world.scene import SceneSettings as SceneSettings
 
@@ -40,7 +40,7 @@ _NAMES = {
     "report.training_tables": "Training",
     "world.actions": "ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT SLOWER",
     "world.compiled": "compiled",
-    "world.kinematics": "Kinematics",
+    "world.kinematics_observation": "Kinematics",
     "world.scene": "Scene SceneSettings",
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names.split()}

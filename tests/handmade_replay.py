@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.episodes.replay import Replay
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.suite import Cell, EgoEntry, TrafficEntry

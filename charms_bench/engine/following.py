@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from charms_bench.engine.rows import COUNT_SCHEMA, table
+from charms_bench.engine.columns import COUNT_SCHEMA, table
 from charms_bench.world.scene import Ints, Scene
 
 FOLLOWING_RANGE_M = 50.0

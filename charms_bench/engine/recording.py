@@ -1,6 +1,6 @@
 """Records episodes: one row per decision of the ego, one per episode, and counts of all vehicles.
 
-Every metric is computed from these rows, so a new metric needs no new simulation. `engine.rows`
+Every metric is computed from these rows, so a new metric needs no new simulation. `engine.columns`
 declares the columns. A value that does not exist, such as the speed of a missing leader, is null.
 """
 
@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA, table
 from charms_bench.engine.following import FollowingCounts
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA, table
 from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.world.scene import Bools, Ints
 

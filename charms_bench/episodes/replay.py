@@ -70,9 +70,9 @@ class Replay:
     has_action: Bools
     """Whether there is one: not before the first, and never under a driver model."""
     episodes: pl.DataFrame
-    """The episode row (`engine.rows.EPISODE`)."""
+    """The episode row (`engine.columns.EPISODE`)."""
     steps: pl.DataFrame
-    """The step rows (`engine.rows.STEP`)."""
+    """The step rows (`engine.columns.STEP`)."""
 
     @property
     def ending(self) -> str:

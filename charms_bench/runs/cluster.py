@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import ClusterError, InputError
 from charms_bench.runs.cluster_worker import Job, describe_platform, run_shard
-from charms_bench.runs.keys import differences
+from charms_bench.runs.code_hashes import differences
 from charms_bench.runs.runner import Notice, SimulateAll
 from charms_bench.runs.shard import ShardFiles, ShardTask
 

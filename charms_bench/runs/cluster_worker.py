@@ -14,7 +14,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from charms_bench.errors import ClusterError
-from charms_bench.runs.keys import differences
+from charms_bench.runs.code_hashes import differences
 
 if TYPE_CHECKING:
     from charms_bench.runs.shard import ShardFiles, ShardTask

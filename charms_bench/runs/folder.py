@@ -19,10 +19,10 @@ from typing import Any
 import polars as pl
 
 from charms_bench import __version__
-from charms_bench.engine.rows import SCHEMAS
+from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
-from charms_bench.runs.keys import library_versions
+from charms_bench.runs.code_hashes import library_versions
 from charms_bench.runs.lock import locked
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.suite import PRESENTATION, Suite

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import CharmsBenchError, InputError, RegistryError
 from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
 from charms_bench.plugins.registry import METRICS, load

@@ -24,11 +24,11 @@ from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
-from charms_bench.runs.keys import code_sha256, differences, harness_sha256, library_versions
+from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
 from charms_bench.world.scene import SceneSettings
 
 ShardFiles = Mapping[str, bytes]
-"""The Parquet files of a shard by kind of rows, one for each kind in `engine.rows.SCHEMAS`."""
+"""The Parquet files of a shard by kind of rows, one for each kind in `engine.columns.SCHEMAS`."""
 
 
 @dataclass(frozen=True)

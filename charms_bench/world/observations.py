@@ -6,7 +6,7 @@ itself: 1, 1, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its nearest n
 neighbour is all zeros. Neighbours follow highway-env's rule; see `Scene.leader`.
 
 `Kinematics` is highway-env's own observation, with its options; see
-`charms_bench.world.kinematics`.
+`charms_bench.world.kinematics_observation`.
 """
 
 import json
@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from charms_bench.errors import InputError, first_problem, suggestion
 from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.fields import FrozenModel
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 
 

@@ -28,7 +28,7 @@ from typer.testing import CliRunner
 from charms_bench.cli import app
 from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import neighbours
 
 SUITE = """\

@@ -23,7 +23,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.runs.suite import load_suite
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
 

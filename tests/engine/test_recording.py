@@ -5,8 +5,8 @@ import polars as pl
 import pytest
 from charms_baselines.idm_mobil import IdmMobil
 
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.engine.recording import Recording
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scene import SceneSettings

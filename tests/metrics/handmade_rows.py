@@ -4,7 +4,7 @@ from typing import Any
 
 import polars as pl
 
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import Metric, sums_by_episode
 from charms_bench.world.scene import SceneSettings
 

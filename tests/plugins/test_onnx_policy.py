@@ -11,7 +11,7 @@ import pytest
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.testing import agent_rules
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import described, neighbours
 
 NetworkFile = Callable[..., Path]

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
 from charms_bench.report.comparison import by_pair, compare, to_dicts

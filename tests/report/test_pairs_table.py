@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from command_line import charms_bench
 
-from charms_bench.engine.rows import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
 from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
 from charms_bench.report.run_files import write_run

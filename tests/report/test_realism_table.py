@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 from scipy import stats
 
+from charms_bench.engine.columns import COUNT_SCHEMA
 from charms_bench.engine.following import BIN, BINS
-from charms_bench.engine.rows import COUNT_SCHEMA
 from charms_bench.people.reference import Reference
 from charms_bench.report.realism_table import distances, realism_table
 from charms_bench.report.run_files import write_table

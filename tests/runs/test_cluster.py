@@ -21,7 +21,7 @@ from dask_cluster import PATIENCE_S, DaskCluster, wait_until
 
 from charms_bench.errors import ClusterError, InputError
 from charms_bench.runs.cluster import on_cluster
-from charms_bench.runs.keys import differences
+from charms_bench.runs.code_hashes import differences
 from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
 

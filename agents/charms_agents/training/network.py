@@ -18,7 +18,7 @@ from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import write_atomically
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, described, neighbours
 from charms_bench.world.scene import Observations
 

@@ -22,7 +22,7 @@ from charms_bench.errors import ModelError
 from charms_bench.testing import example_scene
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import read_limited
-from charms_bench.world.kinematics import Kinematics
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Observations
 

@@ -15,7 +15,7 @@ from scenes import all_vehicles, scene_of
 from charms_bench.engine.highway_env import HighwayEnvEngine
 from charms_bench.errors import InputError
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.kinematics import FEATURES, Kinematics
+from charms_bench.world.kinematics_observation import FEATURES, Kinematics
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings

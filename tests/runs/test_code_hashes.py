@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from charms_bench.runs.keys import SOURCES, harness_sha256, imported_modules, row_modules
+from charms_bench.runs.code_hashes import SOURCES, harness_sha256, imported_modules, row_modules
 
 HARNESS = SOURCES / "charms_bench"
 UNRELATED = ("report", "cli", "statistics", "metrics", "episodes", "people", "envs", "testing")
