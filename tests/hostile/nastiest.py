@@ -4,8 +4,8 @@ NASTIEST = {
     "suite: a billion laughs": "A suite of 59 lists, each with four copies of the previous list",
     "suite: code: apply": "A suite whose title is `!!python/object/apply:os.mkdir [canary]`",
     "a link to /dev/zero as a network": "A network that is a link to `/dev/zero`",
-    "network: weights elsewhere, disguised": "A network whose weights are in another file, "
-    "whose name is encoded so that a byte search does not find it",
+    "network: weights elsewhere, disguised": "A network whose weights are in another file; "
+    "the name of that file is encoded so that a byte search does not find it",
     "network: a loop without end": "A network with a loop of 2^62 iterations",
     "network: a product of 80 GB": "A network of 1 MB with a product that needs 80 GB",
     "checkpoint: a pickle that makes a folder": "A checkpoint with a pickle that calls `os.mkdir`",
