@@ -245,7 +245,7 @@ def run(
     loaded = suite_of(document)
     references = read_references(loaded.references, loaded.folder)
     folder = Path(output or Path("runs") / loaded.suite)
-    elsewhere = None if cluster is None else on_cluster(cluster)
+    on_dask = None if cluster is None else on_cluster(cluster)
     try:
         with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
             finished = runner.run(
@@ -257,7 +257,7 @@ def run(
                 None if rows is None else Path(rows),
                 shard_limit_s or SHARD_LIMIT_S,
                 notice,
-                elsewhere,
+                on_dask,
             )
         with locked(folder):
             following = finished.following() if references else []
