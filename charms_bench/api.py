@@ -14,11 +14,11 @@ from typing import Any
 
 import polars as pl
 
-from charms_bench.engine import EngineName
-from charms_bench.episodes.criticality import Kind
+from charms_bench.engine import ENGINES, EngineName
+from charms_bench.episodes.criticality import IS_OF_KIND, Kind
 from charms_bench.episodes.edge_cases import EdgeCase, edge_cases
 from charms_bench.episodes.replay import Replay, find_cell, find_cells, replay
-from charms_bench.errors import InputError, RunFolderError
+from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.people.reference import read_references
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.report.comparison import compare
@@ -26,7 +26,7 @@ from charms_bench.report.html.report import write_report
 from charms_bench.report.html.table import notebook
 from charms_bench.report.progress import note, progress
 from charms_bench.report.run_files import write_run, write_table
-from charms_bench.report.stored import stored_tables
+from charms_bench.report.stored import holds, stored_tables
 from charms_bench.report.suite_table import printed, suite_table
 from charms_bench.report.table import Table
 from charms_bench.report.training_tables import STAGES, Training, stored_training
@@ -162,8 +162,12 @@ class Run:
             traffic: Label of the traffic; by default all.
 
         Raises:
+            InputError: The kind is unknown.
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
+        if kind is not None and kind not in IS_OF_KIND:
+            known = {str(each): each for each in IS_OF_KIND}
+            raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
         cells = find_cells(self._finished, agent, traffic)
         return edge_cases(self._finished, top, kind, cells, self._suite_folder)
 
@@ -233,6 +237,11 @@ def run(
         CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay.
         KeyboardInterrupt: The run was interrupted; its note names the folder.
     """
+    if engine not in ENGINES:
+        raise InputError(
+            f"no engine named '{engine}'. {suggestion(engine, dict.fromkeys(ENGINES))}"
+        )
+    _check_positive(workers=workers, shard_limit_s=shard_limit_s)
     if cluster is not None and engine != "batched":
         raise InputError("a cluster runs the engine 'batched'; 'highway-env' runs on this machine")
     if cluster is not None and workers is not None:
@@ -282,6 +291,12 @@ def open_run(path: PathLike, suite_folder: PathLike = ".") -> Run:
     return Run(open_finished(Path(path)), Path(suite_folder))
 
 
+def _check_positive(**options: float | None) -> None:
+    for name, value in options.items():
+        if value is not None and value <= 0:
+            raise InputError(f"{name} is {value}; expected a number above 0")
+
+
 def train(
     suite: PathLike,
     output: PathLike | None = None,
@@ -303,8 +318,11 @@ def train(
         CharmsBenchError: The suite, the recordings or the folder cannot be used.
         KeyboardInterrupt: The training was interrupted; its note names the folder.
     """
+    _check_positive(workers=workers)
     document = Document(Path(suite))
-    name = document.data.get("pipeline")
+    if "pipeline" not in document.data:
+        raise InputError(f"{suite}: is not a training suite; use charms_bench.run")
+    name = document.data["pipeline"]
     if not isinstance(name, str):
         raise document.error(("pipeline",), f"expected the name of a pipeline, found {name!r}")
     folder = Path(output or Path("runs") / document.path.stem)
@@ -323,6 +341,8 @@ def open_training(path: PathLike) -> Training:
     Raises:
         RunFolderError: It holds no training, or a damaged one.
     """
+    if holds(Path(path), MANIFEST):
+        raise RunFolderError(f"{path}: holds an evaluation; use charms_bench.open_run")
     training = stored_training(Path(path))
     if training.stages is None and training.curves is None:
         raise RunFolderError(

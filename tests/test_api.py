@@ -116,9 +116,12 @@ def test_a_report_is_one_file(run: charms_bench.Run, tmp_path: Path) -> None:
         ({"cluster": "tcp://here:1", "engine": "highway-env"}, "a cluster runs the engine 'batch"),
         ({"cluster": "tcp://here:1", "workers": 2}, "a cluster has its own"),
         ({"episodes": 0}, "episodes"),
+        ({"engine": "fast"}, "no engine named 'fast'. Known: batched, highway-env"),
+        ({"workers": -1}, "workers is -1; expected a number above 0"),
+        ({"shard_limit_s": 0}, "shard_limit_s is 0; expected a number above 0"),
     ],
 )
-def test_options_that_exclude_each_other_are_refused(
+def test_options_that_cannot_be_used_are_refused(
     suite_file: Path, tmp_path: Path, options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
@@ -133,10 +136,17 @@ def test_evaluations_and_trainings_are_told_apart(
     training.write_text("pipeline: charms\n")
     with pytest.raises(InputError, match=r"is a training suite; use charms_bench\.train"):
         charms_bench.run(training)
-    with pytest.raises(InputError, match="pipeline: expected the name of a pipeline, found None"):
+    with pytest.raises(InputError, match=r"is not a training suite; use charms_bench\.run"):
         charms_bench.train(suite_file)
-    with pytest.raises(RunFolderError, match="no finished training"):
+    with pytest.raises(RunFolderError, match=r"holds an evaluation; use charms_bench\.open_run"):
         charms_bench.open_training(run.path)
+    with pytest.raises(RunFolderError, match="no finished training"):
+        charms_bench.open_training(tmp_path)
+
+
+def test_a_kind_of_episode_that_does_not_exist_is_refused(run: charms_bench.Run) -> None:
+    with pytest.raises(InputError, match="no kind of episode named 'crash'"):
+        run.edge_cases(kind="crash")  # type: ignore[arg-type]
 
 
 def test_a_script_needs_no_guard_of_its_main_module(suite_file: Path, tmp_path: Path) -> None:

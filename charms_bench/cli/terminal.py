@@ -84,8 +84,9 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as error:
-        kept = "; ".join(getattr(error, "__notes__", ["nothing was written"]))
-        say(f"interrupted; {kept}, and the same command continues there", err)
+        kept = "; ".join(getattr(error, "__notes__", ()))
+        rest = f"; {kept}, and the same command continues there" if kept else ""
+        say(f"interrupted{rest}", err)
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)

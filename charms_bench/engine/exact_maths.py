@@ -10,6 +10,7 @@ from charms_bench.engine import EngineName
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
 ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Environment variables of a process that computes on one thread."""
+_DISABLED = "NPY_DISABLE_CPU_FEATURES"
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
 """The oldest core type that OpenBLAS knows; it has no fused multiply-add."""
@@ -26,7 +27,8 @@ def worker_environment(engine: EngineName) -> dict[str, str]:
     """
     if engine == "batched":
         return ONE_THREAD
-    environment = {**ONE_THREAD, "NPY_DISABLE_CPU_FEATURES": " ".join(_vectorised())}
+    disabled = [os.environ.get(_DISABLED, ""), *_vectorised()]  # the user may have disabled some
+    environment = {**ONE_THREAD, _DISABLED: " ".join(disabled).strip()}
     if _IS_X86:
         environment[_OPENBLAS] = _CORE_TYPE
     return environment

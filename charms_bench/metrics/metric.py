@@ -61,7 +61,7 @@ class MetricSet:
     version: int
     metrics: tuple[Metric, ...]
     options: str = ""
-    """The options that differ from the defaults, such as `ttc_s=2`."""
+    """The options that it was made with, such as `ttc_s=2`."""
 
     @property
     def label(self) -> str:

@@ -151,15 +151,19 @@ def starting(environment: Mapping[str, str]) -> Iterator[None]:
     Otherwise a new process would import the user's script again, and a script that starts a run
     would start it again.
     """
-    main, before = sys.modules["__main__"], dict(os.environ)
+    main = sys.modules["__main__"]
+    before = {name: os.environ.get(name) for name in environment}
     sys.modules["__main__"] = ModuleType("__main__")
     os.environ |= environment
     try:
         yield
     finally:
         sys.modules["__main__"] = main
-        os.environ.clear()
-        os.environ |= before
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _serve(work: Callable[[Any], Any], connection: Connection) -> None:

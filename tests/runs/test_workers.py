@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from charms_bench.errors import AgentError, WorkerError
-from charms_bench.runs.workers import in_processes
+from charms_bench.runs.workers import in_processes, starting
 
 
 def doubled(number: int) -> int:
@@ -64,6 +64,19 @@ def test_what_was_finished_before_a_task_hangs_has_come_back() -> None:
     assert [next(results), next(results)] == [(1, 2), (2, 4)]
     with pytest.raises(WorkerError, match="number 3 took longer than 5 s"):
         next(results)
+
+
+def test_variables_of_a_worker_are_taken_back_and_all_others_are_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    with starting({"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}):
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["NUMBA_NUM_THREADS"] == "1"
+        monkeypatch.setenv("SET_BY_ANOTHER_THREAD", "yes")
+    assert os.environ["OMP_NUM_THREADS"] == "8"
+    assert "NUMBA_NUM_THREADS" not in os.environ
+    assert os.environ["SET_BY_ANOTHER_THREAD"] == "yes"
 
 
 def test_an_error_of_ours_keeps_its_message() -> None:
