@@ -3,8 +3,8 @@
 Each sample is one driver at one decision: the observation `neighbours` and a soft label. A
 decision is rejected for the first of `REASONS` that applies. Of the accepted decisions, IDLE ones
 are drawn at random until their recording has at most `idle_ratio` of them for each other one.
-Whole recordings are held out. Where recordings overlap, as those of US-101 do, a driver can still be
-in both the training and the held-out samples.
+Whole recordings are held out. Where recordings overlap, as those of US-101 do, a driver can still
+be in both the training and the held-out samples.
 """
 
 import hashlib
