@@ -88,10 +88,11 @@ def compare(
     for record, p, marked in zip(records, corrected, apart, strict=True):
         record["corrected_p"] = p
         record["difference"] = replace(record["difference"], p=p, marked=marked)
+    episodes = ", ".join(f"{n:,}" for n in sorted({record["difference"].n for record in records}))
     note = (
         f"{sum(apart)} of {len(apart)} differences are separated from 0 (marked): p, corrected "
         f"for {len(apart)} tests by Holm's method, is below 0.05. detectable: the "
-        f"{COLUMNS[4].definition}."
+        f"{COLUMNS[4].definition}. Episodes: {episodes}."
     )
     title = "First agent minus second"
     return Table.from_records(records, "comparison", title, KEYS, COLUMNS, note)

@@ -82,5 +82,11 @@ def _four_digits(numbers: Iterable[Number]) -> str:
 def _two_digits_of_margin(number: Number) -> str:
     """The form for a number: two digits of the half-width of its interval, which limits it."""
     if number.value is None or number.high is None or number.high <= number.value:
-        return ".3g"
+        return _three_digits(number.value or 0.0)
     return f".{max(0, 1 - math.floor(math.log10(number.high - number.value)))}f"
+
+
+def _three_digits(value: float) -> str:
+    """The form for a number without an interval."""
+    magnitude = math.floor(math.log10(abs(value))) if value else 2
+    return f".{min(5, max(0, 2 - magnitude))}f"

@@ -9,7 +9,7 @@ from charms_bench.report.bars import INTERVAL, REFERENCE, VALUE, Scale, bar
 from charms_bench.report.formatting import Written, write_cells, write_column
 from charms_bench.report.table import Number, Table
 
-COLUMN_WIDTH = 15
+COLUMN_WIDTH = 16
 """Characters that a column of numbers needs: its interval and the space around it."""
 NARROWEST, WIDEST = 8, 44
 """Characters of a bar."""
@@ -20,15 +20,22 @@ def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
     """The table with as many columns side by side as fit into a width in characters.
 
     If it is `stacked`, an interval and a reference value stand under the value; else the interval
-    has a column of its own, and all columns stand in one block.
+    has a column of its own, and all columns stand in one block. Labels that take more than half of
+    the width are wrapped.
     """
-    labels = max((sum(map(len, row.labels)) for row in table.rows), default=0)
-    side_by_side = max(1, (width - labels - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
-    found = [_grid(block, stacked) for part in table.parts() for block in part.blocks(side_by_side)]
+    by_row = (row.labels for row in table.rows)
+    labels = sum(max(map(len, each)) for each in zip(*by_row, strict=True))
+    room = min(labels, width // 2)
+    side_by_side = max(1, (width - room - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
+    found = [
+        _grid(block, stacked, wrapped=labels > room)
+        for part in table.parts()
+        for block in part.blocks(side_by_side)
+    ]
     return Group(*found, *([Text(table.note)] if table.note else []))
 
 
-def _grid(table: Table, stacked: bool) -> RichTable:
+def _grid(table: Table, stacked: bool, wrapped: bool) -> RichTable:
     made = RichTable(title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD)
     if not stacked:
         made.padding = (0, 1, 0, 0)
@@ -36,13 +43,13 @@ def _grid(table: Table, stacked: bool) -> RichTable:
     has_interval = [
         not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
     ]
-    for i, key in enumerate(table.keys):
-        longest = max((len(row.labels[i]) for row in table.rows), default=0)
-        made.add_column(key, min_width=min(longest, WIDEST))
+    for key in table.keys:
+        made.add_column(key, no_wrap=not wrapped, overflow="fold")
     for i, column in enumerate(table.columns):
         is_text = any(isinstance(row.cells[i], str) for row in table.rows)
         # Spaces wrap, underscores do not.
-        made.add_column(column.name.replace("_", " "), justify="left" if is_text else "right")
+        name = column.name.replace("_", " ")
+        made.add_column(name, justify="left" if is_text else "right", overflow="fold")
         if has_interval[i]:
             made.add_column("95 % interval", justify="right")
     for row, cells in zip(table.rows, texts, strict=True):
@@ -76,17 +83,20 @@ def _between(cell: Written) -> str:
 def drawn(table: Table, width: int = 100) -> Group:
     """The table, whose cells are numbers, drawn to scale column by column, `width` characters."""
     parts: list[Text | RichTable] = []
-    for part in table.without_constant_keys().parts():
+    table = table.without_constant_keys()
+    for part in table.parts():
         parts += [Text(f"\n{part.title}", style="bold")] if part.title else []
         parts.append(_drawn(part, width))
     numbers = [number for row in table.rows for number in row.numbers]
-    legend = []
+    *outer, inner = table.keys
+    legend = [f"{inner} indented under {' '.join(outer)}"] if outer else []
     if any(number.low is not None for number in numbers):
         legend.append(f"{INTERVAL * 2}{VALUE}{INTERVAL * 2} value in its 95 % interval")
     if any(number.reference is not None for number in numbers):
         legend.append(f"{REFERENCE} {table.reference}")
-    if any(number.marked for number in numbers):
-        legend.append(f"*: {table.note}")
+    if table.note:
+        marked = any(number.marked for number in numbers)
+        legend.append("*: " * marked + table.note)
     return Group(*parts, Text("\n" + "; ".join(legend)) if legend else "")
 
 
@@ -101,7 +111,7 @@ def _drawn(table: Table, width: int) -> RichTable:
     label_width = min(taken[0], max(NARROWEST, width - sum(taken[1:]) - 2 * NARROWEST - 4 * GAP))
     room = min(WIDEST, max(NARROWEST, width - label_width - sum(taken[1:]) - 4 * GAP))
     made = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=False)
-    made.add_column(width=label_width, no_wrap=True)
+    made.add_column(width=label_width, overflow="fold")
     made.add_column(width=taken[1], justify="right", no_wrap=True)
     made.add_column(width=taken[2], justify="right", no_wrap=True)
     made.add_column(width=room, no_wrap=True)

@@ -108,4 +108,5 @@ def test_the_terminal_marks_what_is_separated_and_says_what_that_means() -> None
     assert "…" not in capture.get()
     (speed,) = (line for line in lines if line.lstrip().startswith("speed_mean ") and "* " in line)
     assert "<0.001" in speed
+    assert "Episodes: 80." in " ".join(lines)
     assert "is below 0.05" in " ".join(capture.get().split())

@@ -93,6 +93,7 @@ def test_a_notebook_shows_names_as_text_and_numbers_with_intervals() -> None:
         (".1%", False, Number(0.0301, 0.023, 0.0391), ("3.0 %", "2.3", "3.9")),
         ("margin", True, Number(-0.678, -0.826, -0.531), ("-0.68", "-0.83", "-0.53")),
         ("margin", True, Number(0.0, None, None), ("+0", "", "")),
+        ("margin", True, Number(-1234.5, None, None), ("-1234", "", "")),
         ("p", False, Number(0.0001), ("<0.001", "", "")),
         ("p", False, Number(0.04), ("0.040", "", "")),
         ("", False, Number(), ("–", "", "")),

@@ -9,8 +9,8 @@ from rich.console import Console, RenderableType
 from charms_bench.report.pairs_table import KEYS, LONG
 from charms_bench.report.pairs_table import from_frame as pairs_from_frame
 from charms_bench.report.suite_table import from_frame, printed
-from charms_bench.report.table import long_schema
-from charms_bench.report.terminal import drawn
+from charms_bench.report.table import Column, Number, Row, Table, long_schema
+from charms_bench.report.terminal import drawn, grid
 from charms_bench.runs.suite import Suite
 
 EGO = """\
@@ -77,6 +77,35 @@ def test_pairs_stand_under_their_first_ego_with_a_star_where_they_differ() -> No
     assert ["a"] in shown
     assert ["b", "+2.00*", "+1.50,", "+2.50"] in [words[:4] for words in shown]
     assert ["c", "-0.50", "-1.00,", "+0.10"] in [words[:4] for words in shown]
+    assert "second indented under first" in " ".join(map(" ".join, shown))
+
+
+def test_the_sign_of_a_difference_is_explained_even_if_none_is_marked() -> None:
+    rows = [("a", "b", "speed_mean", 0.1, -1.0, 1.2, 1.0, False)]
+    pairs = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
+    shown = lines(drawn(pairs_from_frame(pairs, SUITE)))
+    assert any("First minus second." in line and "*:" not in line for line in shown)
+
+
+@pytest.mark.parametrize("stacked", [True, False])
+def test_long_labels_are_wrapped_and_no_number_is_cut_off(stacked: bool) -> None:
+    label = "".join(chr(ord("A") + k % 26) for k in range(80))
+    number = Number(0.0222, 0.0130, 0.0329)
+    columns = tuple(Column(f"traffic_crashes_per_1000km_{k}") for k in range(2))
+    table = Table("t", "", ("agent", "traffic"), columns, (Row((label, label), (number,) * 2),))
+    shown = lines(grid(table, 80, stacked))
+    assert max(map(len, shown)) <= 80
+    assert sum(line.count("A") for line in shown) == 2 * label.count("A")
+    assert sum(line.count("0.0222") for line in shown) == 2
+    assert sum(line.count("0.0329") for line in shown) == 2
+
+
+def test_labels_that_fit_stay_on_one_line_with_every_column_beside_them() -> None:
+    row = Row(("Imitation Learning",), (Number(0.0222, 0.0130, 0.0329),) * 13)
+    columns = tuple(Column(f"traffic_crashes_per_1000km_{k}") for k in range(13))
+    shown = lines(grid(Table("t", "", ("agent",), columns, (row,)), 120), 120)
+    assert sum(line.count("0.0130–0.0329") for line in shown) == 13
+    assert any("Imitation Learning" in line for line in shown)
 
 
 @pytest.mark.parametrize("width", [20, 60, 200])

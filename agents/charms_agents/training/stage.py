@@ -150,15 +150,7 @@ class _Life:
             self.wall_s = float(progress["wall_s"])
             self.learner.load_arrays(arrays)
             self.reported = len(self.learner.curve)
-        except (
-            OSError,
-            EOFError,
-            BadZipFile,
-            KeyError,
-            ValueError,
-            TypeError,
-            RuntimeError,
-        ) as error:
+        except _UNSUITABLE as error:
             raise RunFolderError(
                 f"{self.checkpoint}: {what}: {error}; "
                 "delete it to start this stage from the beginning"
