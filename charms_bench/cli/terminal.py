@@ -56,18 +56,27 @@ FigurePath = Annotated[
 ]
 
 
-@app.callback(invoke_without_command=True)
-def version(
-    show: Annotated[
-        bool, typer.Option("--version", is_eager=True, help="Print the version and exit.")
-    ] = False,
-) -> None:
-    """Benchmark driving behaviour on highway-env's motorway."""
-    if show:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         from charms_bench import __version__
 
         print(f"charms-bench {__version__}")
         raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the version and exit.",
+        ),
+    ] = False,
+) -> None:
+    """Benchmark driving behaviour on highway-env's motorway."""
 
 
 @contextmanager

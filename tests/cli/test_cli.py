@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from command_line import charms_bench
 
+from charms_bench import __version__
 from charms_bench.report.progress import progress
 
 FOR_TERMINALS = {"FORCE_COLOR", "PY_COLORS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
@@ -116,6 +117,22 @@ def test_the_reference_engine_and_other_episodes_are_options(suite_file: Path) -
     manifest = json.loads((output / "manifest.json").read_text())
     assert manifest["engine"] == "highway-env"
     assert (manifest["episodes"], manifest["suite"]["seed"]) == (1, 5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--version"], 0, f"charms-bench {__version__}"),
+        ([], 2, "Usage:"),
+        (["--"], 2, "Missing command"),
+    ],
+)
+def test_without_a_command_only_the_version_is_a_success(
+    arguments: list[str], code: int, said: str, tmp_path: Path
+) -> None:
+    finished = in_a_process(*arguments, cwd=tmp_path)
+    assert finished.returncode == code
+    assert said in finished.stdout + finished.stderr
 
 
 @pytest.mark.parametrize(
