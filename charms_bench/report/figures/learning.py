@@ -35,7 +35,7 @@ def _draw(points: pl.DataFrame, name: str, curve: CurveColumn, stages: list[str]
         axes.plot(part[curve.over], part[name], label=stage, linewidth=1.4, **style)
     axes.set(xlabel=curve.over, ylabel=curve.title)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    if points[curve.over].max() > 10_000:  # type: ignore[operator]
+    if points[curve.over].max() > 10_000:  # type: ignore[operator]  # numeric, as `drawn` chose it
         axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:,.0f}k" if x else "0")
     if curve.form.endswith("%"):
         axes.set_ylim(bottom=0)
