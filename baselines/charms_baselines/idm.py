@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+from charms_bench.world import maths
 from charms_bench.world.compiled import clip, compiled, not_zero
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Scene
@@ -65,7 +66,7 @@ def closing_speed(vehicle: Motion, leader: Motion) -> float:
 def free_acceleration(vehicle: Motion, exponent: float, p: IdmMobilParameters) -> float:
     """IDM acceleration on a free road, m/s2, Treiber et al. 2000 eq. 3, first part."""
     share = max(vehicle.speed, 0.0) / abs(not_zero(vehicle.wanted_speed))
-    return float(p.acceleration_mps2 * (1 - share**exponent))
+    return float(p.acceleration_mps2 * (1 - maths.power(share, exponent)))
 
 
 @compiled

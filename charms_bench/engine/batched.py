@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
 from charms_bench.plugins.agent import DriverModel
+from charms_bench.world import maths
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
@@ -93,7 +94,7 @@ def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
         ego_speed=profile.ego_speed_mps,
         ego_spacing=profile.ego_spacing or spacing,
         spacing=spacing,
-        crowding=float(np.exp(-5 / 40 * settings.lanes)),
+        crowding=maths.exp(-5 / 40 * settings.lanes),
         speed_low=profile.spawn_speed_low * profile.speed_limit_mps,
         speed_high=profile.spawn_speed_high * profile.speed_limit_mps,
     )

@@ -2,51 +2,96 @@
 
 import os
 import platform
+from importlib import import_module
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from charms_bench.engine import EngineName
+from charms_bench.world import maths
 
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
 ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Environment variables of a process that computes on one thread."""
-_DISABLED = "NPY_DISABLE_CPU_FEATURES"
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
 """The oldest core type that OpenBLAS knows; it has no fused multiply-add."""
 _IS_X86 = platform.machine() in ("x86_64", "AMD64")
+_MODULES = (
+    "road.lane",
+    "road.road",
+    "utils",
+    "vehicle.behavior",
+    "vehicle.controller",
+    "vehicle.kinematics",
+    "vehicle.objects",
+)
+"""The modules of highway-env that move vehicles."""
 
 
 def worker_environment(engine: EngineName) -> dict[str, str]:
     """Returns the environment variables with which a worker process has to be started.
 
-    NumPy's vectorised tan, arcsin, arctan, exp and power differ from the C library's in the last
-    bit, and on processors with AVX-512 its OpenBLAS rounds a dot product once instead of twice.
-    highway-env's vehicles use them and would then differ from the compiled engine's, so for that
-    engine both are switched off. NumPy reads these variables when it is imported.
+    highway-env's vehicles use dot products of NumPy, whose library OpenBLAS rounds them once or
+    twice, depending on the processor. For that engine, it has to round twice. OpenBLAS reads this
+    setting when it is loaded.
     """
-    if engine == "batched":
+    if engine == "batched" or not _IS_X86:
         return ONE_THREAD
-    disabled = [os.environ.get(_DISABLED, ""), *_vectorised()]  # the user may have disabled some
-    environment = {**ONE_THREAD, _DISABLED: " ".join(disabled).strip()}
-    if _IS_X86:
-        environment[_OPENBLAS] = _CORE_TYPE
-    return environment
+    return {**ONE_THREAD, _OPENBLAS: _CORE_TYPE}
 
 
-def check_exact_maths(engine: EngineName) -> None:
-    """Checks that this process was started with `worker_environment(engine)`.
+def use_exact_maths(engine: EngineName) -> None:
+    """Makes highway-env's vehicles in this process use `charms_bench.world.maths`.
+
+    Otherwise their bits would be those of NumPy and of the C library, which both choose their
+    functions by the processor. Nothing is changed for the engine `batched`.
 
     Raises:
-        RuntimeError: NumPy computes highway-env's vehicles with other functions.
+        RuntimeError: The process was not started with `worker_environment(engine)`.
     """
-    if engine == "highway-env" and (
-        _vectorised() or (_IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE)
-    ):
+    if engine == "batched":
+        return
+    if _IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE:
         raise RuntimeError("the engine highway-env needs a process with exact maths")
+    for name in _MODULES:
+        import_module(f"highway_env.{name}").np = _numpy  # type: ignore[attr-defined]
 
 
-def _vectorised() -> list[str]:
-    """Returns the processor features beyond the baseline that NumPy uses in this process."""
-    extensions = np.show_config(mode="dicts")["SIMD Extensions"]
-    return list(extensions.get("found", ()))
+class _Numpy(ModuleType):
+    """NumPy with the elementary functions of `charms_bench.world.maths`, for numbers."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+    @staticmethod
+    def sin(x: float) -> np.float64:
+        return np.float64(maths.sin(x))
+
+    @staticmethod
+    def cos(x: float) -> np.float64:
+        return np.float64(maths.cos(x))
+
+    @staticmethod
+    def tan(x: float) -> np.float64:
+        return np.float64(maths.tan(x))
+
+    @staticmethod
+    def arcsin(x: float) -> np.float64:
+        return np.float64(maths.asin(x))
+
+    @staticmethod
+    def arctan(x: float) -> np.float64:
+        return np.float64(maths.atan(x))
+
+    @staticmethod
+    def exp(x: float) -> np.float64:
+        return np.float64(maths.exp(x))
+
+    @staticmethod
+    def power(x: float, y: float) -> np.float64:
+        return np.float64(x * x if y == 2 else maths.power(x, y))
+
+
+_numpy = _Numpy("numpy")

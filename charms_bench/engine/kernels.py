@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from charms_bench.world import maths
 from charms_bench.world.compiled import clip, compiled, not_zero
 from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
 from charms_bench.world.profile import Constants
@@ -48,11 +49,11 @@ def steering_control(lateral: float, heading: float, speed: float, c: Constants)
     [`ControlledVehicle.steering_control`]
     """
     lateral_speed = -(1 / c.tau_lateral) * lateral
-    heading_command = math.asin(clip(lateral_speed / not_zero(speed), -1.0, 1.0))
+    heading_command = maths.asin(clip(lateral_speed / not_zero(speed), -1.0, 1.0))
     heading_reference = clip(heading_command, -math.pi / 4, math.pi / 4)
     heading_rate = (1 / c.tau_heading) * wrap_to_pi(heading_reference - heading)
-    slip = math.asin(clip(c.length / 2 / not_zero(speed) * heading_rate, -1.0, 1.0))
-    return clip(math.atan(2 * math.tan(slip)), -c.steering_limit, c.steering_limit)
+    slip = maths.asin(clip(c.length / 2 / not_zero(speed) * heading_rate, -1.0, 1.0))
+    return clip(maths.atan(2 * maths.tan(slip)), -c.steering_limit, c.steering_limit)
 
 
 @compiled
@@ -104,12 +105,12 @@ def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
             if angle == 0.0 and psi == 0.0:  # the result is the same, bit for bit
                 x[b, i] += v * c.dt
             else:
-                beta = math.atan(1 / 2 * math.tan(angle))
-                x[b, i] += v * math.cos(psi + beta) * c.dt
-                y[b, i] += v * math.sin(psi + beta) * c.dt
-                psi += v * math.sin(beta) / (c.length / 2) * c.dt
+                beta = maths.atan(1 / 2 * maths.tan(angle))
+                x[b, i] += v * maths.cos(psi + beta) * c.dt
+                y[b, i] += v * maths.sin(psi + beta) * c.dt
+                psi += v * maths.sin(beta) / (c.length / 2) * c.dt
                 heading[b, i] = psi
-                direction_x[b, i], direction_y[b, i] = math.cos(psi), math.sin(psi)
+                direction_x[b, i], direction_y[b, i] = maths.cos(psi), maths.sin(psi)
                 lane[b, i] = closest_lane(y[b, i], c.lanes, c.lane_width)
             if impact[b, i]:
                 x[b, i] += impact_x[b, i]
@@ -376,8 +377,8 @@ def locate(scene: Scene, rows: Ints) -> None:
     c = scene.constants
     for b in rows:
         for i in range(scene.x.shape[1]):
-            scene.direction_x[b, i] = math.cos(scene.heading[b, i])
-            scene.direction_y[b, i] = math.sin(scene.heading[b, i])
+            scene.direction_x[b, i] = maths.cos(scene.heading[b, i])
+            scene.direction_y[b, i] = maths.sin(scene.heading[b, i])
             scene.lane[b, i] = closest_lane(scene.y[b, i], c.lanes, c.lane_width)
     sort_by_x(scene, rows)
     find_neighbours(scene, rows)

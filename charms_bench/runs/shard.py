@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.engine import EngineName
-from charms_bench.engine.exact_maths import check_exact_maths
+from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import RunFolderError
@@ -95,7 +95,7 @@ def simulate(task: ShardTask) -> ShardFiles:
         RunFolderError: The installed software is no longer that of the task.
         CharmsBenchError: An agent cannot be made, or fails.
     """
-    check_exact_maths(task.engine)
+    use_exact_maths(task.engine)
     if changed := installed(task.ego, task.traffic, task.network).differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from charms_bench.engine.exact_maths import worker_environment
+from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document
@@ -113,8 +113,8 @@ def verify(
 ) -> list[Comparison]:
     """Compares the engines over some episodes of each case, starting at a seed.
 
-    highway-env runs without NumPy's vectorised approximations; see
-    `exact_maths.worker_environment`. `progress` is called with the number of episodes compared
+    highway-env computes with the functions of `charms_bench.world.maths`; see
+    `exact_maths.use_exact_maths`. `progress` is called with the number of episodes compared
     since the last call.
     """
     results = [Comparison(case) for case in cases]
@@ -145,6 +145,7 @@ class _Chunk:
         return f"{self.case.title}, episodes {self.seed} to {self.seed + self.episodes - 1}"
 
     def compare(self) -> Comparison:
+        use_exact_maths("highway-env")
         return compare(self.case, self.seed, self.episodes)
 
 

@@ -1,14 +1,42 @@
-"""The environment variables of worker processes."""
+"""highway-env's vehicles compute with the project's functions where they are simulated."""
+
+import subprocess
+import sys
 
 import pytest
 
-from charms_bench.engine.exact_maths import worker_environment
+from charms_bench.engine.exact_maths import use_exact_maths
+
+PROGRAM = """
+import os
+os.environ["OPENBLAS_CORETYPE"] = "Nehalem"
+import numpy as np
+from highway_env.vehicle import behavior, controller, kinematics, objects
+from charms_bench.engine.exact_maths import use_exact_maths
+from charms_bench.world import maths
+
+stock = np.arctan
+use_exact_maths("batched")
+assert controller.np is np
+use_exact_maths("highway-env")
+assert np.arctan is stock
+for module in (behavior, controller, kinematics, objects):
+    for theirs, ours in (("sin", "sin"), ("cos", "cos"), ("tan", "tan"), ("arcsin", "asin"),
+                         ("arctan", "atan"), ("exp", "exp")):
+        assert getattr(module.np, theirs)(0.3) == getattr(maths, ours)(0.3)
+    assert module.np.power(0.3, 4.1) == maths.power(0.3, 4.1)
+    assert module.np.power(0.3, 2) == 0.3 * 0.3
+    assert module.np.sqrt is np.sqrt
+"""
 
 
-def test_processor_features_that_the_user_disables_stay_disabled(
+def test_highway_env_uses_the_projects_functions_in_workers_and_numpys_elsewhere() -> None:
+    subprocess.run([sys.executable, "-c", PROGRAM], check=True)
+
+
+def test_a_process_with_another_setting_of_openblas_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    usual = worker_environment("highway-env")["NPY_DISABLE_CPU_FEATURES"].split()
-    monkeypatch.setenv("NPY_DISABLE_CPU_FEATURES", "AVX512_SPR")
-    environment = worker_environment("highway-env")
-    assert environment["NPY_DISABLE_CPU_FEATURES"].split() == ["AVX512_SPR", *usual]
+    monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
+    with pytest.raises(RuntimeError, match="exact maths"):
+        use_exact_maths("highway-env")
