@@ -9,11 +9,11 @@ from charms_baselines.idm import (
     closing_speed,
     desired_gap,
     following,
-    free_acceleration,
     interaction,
     motion,
     motion_ahead,
     motion_behind,
+    on_own_lane,
 )
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.compiled import clip, compiled
@@ -43,40 +43,42 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     crashed, timer_s, temperament = scene.crashed, scene.timer_s, scene.temperament
     targets = scene.target_lane.copy()
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    exponents = np.empty(rows.size)
+    for m in range(rows.size):
+        share = temperament[rows[m], places[m]]
+        exponents[m] = p.exponent_low + share * (p.exponent_high - p.exponent_low)
+    free, wanted = on_own_lane(scene, rows, places, exponents, p)
     for m in range(rows.size):
         b, i = rows[m], places[m]
         lane, target = lane_of[b, i], targets[b, i]
         target_lane[m] = target
         if crashed[b, i]:
             continue
-        exponent = p.exponent_low + temperament[b, i] * (p.exponent_high - p.exponent_low)
-        own = motion(b, i, scene)
-        leader = motion_ahead(b, leaders[b, i, lane], scene)
-        free = free_acceleration(own, exponent, p)
-        if lane != target:
-            if _someone_takes_the_gap(b, i, own, target, scene, targets, p):
-                target = lane
-        elif timer_s[b, i] > p.lane_change_period_s:
-            timer_s[b, i] = 0.0
-            for side in (lane - 1, lane + 1):
-                if is_reachable(x[b, i], y[b, i], side, scene.constants) and _changes(
-                    own,
-                    free,
-                    leader,
-                    motion_behind(b, followers[b, i, lane], scene),
-                    motion_ahead(b, leaders[b, i, side], scene),
-                    motion_behind(b, followers[b, i, side], scene),
-                    exponent,
-                    p,
-                ):
-                    target = side
-        targets[b, i] = target_lane[m] = target
-
-        wanted = free - interaction(own, leader, p)
-        if lane != target:
-            leader = motion_ahead(b, leaders[b, i, target], scene)
-            wanted = min(wanted, free - interaction(own, leader, p))
-        acceleration[m] = clip(wanted, -p.acceleration_limit_mps2, p.acceleration_limit_mps2)
+        if lane != target or timer_s[b, i] > p.lane_change_period_s:
+            own = motion(b, i, scene)
+            if lane != target:
+                if _someone_takes_the_gap(b, i, own, target, scene, targets, p):
+                    target = lane
+            else:
+                timer_s[b, i] = 0.0
+                for side in (lane - 1, lane + 1):
+                    if is_reachable(x[b, i], y[b, i], side, scene.constants) and _changes(
+                        own,
+                        free[m],
+                        motion_ahead(b, leaders[b, i, lane], scene),
+                        motion_behind(b, followers[b, i, lane], scene),
+                        motion_ahead(b, leaders[b, i, side], scene),
+                        motion_behind(b, followers[b, i, side], scene),
+                        exponents[m],
+                        p,
+                    ):
+                        target = side
+            if lane != target:
+                leader = motion_ahead(b, leaders[b, i, target], scene)
+                wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
+            targets[b, i] = target_lane[m] = target
+        limit = p.acceleration_limit_mps2
+        acceleration[m] = clip(wanted[m], -limit, limit)
     return acceleration, target_lane
 
 

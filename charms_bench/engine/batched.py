@@ -27,21 +27,15 @@ class BatchedEngine:
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         scene, profile = self.scene, self._settings.profile
-        for row, seed in zip(rows, seeds, strict=True):
-            kernels.draw_scene(np.random.default_rng(int(seed)), self._spawn_rule, scene, row)
+        count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
+        words = np.empty((rows.size, count), dtype=np.uint64)
+        for row_words, seed in zip(words, seeds, strict=True):
+            row_words[:] = np.random.PCG64(int(seed)).random_raw(count)
+        kernels.spawn(scene, rows, words, self._spawn_rule)
         is_ego = np.arange(self._settings.vehicles) == scene.ego[rows, None]
         drivers = np.zeros(is_ego.shape, dtype=np.int64)
         drivers[~is_ego] = traffic.ravel()
         self.drivers[rows] = drivers
-        scene.y[rows] = scene.lane[rows] * profile.lane_width_m
-        scene.target_speed[rows] = scene.speed[rows]
-        scene.target_lane[rows] = scene.lane[rows]
-        period = profile.idm_mobil.lane_change_period_s
-        scene.timer_s[rows] = (scene.x[rows] + scene.y[rows]) * np.pi % period
-        scene.heading[rows] = scene.acceleration[rows] = scene.steering[rows] = 0.0
-        scene.crashed[rows] = scene.impact[rows] = False
-        scene.active[rows] = True
-        kernels.locate(scene, rows)
         if profile.target_speeds_mps:
             which, places = np.nonzero(~np.isin(drivers, list(self._models)))
             commanded = rows[which], places

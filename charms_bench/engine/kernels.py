@@ -1,16 +1,21 @@
 """highway-env's road, vehicle and collision rules, compiled.
 
 Each function names the highway-env function that it follows. Operations keep highway-env's order,
-because floating-point sums depend on their order. A kernel takes its arrays out of the scene once
-and passes numbers to the functions that it calls per vehicle: passing an array costs an atomic
-reference count, which takes longer than the physics. Kernels are private to the harness;
-`tests/naive.py` holds plain versions of them.
+because floating-point sums depend on their order. Scenes are advanced in blocks that stay in the
+processor's cache. Within a block, motion is computed in loops over the vehicles of all its scenes
+that call one elementary function each, because such loops vectorise; order, collisions and
+neighbours are found scene by scene.
+
+A kernel takes its arrays out of the scene once and passes numbers to the functions that it calls
+per vehicle: passing an array costs an atomic reference count, which takes longer than the physics.
+Kernels are private to the harness; `tests/naive.py` holds plain versions of them.
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.world import maths
 from charms_bench.world.compiled import clip, compiled, not_zero
@@ -18,9 +23,17 @@ from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
+BLOCK_VEHICLES = 512
+"""Vehicles of a block, unless one scene has more."""
+USUAL_SPEED_MPS = 50.0
+"""Up to this speed, collisions are searched as if every vehicle had it; the result is the same."""
+
+
+Words = NDArray[np.uint64]
+
 
 class SpawnRule(NamedTuple):
-    """How `draw_scene` spawns; SI units."""
+    """How `spawn` draws vehicles; SI units."""
 
     lanes: int
     ego_slots: int
@@ -42,18 +55,90 @@ def wrap_to_pi(angle: float) -> float:
     return shifted - math.pi
 
 
+class Turning(NamedTuple):
+    """The vehicles of a block that turn, packed; each block uses the arrays (M,) again."""
+
+    vehicle: Ints
+    """The vehicle's index among all vehicles of the block."""
+    is_steered: Bools
+    """Whether the vehicle controls its steering; a crashed vehicle does not."""
+    x: Floats
+    """Position before the step, m."""
+    lateral: Floats
+    """Position beside the centre of the target lane, m."""
+    heading: Floats
+    speed: Floats
+    angle: Floats
+    """Intermediate results, rad."""
+    steering: Floats
+    ahead: Floats
+    """Displacement along the road, m."""
+    aside: Floats
+    direction_x: Floats
+    direction_y: Floats
+
+
 @compiled
-def steering_control(lateral: float, heading: float, speed: float, c: Constants) -> float:
-    """Steering angle towards a lane's centre, `lateral` m beside it.
+def room_to_turn(vehicles: int) -> Turning:
+    """Arrays for a block of so many vehicles."""
+    floats = np.empty((10, vehicles))
+    return Turning(
+        np.empty(vehicles, dtype=np.int64),
+        np.empty(vehicles, dtype=np.bool_),
+        floats[0],
+        floats[1],
+        floats[2],
+        floats[3],
+        floats[4],
+        floats[5],
+        floats[6],
+        floats[7],
+        floats[8],
+        floats[9],
+    )
+
+
+@compiled
+def steer(turning: Turning, count: int, c: Constants) -> None:
+    """Computes the steering angles of `count` vehicles towards the centres of their target lanes.
 
     [`ControlledVehicle.steering_control`]
     """
-    lateral_speed = -(1 / c.tau_lateral) * lateral
-    heading_command = maths.asin(clip(lateral_speed / not_zero(speed), -1.0, 1.0))
-    heading_reference = clip(heading_command, -math.pi / 4, math.pi / 4)
-    heading_rate = (1 / c.tau_heading) * wrap_to_pi(heading_reference - heading)
-    slip = maths.asin(clip(c.length / 2 / not_zero(speed) * heading_rate, -1.0, 1.0))
-    return clip(maths.atan(2 * maths.tan(slip)), -c.steering_limit, c.steering_limit)
+    lateral, heading, speed = turning.lateral, turning.heading, turning.speed
+    angle, steering, is_steered = turning.angle, turning.steering, turning.is_steered
+    for k in range(count):
+        lateral_speed = -(1 / c.tau_lateral) * lateral[k]
+        command = maths.asin(clip(lateral_speed / not_zero(speed[k]), -1.0, 1.0))
+        angle[k] = clip(command, -math.pi / 4, math.pi / 4) - heading[k]
+    for k in range(count):
+        angle[k] = wrap_to_pi(angle[k])
+    for k in range(count):
+        heading_rate = (1 / c.tau_heading) * angle[k]
+        angle[k] = maths.asin(clip(c.length / 2 / not_zero(speed[k]) * heading_rate, -1.0, 1.0))
+    for k in range(count):
+        angle[k] = 2 * maths.tan(angle[k])
+    for k in range(count):
+        limited = clip(maths.atan(angle[k]), -c.steering_limit, c.steering_limit)
+        steering[k] = limited if is_steered[k] else 0.0
+
+
+@compiled
+def turn(turning: Turning, count: int, c: Constants) -> None:
+    """Computes the displacements and new headings of `count` vehicles [`Vehicle.step`]."""
+    heading, speed, angle = turning.heading, turning.speed, turning.angle
+    steering, ahead, aside = turning.steering, turning.ahead, turning.aside
+    direction_x, direction_y = turning.direction_x, turning.direction_y
+    for k in range(count):
+        angle[k] = 1 / 2 * maths.tan(steering[k])
+    for k in range(count):
+        angle[k] = maths.atan(angle[k])
+    for k in range(count):
+        sine, cosine = maths.sin_cos(heading[k] + angle[k])
+        ahead[k], aside[k] = speed[k] * cosine * c.dt, speed[k] * sine * c.dt
+    for k in range(count):
+        heading[k] += speed[k] * maths.sin(angle[k]) / (c.length / 2) * c.dt
+    for k in range(count):
+        direction_y[k], direction_x[k] = maths.sin_cos(heading[k])
 
 
 @compiled
@@ -70,71 +155,86 @@ def closest_lane(y: float, lanes: int, lane_width: float) -> int:
 
 
 @compiled
-def move(scene: Scene, rows: Ints, modelled: Bools) -> None:
-    """Steers and moves all vehicles of some scenes by one step of the bicycle model.
+def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning) -> None:
+    """Steers and moves the scenes from `first` to before `after` by one step of the bicycle model.
 
     `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; all others
     control their target speed [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
     """
     c = scene.constants
-    x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
-    direction_x, direction_y, lane = scene.direction_x, scene.direction_y, scene.lane
-    acceleration, steering = scene.acceleration, scene.steering
-    target_speed, target_lane, timer_s = scene.target_speed, scene.target_lane, scene.timer_s
-    crashed, impact = scene.crashed, scene.impact
-    impact_x, impact_y = scene.impact_x, scene.impact_y
-    for b in rows:
-        for i in range(x.shape[1]):
-            v, psi = speed[b, i], heading[b, i]
-            timer_s[b, i] += c.dt
-            wanted = acceleration[b, i]
-            if not modelled[b, i]:
-                wanted = (1 / c.tau_acceleration) * (target_speed[b, i] - v)
-            lateral = y[b, i] - target_lane[b, i] * c.lane_width
-            angle = 0.0
-            if crashed[b, i]:
-                wanted = -1.0 * v
-            elif lateral != 0.0 or psi != 0.0:
-                angle = steering_control(lateral, psi, v, c)
-            if v > c.speed_max:
-                wanted = min(wanted, 1.0 * (c.speed_max - v))
-            elif v < c.speed_min:
-                wanted = max(wanted, 1.0 * (c.speed_min - v))
-            acceleration[b, i] = wanted
-            steering[b, i] = angle
-            if angle == 0.0 and psi == 0.0:  # the result is the same, bit for bit
-                x[b, i] += v * c.dt
-            else:
-                beta = maths.atan(1 / 2 * maths.tan(angle))
-                x[b, i] += v * maths.cos(psi + beta) * c.dt
-                y[b, i] += v * maths.sin(psi + beta) * c.dt
-                psi += v * maths.sin(beta) / (c.length / 2) * c.dt
-                heading[b, i] = psi
-                direction_x[b, i], direction_y[b, i] = maths.cos(psi), maths.sin(psi)
-                lane[b, i] = closest_lane(y[b, i], c.lanes, c.lane_width)
-            if impact[b, i]:
-                x[b, i] += impact_x[b, i]
-                y[b, i] += impact_y[b, i]
-                crashed[b, i] = True
-                impact[b, i] = False
-                lane[b, i] = closest_lane(y[b, i], c.lanes, c.lane_width)
-            speed[b, i] = v + wanted * c.dt
+    x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
+    heading, speed = scene.heading[first:after].reshape(-1), scene.speed[first:after].reshape(-1)
+    acceleration = scene.acceleration[first:after].reshape(-1)
+    steering = scene.steering[first:after].reshape(-1)
+    target_speed = scene.target_speed[first:after].reshape(-1)
+    target_lane = scene.target_lane[first:after].reshape(-1)
+    timer_s, lane = scene.timer_s[first:after].reshape(-1), scene.lane[first:after].reshape(-1)
+    crashed, impact = scene.crashed[first:after].reshape(-1), scene.impact[first:after].reshape(-1)
+    is_modelled = modelled[first:after].reshape(-1)
+    turns = 0
+    for i in range(x.size):
+        lateral = y[i] - target_lane[i] * c.lane_width
+        turning.vehicle[turns] = i
+        turning.is_steered[turns] = not crashed[i]
+        turning.x[turns] = x[i]
+        turning.lateral[turns] = lateral
+        turning.heading[turns] = heading[i]
+        turning.speed[turns] = speed[i]
+        # The functions of a vehicle that goes straight would give 0 and 1.
+        turns += (heading[i] != 0.0) | ((lateral != 0.0) & (not crashed[i]))
+    for i in range(x.size):
+        v = speed[i]
+        wanted = (1 / c.tau_acceleration) * (target_speed[i] - v)
+        wanted = acceleration[i] if is_modelled[i] else wanted
+        wanted = -1.0 * v if crashed[i] else wanted
+        wanted = min(wanted, 1.0 * (c.speed_max - v)) if v > c.speed_max else wanted
+        wanted = max(wanted, 1.0 * (c.speed_min - v)) if v < c.speed_min else wanted
+        acceleration[i] = wanted
+        steering[i] = 0.0
+        timer_s[i] += c.dt
+        x[i] += v * c.dt
+        speed[i] = v + wanted * c.dt
+    steer(turning, turns, c)
+    turn(turning, turns, c)
+    direction_x = scene.direction_x[first:after].reshape(-1)
+    direction_y = scene.direction_y[first:after].reshape(-1)
+    for k in range(turns):
+        i = turning.vehicle[k]
+        x[i] = turning.x[k] + turning.ahead[k]
+        y[i] += turning.aside[k]
+        heading[i] = turning.heading[k]
+        direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
+        steering[i] = turning.steering[k]
+        lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
+    for i in range(x.size):
+        if impact[i]:
+            x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
+            y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
+            crashed[i] = True
+            impact[i] = False
+            lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
 
 
 @compiled
-def sort_by_x(scene: Scene, rows: Ints) -> None:
+def sort_by_x(scene: Scene, first: int, after: int) -> None:
     """Restores `order` and `rank`: by x, and at equal x in reverse order of spawning.
 
     The vehicles are nearly sorted, so this is an insertion sort.
     """
     x, order, rank = scene.x, scene.order, scene.rank
-    for b in rows:
+    for b in range(first, after):
+        last = order[b, 0]
+        last_x = x[b, last]
         for k in range(1, order.shape[1]):
             i = order[b, k]
+            own_x = x[b, i]
+            if last_x < own_x or (last_x == own_x and last > i):
+                last, last_x = i, own_x
+                continue
             m = k
             while m > 0:
                 j = order[b, m - 1]
-                if x[b, j] < x[b, i] or (x[b, j] == x[b, i] and j > i):
+                if x[b, j] < own_x or (x[b, j] == own_x and j > i):
                     break
                 order[b, m] = j
                 rank[b, j] = m
@@ -144,8 +244,8 @@ def sort_by_x(scene: Scene, rows: Ints) -> None:
 
 
 @compiled
-def find_neighbours(scene: Scene, rows: Ints) -> None:
-    """Fills `leaders` and `followers` of some scenes [`Road.neighbour_vehicles` for each lane].
+def find_neighbours(scene: Scene, first: int, after: int) -> None:
+    """Fills `leaders` and `followers` [`Road.neighbour_vehicles` for each lane].
 
     A vehicle is on a lane up to 1 m beside it, so it may be on two. Vehicles at equal x are each
     other's leaders, but not followers. Among several, the last spawned is the leader and the first
@@ -155,26 +255,30 @@ def find_neighbours(scene: Scene, rows: Ints) -> None:
     x, y, order = scene.x, scene.y, scene.order
     leaders, followers = scene.leaders, scene.followers
     vehicles = order.shape[1]
-    nearest = np.empty(c.lanes, dtype=np.int64)
-    for b in rows:
-        nearest[:] = -1
-        for k in range(vehicles - 1, -1, -1):
-            i = order[b, k]
-            on_length = is_on_length(x[b, i], c)
-            for on in range(c.lanes):
-                leaders[b, i, on] = nearest[on]
-                is_on = on_length & is_near_lane(y[b, i], on, c)
-                nearest[on] = i if is_on else nearest[on]
-        nearest[:] = -1
+    sorted_y = np.empty(vehicles)  # not a number, so on no lane, for a vehicle beyond the ends
+    for b in range(first, after):
+        any_level = False
+        last_x = -np.inf
         for k in range(vehicles):
             i = order[b, k]
-            on_length = is_on_length(x[b, i], c)
-            for on in range(c.lanes):
-                followers[b, i, on] = nearest[on]
-                is_on = on_length & is_near_lane(y[b, i], on, c)
-                nearest[on] = i if is_on else nearest[on]
-            if k > 0 and x[b, order[b, k - 1]] == x[b, i]:
-                find_level_neighbours(b, k, scene)
+            sorted_y[k] = y[b, i] if is_on_length(x[b, i], c) else np.nan
+            any_level |= x[b, i] == last_x
+            last_x = x[b, i]
+        for on in range(c.lanes):
+            nearest = -1
+            for k in range(vehicles - 1, -1, -1):
+                i = order[b, k]
+                leaders[b, i, on] = nearest
+                nearest = i if is_near_lane(sorted_y[k], on, c) else nearest
+            nearest = -1
+            for k in range(vehicles):
+                i = order[b, k]
+                followers[b, i, on] = nearest
+                nearest = i if is_near_lane(sorted_y[k], on, c) else nearest
+        if any_level:
+            for k in range(1, vehicles):
+                if x[b, order[b, k - 1]] == x[b, order[b, k]]:
+                    find_level_neighbours(b, k, scene)
 
 
 @compiled
@@ -264,7 +368,7 @@ def polygons_intersect(
 
 
 @compiled
-def collide(scene: Scene, rows: Ints) -> None:
+def collide(scene: Scene, first: int, after: int) -> None:
     """Finds the collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
 
     Pairs are found along `order`, but applied in highway-env's order, by their places, because a
@@ -274,14 +378,16 @@ def collide(scene: Scene, rows: Ints) -> None:
     x, y, heading, speed, order = scene.x, scene.y, scene.heading, scene.speed, scene.order
     direction_x, direction_y = scene.direction_x, scene.direction_y
     vehicles = x.shape[1]
-    hits = np.empty((vehicles * (vehicles - 1) // 2, 6))
+    hits = np.empty((vehicles, 6))
     corners = np.empty((2, 4, 2))
     diagonal = math.sqrt(c.length**2 + c.width**2)
-    for b in rows:
-        fastest = 0.0
+    for b in range(first, after):
+        fastest = USUAL_SPEED_MPS
+        is_faster = False
         for i in range(vehicles):
-            if abs(speed[b, i]) > fastest:
-                fastest = abs(speed[b, i])
+            is_faster |= abs(speed[b, i]) > fastest
+        if is_faster:
+            fastest = np.abs(speed[b]).max()
         reach = diagonal + fastest * c.dt
         found = 0
         for k in range(vehicles):
@@ -306,6 +412,8 @@ def collide(scene: Scene, rows: Ints) -> None:
                     corners[0], corners[1], relative_x, relative_y
                 )
                 if now or soon:
+                    if found == len(hits):
+                        hits = np.concatenate((hits, np.empty_like(hits)))
                     hits[found, :4] = (i, j, int(now), int(soon))
                     hits[found, 4:] = (part_x, part_y)
                     found += 1
@@ -362,13 +470,33 @@ def obey(
 
 
 @compiled
+def blocks_of(active: Bools, vehicles: int) -> list[tuple[int, int]]:
+    """Splits the active scenes into blocks of neighbouring scenes: (first, first after)."""
+    most = max(1, BLOCK_VEHICLES // vehicles)
+    blocks = []
+    first = 0
+    while first < active.size:
+        if not active[first]:
+            first += 1
+            continue
+        after = first + 1
+        while after < active.size and active[after] and after - first < most:
+            after += 1
+        blocks.append((first, after))
+        first = after
+    return blocks
+
+
+@compiled
 def advance(scene: Scene, modelled: Bools) -> None:
     """One simulation step of every active scene, after the driver models have acted."""
-    rows = np.nonzero(scene.active)[0]
-    move(scene, rows, modelled)
-    sort_by_x(scene, rows)
-    collide(scene, rows)
-    find_neighbours(scene, rows)
+    vehicles = scene.x.shape[1]
+    turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
+    for first, after in blocks_of(scene.active, vehicles):
+        move(scene, first, after, modelled, turning)
+        sort_by_x(scene, first, after)
+        collide(scene, first, after)
+        find_neighbours(scene, first, after)
 
 
 @compiled
@@ -377,34 +505,81 @@ def locate(scene: Scene, rows: Ints) -> None:
     c = scene.constants
     for b in rows:
         for i in range(scene.x.shape[1]):
-            scene.direction_x[b, i] = maths.cos(scene.heading[b, i])
-            scene.direction_y[b, i] = maths.sin(scene.heading[b, i])
+            scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(scene.heading[b, i])
             scene.lane[b, i] = closest_lane(scene.y[b, i], c.lanes, c.lane_width)
-    sort_by_x(scene, rows)
-    find_neighbours(scene, rows)
+        sort_by_x(scene, b, b + 1)
+        find_neighbours(scene, b, b + 1)
 
 
 @compiled
-def draw_scene(rng: np.random.Generator, rule: SpawnRule, scene: Scene, b: int) -> None:
-    """Draws the ego's place and the vehicles of scene b.
+def draw_integer(words: Words, cursor: Ints, bound: int) -> int:
+    """An integer from 0 to bound - 1, as `Generator.integers` draws it (Lemire 2019).
+
+    It uses half a word; `cursor` holds the index of the next word, and the index of the word whose
+    second half is the next half, or -1.
+    """
+    if bound == 1:
+        return np.int64(0)
+    low = np.uint64(0xFFFFFFFF)
+    threshold = np.uint64(2**32 - bound) % np.uint64(bound)
+    while True:
+        if cursor[1] >= 0:
+            half = words[cursor[1]] >> np.uint64(32)
+            cursor[1] = -1
+        else:
+            half = words[cursor[0]] & low
+            cursor[1] = cursor[0]
+            cursor[0] += 1
+        product = half * np.uint64(bound)
+        if product & low >= threshold:
+            return np.int64(product >> np.uint64(32))
+
+
+@compiled
+def draw_float(words: Words, cursor: Ints) -> float:
+    """A number in [0, 1), as `Generator.random` draws it."""
+    word = words[cursor[0]]
+    cursor[0] += 1
+    return float(word >> np.uint64(11)) * 2.0**-53
+
+
+@compiled
+def spawn(scene: Scene, rows: Ints, words: Words, rule: SpawnRule) -> None:
+    """Draws new vehicles for the scenes `rows` (R,) from the random words (R, W) of their seeds.
 
     The draws are those of `Vehicle.create_random` in `HighwayEnv._create_vehicles`. The ego's
     temperament is drawn last, so that with one slot the draws are the same as in `highway-v0`.
     """
-    x, lane, speed, temperament = scene.x[b], scene.lane[b], scene.speed[b], scene.temperament[b]
-    ego = scene.ego[b] = rng.integers(0, rule.ego_slots)
-    furthest = 0.0
-    for i in range(x.size):
-        lane[i] = rng.integers(0, rule.lanes)
-        if i == ego:
-            speed[i], spacing = rule.ego_speed, rule.ego_spacing
-        else:
-            speed[i] = rng.uniform(rule.speed_low, rule.speed_high)
-            spacing = rule.spacing
-        offset = spacing * (12 + 1.0 * speed[i]) * rule.crowding
-        x[i] = 3 * offset if i == 0 else furthest
-        x[i] += offset * rng.uniform(0.9, 1.1)
-        furthest = max(furthest, x[i])
-        if i != ego:
-            temperament[i] = rng.random()
-    temperament[ego] = rng.random()
+    x, speed, lane, temperament = scene.x, scene.speed, scene.lane, scene.temperament
+    cursor = np.empty(2, dtype=np.int64)
+    for r in range(rows.size):
+        b = rows[r]
+        cursor[0], cursor[1] = 0, -1
+        ego = scene.ego[b] = draw_integer(words[r], cursor, rule.ego_slots)
+        furthest = 0.0
+        for i in range(x.shape[1]):
+            lane[b, i] = draw_integer(words[r], cursor, rule.lanes)
+            if i == ego:
+                speed[b, i], spacing = rule.ego_speed, rule.ego_spacing
+            else:
+                span = rule.speed_high - rule.speed_low
+                speed[b, i] = rule.speed_low + span * draw_float(words[r], cursor)
+                spacing = rule.spacing
+            offset = spacing * (12 + 1.0 * speed[b, i]) * rule.crowding
+            x[b, i] = 3 * offset if i == 0 else furthest
+            x[b, i] += offset * (0.9 + (1.1 - 0.9) * draw_float(words[r], cursor))
+            furthest = max(furthest, x[b, i])
+            if i != ego:
+                temperament[b, i] = draw_float(words[r], cursor)
+            scene.order[b, i] = scene.rank[b, i] = i
+        temperament[b, ego] = draw_float(words[r], cursor)
+        for i in range(x.shape[1]):
+            scene.y[b, i] = lane[b, i] * scene.constants.lane_width
+            scene.target_speed[b, i] = speed[b, i]
+            scene.target_lane[b, i] = lane[b, i]
+            phase = (x[b, i] + scene.y[b, i]) * math.pi  # as IDMVehicle.__init__
+            scene.timer_s[b, i] = phase % scene.constants.idm_mobil.lane_change_period_s
+            scene.heading[b, i] = scene.acceleration[b, i] = scene.steering[b, i] = 0.0
+            scene.crashed[b, i] = scene.impact[b, i] = False
+        scene.active[b] = True
+    locate(scene, rows)

@@ -105,8 +105,8 @@ class Simulation:
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
         index = {name: k for k, name in enumerate(self._names)}
-        traffic = np.empty((rows.size, others), dtype=np.int64)
-        for r, seed in enumerate(seeds):
+        traffic = np.full((rows.size, others), len(self._names) - 1)
+        for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
             assigned = self._traffic.assign(rng, 1, others)[0]

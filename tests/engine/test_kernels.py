@@ -36,6 +36,12 @@ def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     return road
 
 
+def move(scene: Scene, modelled: bool) -> None:
+    vehicles = scene.x.shape[1]
+    room = kernels.room_to_turn(vehicles)
+    kernels.move(scene, 0, 1, np.full((1, vehicles), modelled), room)
+
+
 @settings(derandomize=True, deadline=None)
 @given(scenes())
 def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
@@ -112,7 +118,7 @@ def test_steering_and_motion_are_those_of_highway_env(scene: Scene) -> None:
         vehicle.target_speed = scene.target_speed[0, i]
         vehicle.act()
         vehicle.step(DT)
-    kernels.move(scene, ROW, np.zeros(scene.x.shape, dtype=bool))
+    move(scene, modelled=False)
     for name in ("heading", "speed"):
         expected = [getattr(vehicle, name) for vehicle in road.vehicles]
         np.testing.assert_allclose(getattr(scene, name)[0], expected, rtol=0, atol=1e-12)
@@ -123,7 +129,7 @@ def test_steering_and_motion_are_those_of_highway_env(scene: Scene) -> None:
 
 def test_a_vehicle_on_its_lane_moves_by_its_speed_and_accelerates_to_its_target() -> None:
     scene = scene_of(x=[100.0], y=[4.0], speed=[20.0], target_speed=[23.0])
-    kernels.move(scene, ROW, np.zeros((1, 1), dtype=bool))
+    move(scene, modelled=False)
     assert scene.x[0, 0] == pytest.approx(100 + 20 / 15)
     assert scene.acceleration[0, 0] == pytest.approx(3 / 0.6)
     assert scene.speed[0, 0] == pytest.approx(20 + 5 / 15)
@@ -132,14 +138,14 @@ def test_a_vehicle_on_its_lane_moves_by_its_speed_and_accelerates_to_its_target(
 
 def test_a_crashed_vehicle_brakes_by_its_speed_a_second() -> None:
     scene = scene_of(x=[0.0], y=[0.0], speed=[30.0], target_lane=[1], crashed=[True])
-    kernels.move(scene, ROW, np.ones((1, 1), dtype=bool))
+    move(scene, modelled=True)
     assert scene.acceleration[0, 0] == -30.0
     assert scene.steering[0, 0] == 0.0
 
 
 def test_an_impact_displaces_a_vehicle_once_and_leaves_it_crashed() -> None:
     scene = scene_of(x=[0.0], y=[0.0], impact=[True], impact_x=[0.5], impact_y=[3.0])
-    kernels.move(scene, ROW, np.ones((1, 1), dtype=bool))
+    move(scene, modelled=True)
     assert (scene.x[0, 0], scene.y[0, 0], scene.lane[0, 0]) == (0.5, 3.0, 1)
     assert scene.crashed[0, 0]
     assert not scene.impact[0, 0]
@@ -154,7 +160,7 @@ def test_collisions_are_those_of_highway_env(scene: Scene) -> None:
     for i, vehicle in enumerate(road.vehicles):
         for other in road.vehicles[i + 1 :]:
             vehicle.handle_collisions(other, DT)
-    kernels.collide(scene, ROW)
+    kernels.collide(scene, 0, 1)
     assert list(scene.crashed[0]) == [vehicle.crashed for vehicle in road.vehicles]
     assert list(scene.impact[0]) == [vehicle.impact is not None for vehicle in road.vehicles]
     for i, vehicle in enumerate(road.vehicles):
@@ -165,7 +171,7 @@ def test_collisions_are_those_of_highway_env(scene: Scene) -> None:
 
 def test_overlapping_vehicles_are_parted_along_the_axis_of_least_overlap() -> None:
     scene = scene_of(x=[100.0, 104.0], y=[0.0, 0.0], speed=[20.0, 20.0])
-    kernels.collide(scene, ROW)
+    kernels.collide(scene, 0, 1)
     assert list(scene.crashed[0]) == [True, True]
     np.testing.assert_allclose(scene.impact_x[0], [-0.5, 0.5])  # they overlap by 1 m
     np.testing.assert_allclose(scene.impact_y[0], 0.0)
@@ -173,7 +179,7 @@ def test_overlapping_vehicles_are_parted_along_the_axis_of_least_overlap() -> No
 
 def test_vehicles_side_by_side_on_two_lanes_do_not_collide() -> None:
     scene = scene_of(x=[100.0, 100.0], y=[0.0, 4.0], speed=[20.0, 30.0])
-    kernels.collide(scene, ROW)
+    kernels.collide(scene, 0, 1)
     assert not scene.crashed.any()
     assert not scene.impact.any()
 
