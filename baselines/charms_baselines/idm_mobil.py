@@ -121,10 +121,12 @@ def _changes(
     """Whether MOBIL changes lanes (Kesting et al. 2007, eqs. 2 and 3) [`IDMVehicle.mobil`]."""
     if abs(own.speed) < 1:
         return False
+    gain = (free - interaction(own, new_leader, p)) - (free - interaction(own, leader, p))
+    if p.politeness == 0 and not gain >= p.lane_change_gain_mps2:
+        return False  # before the costly part; the result is the same
     new_follower_after = following(new_follower, own, exponent, p)
     if new_follower_after < -p.imposed_braking_mps2:
         return False
-    gain = (free - interaction(own, new_leader, p)) - (free - interaction(own, leader, p))
     if p.politeness > 0:
         gain += p.politeness * (
             new_follower_after

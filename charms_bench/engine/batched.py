@@ -24,6 +24,11 @@ class BatchedEngine:
         self._settings = settings
         self._spawn_rule = _spawn_rule(settings)
         self._models = models
+        self._shown = self.scene.read_only()
+        self._is_modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
+        self._vehicles: dict[int, Vehicles] = {}
+        """The active vehicles of each driver model, while `_listed` are the active scenes."""
+        self._listed = self.scene.active.copy()
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         scene, profile = self.scene, self._settings.profile
@@ -36,8 +41,10 @@ class BatchedEngine:
         drivers = np.zeros(is_ego.shape, dtype=np.int64)
         drivers[~is_ego] = traffic.ravel()
         self.drivers[rows] = drivers
+        self._is_modelled[rows] = np.isin(drivers, list(self._models))
+        self._vehicles.clear()
         if profile.target_speeds_mps:
-            which, places = np.nonzero(~np.isin(drivers, list(self._models)))
+            which, places = np.nonzero(~self._is_modelled[rows])
             commanded = rows[which], places
             speeds = scene.target_speed[commanded]
             scene.target_speed[commanded] = self._nearest_target_speed(speeds, 0)
@@ -63,13 +70,18 @@ class BatchedEngine:
 
     def advance(self) -> None:
         scene = self.scene
-        modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
+        if not self._vehicles or not np.array_equal(self._listed, scene.active):
+            self._listed[:] = scene.active
+            for agent in self._models:
+                found = kernels.vehicles_of(agent, self.drivers, scene.active)
+                self._vehicles[agent] = found
         for agent, model in self._models.items():
-            vehicles = kernels.vehicles_of(agent, self.drivers, scene.active)
+            vehicles = self._vehicles[agent]
             if vehicles[0].size:
-                acceleration, target_lane = model.drive(scene, vehicles)
-                kernels.obey(scene, *vehicles, acceleration, target_lane, modelled)
-        kernels.advance(scene, modelled)
+                answers = model.drive(self._shown, vehicles)
+                set_here = (scene.crashed, scene.acceleration, scene.target_lane)
+                kernels.obey(vehicles, answers, *set_here)
+        kernels.advance(scene, self._is_modelled)
 
     def _nearest_target_speed(self, speed: Floats, change: Ints | int) -> Floats:
         """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""

@@ -35,6 +35,7 @@ class HighwayEnvEngine:
         """highway-env's roads, for inspection or drawing."""
         self._settings = settings
         self._models = models
+        self._shown = self.scene.read_only()
         self._classes = {
             agent: _reference_class(model, settings.profile) for agent, model in models.items()
         }
@@ -80,7 +81,7 @@ class HighwayEnvEngine:
 
     def _ask(self, model: DriverModel, row: int, places: Ints) -> None:
         """Asks a driver model, and passes its answers to its vehicles."""
-        answers = model.drive(self.scene, (np.full(places.size, row), places))
+        answers = model.drive(self._shown, (np.full(places.size, row), places))
         for place, *answer in zip(places, *answers, strict=True):
             vehicle = self.roads[row].vehicles[place]
             vehicle.obey(*answer)

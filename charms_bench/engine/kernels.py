@@ -21,7 +21,7 @@ from charms_bench.world import maths
 from charms_bench.world.compiled import clip, compiled, not_zero
 from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
 from charms_bench.world.profile import Constants
-from charms_bench.world.scene import Bools, Floats, Ints, Scene
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
 BLOCK_VEHICLES = 512
 """Vehicles of a block, unless one scene has more."""
@@ -173,15 +173,18 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
     is_modelled = modelled[first:after].reshape(-1)
     turns = 0
     for i in range(x.size):
-        lateral = y[i] - target_lane[i] * c.lane_width
         turning.vehicle[turns] = i
-        turning.is_steered[turns] = not crashed[i]
-        turning.x[turns] = x[i]
-        turning.lateral[turns] = lateral
-        turning.heading[turns] = heading[i]
-        turning.speed[turns] = speed[i]
         # The functions of a vehicle that goes straight would give 0 and 1.
-        turns += (heading[i] != 0.0) | ((lateral != 0.0) & (not crashed[i]))
+        is_beside = (y[i] - target_lane[i] * c.lane_width != 0.0) & (not crashed[i])
+        turns += (heading[i] != 0.0) | is_beside
+    for k in range(turns):
+        i = turning.vehicle[k]
+        turning.is_steered[k] = not crashed[i]
+        turning.x[k] = x[i]
+        turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
+        turning.heading[k] = heading[i]
+        turning.speed[k] = speed[i]
+    # Each loop has few arrays: LLVM does not vectorise a loop over many that might overlap.
     for i in range(x.size):
         v = speed[i]
         wanted = (1 / c.tau_acceleration) * (target_speed[i] - v)
@@ -190,10 +193,13 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
         wanted = min(wanted, 1.0 * (c.speed_max - v)) if v > c.speed_max else wanted
         wanted = max(wanted, 1.0 * (c.speed_min - v)) if v < c.speed_min else wanted
         acceleration[i] = wanted
-        steering[i] = 0.0
+    for i in range(x.size):
         timer_s[i] += c.dt
-        x[i] += v * c.dt
-        speed[i] = v + wanted * c.dt
+    for i in range(x.size):
+        x[i] += speed[i] * c.dt
+    for i in range(x.size):
+        speed[i] += acceleration[i] * c.dt
+    steering[:] = 0.0
     steer(turning, turns, c)
     turn(turning, turns, c)
     direction_x = scene.direction_x[first:after].reshape(-1)
@@ -256,6 +262,7 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
     leaders, followers = scene.leaders, scene.followers
     vehicles = order.shape[1]
     sorted_y = np.empty(vehicles)  # not a number, so on no lane, for a vehicle beyond the ends
+    is_on = np.empty(vehicles, dtype=np.bool_)
     for b in range(first, after):
         any_level = False
         last_x = -np.inf
@@ -265,16 +272,17 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
             any_level |= x[b, i] == last_x
             last_x = x[b, i]
         for on in range(c.lanes):
-            nearest = -1
-            for k in range(vehicles - 1, -1, -1):
-                i = order[b, k]
-                leaders[b, i, on] = nearest
-                nearest = i if is_near_lane(sorted_y[k], on, c) else nearest
-            nearest = -1
+            for k in range(vehicles):
+                is_on[k] = is_near_lane(sorted_y[k], on, c)
+            ahead = behind = -1
             for k in range(vehicles):
                 i = order[b, k]
-                followers[b, i, on] = nearest
-                nearest = i if is_near_lane(sorted_y[k], on, c) else nearest
+                followers[b, i, on] = behind
+                behind = i if is_on[k] else behind
+                m = vehicles - 1 - k
+                i = order[b, m]
+                leaders[b, i, on] = ahead
+                ahead = i if is_on[m] else ahead
         if any_level:
             for k in range(1, vehicles):
                 if x[b, order[b, k - 1]] == x[b, order[b, k]]:
@@ -454,19 +462,21 @@ def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
 
 @compiled
 def obey(
-    scene: Scene, rows: Ints, places: Ints, wanted: Floats, target_lane: Ints, modelled: Bools
+    vehicles: Vehicles,
+    answered: tuple[Floats, Ints],
+    crashed: Bools,
+    acceleration: Floats,
+    target_lane: Ints,
 ) -> None:
-    """Sets what a driver model returned and marks its vehicles in `modelled` [B, N].
+    """Sets what a driver model answered for its M vehicles.
 
     Crashed vehicles no longer obey [`IDMVehicle.act`].
     """
-    crashed, acceleration, target_lanes = scene.crashed, scene.acceleration, scene.target_lane
+    (rows, places), (accelerations, lanes) = vehicles, answered
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        modelled[b, i] = True
         if not crashed[b, i]:
-            acceleration[b, i] = wanted[m]
-            target_lanes[b, i] = target_lane[m]
+            acceleration[b, i], target_lane[b, i] = accelerations[m], lanes[m]
 
 
 @compiled
@@ -512,7 +522,7 @@ def locate(scene: Scene, rows: Ints) -> None:
 
 
 @compiled
-def draw_integer(words: Words, cursor: Ints, bound: int) -> int:
+def draw_integer(words: Words, cursor: Ints, bound: int) -> np.int64:
     """An integer from 0 to bound - 1, as `Generator.integers` draws it (Lemire 2019).
 
     It uses half a word; `cursor` holds the index of the next word, and the index of the word whose

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from charms_bench.engine import EngineName, make_engine
 from charms_bench.engine.kernels import vehicles_of
 from charms_bench.errors import AgentError, InputError
-from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.compiled import compiled
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -58,6 +59,7 @@ class Simulation:
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
         self._frames = np.zeros(scenes, dtype=np.int64)
+        self._everyone = np.arange(scenes)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
         self._names = (ego or "", *(name for name in traffic.agents if name != ego))
@@ -73,6 +75,7 @@ class Simulation:
             if isinstance(agent, DriverModel)
         }
         self.engine = make_engine(engine, settings, scenes, models)
+        self._shown = self.scene.read_only()
 
     @property
     def scene(self) -> Scene:
@@ -97,7 +100,7 @@ class Simulation:
     @property
     def ego_vehicles(self) -> Vehicles:
         """The egos (B,) of all scenes."""
-        return np.arange(self.seeds.size), self.scene.ego
+        return self._everyone, self.scene.ego
 
     def reset(self, seeds: NDArray[np.uint64], rows: Ints | None = None) -> None:
         """Starts an episode in each of the scenes `rows`; by default, in all scenes."""
@@ -161,24 +164,23 @@ class Simulation:
 
     def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
         try:
-            observations = observation_of(policy.observation)(self.scene, vehicles)
+            observations = observation_of(policy.observation)(self._shown, vehicles)
             actions = np.asarray(policy.decide(observations))
         except Exception as error:
             raise self.blame(name, vehicles, _raised(error)) from error
-        shape, wrong, what = vehicles[0].shape, None, ""
+        shape, wrong, what = vehicles[0].shape, 0, ""
         if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
             what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
-        elif (wrong := (actions < 0) | (actions >= len(ACTIONS))).any():
-            what = f"action {actions[wrong][0]}; expected 0 to {len(ACTIONS) - 1}"
+        elif (out := (actions < 0) | (actions >= len(ACTIONS))).any():
+            wrong = int(out.argmax())
+            what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
         if what:
             raise self.blame(name, vehicles, f"decide returned {what}", wrong)
         return actions
 
-    def blame(
-        self, name: str, vehicles: Vehicles, what: str, wrong: Bools | None = None
-    ) -> AgentError:
-        """An agent's error about M vehicles: the first of those that are `wrong`, or of all."""
-        row = vehicles[0][0 if wrong is None else int(wrong.argmax())]
+    def blame(self, name: str, vehicles: Vehicles, what: str, wrong: int = 0) -> AgentError:
+        """An agent's error about one of its M vehicles, given by its index."""
+        row = vehicles[0][wrong]
         return AgentError(
             f"agent '{name}', episode {self.seeds[row]}, step {self.steps[row]}: {what}"
         )
@@ -186,8 +188,8 @@ class Simulation:
     def _note_collisions(self) -> None:
         """Notes how egos have just collided, before the wrecks move on."""
         scene = self.scene
-        running = scene.active & (self.ending == RUNNING)
-        for b in np.nonzero(running & scene.crashed[self.ego_vehicles])[0]:
+        crashed = scene.crashed[self.ego_vehicles] & scene.active & (self.ending == RUNNING)
+        for b in np.nonzero(crashed)[0]:
             _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
             self.ending[b] = REAR_END if rear_end else SIDE
 
@@ -230,22 +232,34 @@ class _CheckedModel(DriverModel):
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:
             answer = self._model.drive(scene, vehicles)
-            acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
+            acceleration = np.ascontiguousarray(answer[0], dtype=np.float64)
+            target_lane = np.ascontiguousarray(answer[1])
         except Exception as error:
             raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
-        shape, lanes = vehicles[0].shape, scene.constants.lanes
-        wrong, what = None, ""
+        shape, lanes, limit = vehicles[0].shape, scene.constants.lanes, ACCELERATION_LIMIT_MPS2
+        wrong, what = 0, ""
         if acceleration.shape != shape or target_lane.shape != shape:
             what = f"shapes {acceleration.shape} and {target_lane.shape}; expected {shape} twice"
         elif not np.issubdtype(target_lane.dtype, np.integer):
             what = f"lanes of {target_lane.dtype}; expected integers"
-        elif (wrong := ~np.isfinite(acceleration)).any():
-            what = f"{acceleration[wrong][0]}; expected a finite acceleration"
-        elif (wrong := (target_lane < 0) | (target_lane >= lanes)).any():
-            what = f"{target_lane[wrong][0]}; expected a lane from 0 to {lanes - 1}"
+        elif (wrong := _first_wrong(acceleration, target_lane, lanes)) >= 0:
+            if abs(acceleration[wrong]) <= limit:
+                what = f"{target_lane[wrong]}; expected a lane from 0 to {lanes - 1}"
+            else:
+                what = f"{acceleration[wrong]}; expected an acceleration within ±{limit:g} m/s²"
         if what:
             raise self._simulation.blame(self._name, vehicles, f"drive returned {what}", wrong)
         return acceleration, target_lane
+
+
+@compiled
+def _first_wrong(acceleration: Floats, target_lane: Ints, lanes: int) -> int:
+    """The index of the first answer of a driver model that is out of range, or -1."""
+    for m in range(acceleration.size):
+        in_range = abs(acceleration[m]) <= ACCELERATION_LIMIT_MPS2
+        if not (in_range and 0 <= target_lane[m] < lanes):
+            return m
+    return -1
 
 
 def _raised(error: Exception) -> str:

@@ -12,6 +12,9 @@ from charms_bench.world.actions import Actions
 from charms_bench.world.observations import ObservationLike
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
+ACCELERATION_LIMIT_MPS2 = 20.0
+"""The largest acceleration, either way, that a driver model may return."""
+
 
 class Policy(ABC):
     """Chooses meta-actions from observations, a few times per second."""
@@ -58,12 +61,13 @@ class DriverModel(ABC):
         then the driver models of the traffic, in the order in which the traffic plugin lists them.
 
         Args:
-            scene: All scenes. The model may only write to `timer_s` of its own vehicles.
+            scene: All scenes. The arrays are read-only, except for `timer_s`, which the model may
+                set for its own vehicles.
             vehicles: M vehicles, sorted by scene and then by the order of spawning.
 
         Returns:
-            Accelerations (M,) in m/s2 and target lanes (M,), integers from 0 to lanes - 1. Answers
-            for crashed vehicles are ignored.
+            Accelerations (M,) in m/s², at most `ACCELERATION_LIMIT_MPS2` either way, and target
+            lanes (M,), integers from 0 to lanes - 1. Answers for crashed vehicles are ignored.
         """
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.errors import InputError
-from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import observation_of
@@ -119,13 +119,15 @@ def policy_does_not_change_its_observations(policy: Policy) -> None:
 
 
 def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> None:
-    """`drive` returns finite accelerations and lanes of the road, one of each per vehicle."""
+    """`drive` returns possible accelerations and lanes of the road, one of each per vehicle."""
     scene = example_scene()
     for vehicles in (_everyone(scene), (np.array([0]), np.array([3]))):
         acceleration, lane = map(np.asarray, model.drive(scene, vehicles))
         shapes = (acceleration.shape, lane.shape)
         assert shapes == (vehicles[0].shape,) * 2, f"shapes {shapes} for {vehicles[0].shape}"
-        assert np.isfinite(acceleration).all(), "some accelerations are not finite"
+        wrong = acceleration[~(np.abs(acceleration) <= ACCELERATION_LIMIT_MPS2)]
+        expected = f"expected at most {ACCELERATION_LIMIT_MPS2:g} m/s² either way"
+        assert not wrong.size, f"acceleration {wrong[0]}; {expected}"
         _check_integers("lane", lane, scene.constants.lanes)
 
 

@@ -182,6 +182,13 @@ class Scene(NamedTuple):
             constants=settings.constants,
         )
 
+    def read_only(self) -> "Scene":
+        """The same scenes for a plugin, which can write to `timer_s` only."""
+        views = {name: array.view() for name, array in self._asdict().items() if name in _ARRAYS}
+        for name, view in views.items():
+            view.flags.writeable = name == "timer_s"
+        return self._replace(**views)
+
     def leader(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         """The nearest vehicle at or ahead of each vehicle on a lane.
 
@@ -220,3 +227,4 @@ _PER_VEHICLE: dict[type, str] = {
     np.bool_: "crashed impact",
 }
 """The arrays [B, N] of a `Scene` by the type of their values."""
+_ARRAYS = set(Scene._fields) - {"constants"}

@@ -142,7 +142,7 @@ def test_without_a_command_only_the_version_is_a_success(
         ("{onnx: none.onnx}", "none.onnx: cannot be read: No such file or directory"),
         ("outside_broken", "agent 'outside_broken' of outside-plugin 1.2.3 cannot be imported"),
         ("outside_misshapen", "decide returned int64 of shape (6, 2)"),
-        ("outside_not_finite", "drive returned nan; expected a finite acceleration"),
+        ("outside_not_finite", "drive returned nan; expected an acceleration within ±20 m/s²"),
         ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
         ("{name: stackelberg, options: {gian: 1}}", "cannot be made (options: gian)"),
         ("stackelberg, paper: {speed: 1}", "suite.yaml:7: egos[1].paper.speed: no metric named"),

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.simulation import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, Simulation
 from charms_bench.errors import AgentError, InputError
-from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent
 from charms_bench.world.actions import ACTIONS, IDLE, Actions
-from charms_bench.world.scene import Observations, SceneSettings
+from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
 
 
 class Always(Policy):
@@ -23,9 +24,11 @@ class Always(Policy):
         return np.full(len(observations), self.action)
 
 
-def simulate(ego: Agent, settings: SceneSettings, scenes: int = 8) -> Simulation:
+def simulate(
+    ego: Agent, settings: SceneSettings, scenes: int = 8, engine: EngineName = "batched"
+) -> Simulation:
     agents = {"ego": ego, "idm_mobil": make_agent("idm_mobil")}
-    simulation = Simulation(settings, scenes, "ego", OneAgent("idm_mobil"), agents)
+    simulation = Simulation(settings, scenes, "ego", OneAgent("idm_mobil"), agents, engine)
     simulation.reset(np.arange(scenes, dtype=np.uint64))
     while simulation.scene.active.any():
         simulation.step()
@@ -141,12 +144,37 @@ def test_an_observation_that_does_not_exist_is_refused() -> None:
         ("outside_raising", r"raised ValueError: out of petrol \(.*outside_plugin\.py:\d+\)"),
         ("outside_misshapen", r"decide returned int64 of shape \(8, 2\); expected integers"),
         ("outside_out_of_range", "decide returned action 7; expected 0 to 4"),
-        ("outside_not_finite", "drive returned nan; expected a finite acceleration"),
+        ("outside_not_finite", "drive returned nan; expected an acceleration within ±20 m/s²"),
     ],
 )
 def test_an_agent_that_misbehaves_is_named_with_episode_and_step(name: str, message: str) -> None:
     with pytest.raises(AgentError, match=rf"agent 'ego', episode 0, step 0: {message}"):
         simulate(make_agent(name), SceneSettings())
+
+
+class Teleporting(DriverModel):
+    """Puts its vehicles 10 m further ahead."""
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        scene.x[vehicles] += 10
+        return np.zeros(vehicles[0].size), scene.target_lane[vehicles]
+
+
+class Rocket(DriverModel):
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        return np.full(vehicles[0].size, 20.5), scene.target_lane[vehicles]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_driver_model_cannot_write_to_the_scene(engine: EngineName) -> None:
+    with pytest.raises(AgentError, match="agent 'ego', episode 0, step 0: raised .*read-only"):
+        simulate(Teleporting(), SceneSettings(), engine=engine)
+
+
+def test_an_impossible_acceleration_is_refused() -> None:
+    message = "drive returned 20.5; expected an acceleration within ±20 m/s²"
+    with pytest.raises(AgentError, match=message):
+        simulate(Rocket(), SceneSettings())
 
 
 def test_an_ego_driven_from_outside_does_what_it_is_told() -> None:
