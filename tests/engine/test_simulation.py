@@ -167,7 +167,7 @@ class Rocket(DriverModel):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_driver_model_cannot_write_to_the_scene(engine: EngineName) -> None:
-    with pytest.raises(AgentError, match="agent 'ego', episode 0, step 0: raised .*read-only"):
+    with pytest.raises(AgentError, match=r"agent 'ego', episode 0, step 0: raised .*read-only"):
         simulate(Teleporting(), SceneSettings(), engine=engine)
 
 
