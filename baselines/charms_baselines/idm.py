@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.world import maths
-from charms_bench.world.compiled import clip, compiled, not_zero
+from charms_bench.world.compiled import clip, compiled, index, not_zero
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene
 
@@ -87,22 +87,21 @@ def on_own_lane(
 
     It computes the same as `free_acceleration` and `following`, in loops that vectorise.
     """
-    c, x, speed, lane, leaders = scene.constants, scene.x, scene.speed, scene.lane, scene.leaders
-    direction_x, direction_y = scene.direction_x, scene.direction_y
+    c, vehicles = scene.constants, scene.x.shape[1]
+    x, speed, wanted_speed = scene.x.ravel(), scene.speed.ravel(), scene.target_speed.ravel()
+    direction_x, direction_y = scene.direction_x.ravel(), scene.direction_y.ravel()
+    lane, leaders = scene.lane.ravel(), scene.leaders.ravel()
     free, wanted = np.empty(rows.size), np.empty(rows.size)
     gap = np.empty(rows.size)
     for m in range(rows.size):
-        b, i = rows[m], places[m]
-        v, ux, uy = speed[b, i], direction_x[b, i], direction_y[b, i]
-        free[m] = max(v, 0.0) / abs(not_zero(clip(scene.target_speed[b, i], 0.0, c.speed_limit)))
-        j = leaders[b, i, lane[b, i]]
-        if j < 0:
-            wanted[m], gap[m] = 0.0, math.inf
-            continue
-        ahead = v * ux - speed[b, j] * direction_x[b, j]
-        aside = v * uy - speed[b, j] * direction_y[b, j]
+        i = index(rows[m] * vehicles + places[m])
+        leader = leaders[index((rows[m] * vehicles + places[m]) * c.lanes + lane[i])]
+        j = index(rows[m] * vehicles + leader) if leader >= 0 else i
+        v, ux, uy = speed[i], direction_x[i], direction_y[i]
+        free[m] = max(v, 0.0) / abs(not_zero(clip(wanted_speed[i], 0.0, c.speed_limit)))
+        ahead, aside = v * ux - speed[j] * direction_x[j], v * uy - speed[j] * direction_y[j]
         wanted[m] = desired_gap(v, ahead * ux + aside * uy, p)
-        gap[m] = x[b, j] - x[b, i]
+        gap[m] = x[j] - x[i] if leader >= 0 else math.inf
     for m in range(rows.size):
         free[m] = p.acceleration_mps2 * (1 - maths.power(free[m], exponents[m]))
     for m in range(rows.size):

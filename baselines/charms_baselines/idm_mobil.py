@@ -16,7 +16,7 @@ from charms_baselines.idm import (
     on_own_lane,
 )
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import clip, compiled
+from charms_bench.world.compiled import clip, compiled, index
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -38,29 +38,30 @@ class IdmMobil(DriverModel):
 @compiled
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
-    p = scene.constants.idm_mobil
-    x, y, lane_of, leaders, followers = scene.x, scene.y, scene.lane, scene.leaders, scene.followers
-    crashed, timer_s, temperament = scene.crashed, scene.timer_s, scene.temperament
+    p, vehicles = scene.constants.idm_mobil, scene.x.shape[1]
+    x, y, crashed, lanes = scene.x, scene.y, scene.crashed.ravel(), scene.lane.ravel()
+    leaders, followers = scene.leaders, scene.followers
+    timer_s, temperament = scene.timer_s.ravel(), scene.temperament.ravel()
     targets = scene.target_lane.copy()
-    acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    all_targets = targets.ravel()
+    acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)
     exponents = np.empty(rows.size)
     for m in range(rows.size):
-        share = temperament[rows[m], places[m]]
+        share = temperament[index(rows[m] * vehicles + places[m])]
         exponents[m] = p.exponent_low + share * (p.exponent_high - p.exponent_low)
     free, wanted = on_own_lane(scene, rows, places, exponents, p)
     for m in range(rows.size):
-        b, i = rows[m], places[m]
-        lane, target = lane_of[b, i], targets[b, i]
-        target_lane[m] = target
-        if crashed[b, i]:
-            continue
-        if lane != target or timer_s[b, i] > p.lane_change_period_s:
+        at = index(rows[m] * vehicles + places[m])
+        lane, target = lanes[at], all_targets[at]
+        is_due = timer_s[at] > p.lane_change_period_s
+        if (lane != target or is_due) and not crashed[at]:
+            b, i = rows[m], places[m]
             own = motion(b, i, scene)
             if lane != target:
                 if _someone_takes_the_gap(b, i, own, target, scene, targets, p):
                     target = lane
             else:
-                timer_s[b, i] = 0.0
+                timer_s[at] = 0.0
                 for side in (lane - 1, lane + 1):
                     if is_reachable(x[b, i], y[b, i], side, scene.constants) and _changes(
                         own,
@@ -76,9 +77,10 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
             if lane != target:
                 leader = motion_ahead(b, leaders[b, i, target], scene)
                 wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
-            targets[b, i] = target_lane[m] = target
+            all_targets[at] = target
+        target_lane[m] = target
         limit = p.acceleration_limit_mps2
-        acceleration[m] = clip(wanted[m], -limit, limit)
+        acceleration[m] = 0.0 if crashed[at] else clip(wanted[m], -limit, limit)
     return acceleration, target_lane
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.world import maths
-from charms_bench.world.compiled import clip, compiled, not_zero
+from charms_bench.world.compiled import clip, compiled, index, not_zero
 from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
@@ -178,7 +178,7 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
         is_beside = (y[i] - target_lane[i] * c.lane_width != 0.0) & (not crashed[i])
         turns += (heading[i] != 0.0) | is_beside
     for k in range(turns):
-        i = turning.vehicle[k]
+        i = index(turning.vehicle[k])
         turning.is_steered[k] = not crashed[i]
         turning.x[k] = x[i]
         turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
@@ -205,7 +205,7 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
     direction_x = scene.direction_x[first:after].reshape(-1)
     direction_y = scene.direction_y[first:after].reshape(-1)
     for k in range(turns):
-        i = turning.vehicle[k]
+        i = index(turning.vehicle[k])
         x[i] = turning.x[k] + turning.ahead[k]
         y[i] += turning.aside[k]
         heading[i] = turning.heading[k]
@@ -257,35 +257,32 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
     other's leaders, but not followers. Among several, the last spawned is the leader and the first
     spawned is the follower; the order of `sort_by_x` gives this.
     """
-    c = scene.constants
-    x, y, order = scene.x, scene.y, scene.order
-    leaders, followers = scene.leaders, scene.followers
-    vehicles = order.shape[1]
+    c, vehicles = scene.constants, scene.x.shape[1]
     sorted_y = np.empty(vehicles)  # not a number, so on no lane, for a vehicle beyond the ends
-    is_on = np.empty(vehicles, dtype=np.bool_)
     for b in range(first, after):
+        x, y, order = scene.x[b], scene.y[b], scene.order[b]
+        leaders, followers = scene.leaders[b], scene.followers[b]
         any_level = False
         last_x = -np.inf
         for k in range(vehicles):
-            i = order[b, k]
-            sorted_y[k] = y[b, i] if is_on_length(x[b, i], c) else np.nan
-            any_level |= x[b, i] == last_x
-            last_x = x[b, i]
-        for on in range(c.lanes):
+            i = index(order[k])
+            sorted_y[k] = y[i] if is_on_length(x[i], c) else np.nan
+            any_level |= x[i] == last_x
+            last_x = x[i]
+        for lane in range(c.lanes):
+            on = index(lane)
+            nearest = np.int64(-1)
             for k in range(vehicles):
-                is_on[k] = is_near_lane(sorted_y[k], on, c)
-            ahead = behind = -1
-            for k in range(vehicles):
-                i = order[b, k]
-                followers[b, i, on] = behind
-                behind = i if is_on[k] else behind
-                m = vehicles - 1 - k
-                i = order[b, m]
-                leaders[b, i, on] = ahead
-                ahead = i if is_on[m] else ahead
+                followers[index(order[k]), on] = nearest
+                nearest = order[k] if is_near_lane(sorted_y[k], lane, c) else nearest
+            nearest = np.int64(-1)
+            for k in range(vehicles - 1, -1, -1):
+                at = index(k)
+                leaders[index(order[at]), on] = nearest
+                nearest = order[at] if is_near_lane(sorted_y[at], lane, c) else nearest
         if any_level:
             for k in range(1, vehicles):
-                if x[b, order[b, k - 1]] == x[b, order[b, k]]:
+                if x[order[k - 1]] == x[order[k]]:
                     find_level_neighbours(b, k, scene)
 
 
@@ -382,14 +379,14 @@ def collide(scene: Scene, first: int, after: int) -> None:
     Pairs are found along `order`, but applied in highway-env's order, by their places, because a
     later impact replaces an earlier one.
     """
-    c = scene.constants
-    x, y, heading, speed, order = scene.x, scene.y, scene.heading, scene.speed, scene.order
-    direction_x, direction_y = scene.direction_x, scene.direction_y
-    vehicles = x.shape[1]
+    c, vehicles = scene.constants, scene.x.shape[1]
     hits = np.empty((vehicles, 6))
     corners = np.empty((2, 4, 2))
     diagonal = math.sqrt(c.length**2 + c.width**2)
-    for b in range(first, after):
+    x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
+    direction_x, direction_y, order = scene.direction_x, scene.direction_y, scene.order
+    for row in range(first, after):
+        b = index(row)
         fastest = USUAL_SPEED_MPS
         is_faster = False
         for i in range(vehicles):
@@ -398,16 +395,18 @@ def collide(scene: Scene, first: int, after: int) -> None:
             fastest = np.abs(speed[b]).max()
         reach = diagonal + fastest * c.dt
         found = 0
-        for k in range(vehicles):
-            near = order[b, k]
+        for k in range(vehicles - 1):
+            near = index(order[b, k])
+            if x[b, index(order[b, k + 1])] - x[b, near] > reach:
+                continue
             for m in range(k + 1, vehicles):
-                far = order[b, m]
+                far = index(order[b, m])
                 dx, dy = x[b, far] - x[b, near], y[b, far] - y[b, near]
                 if dx > reach:
                     break
                 if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > c.width:
                     continue  # side by side and straight, so they are apart across the road
-                i, j = min(near, far), max(near, far)
+                i, j = min(order[b, k], order[b, m]), max(order[b, k], order[b, m])
                 if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:
                     continue
                 fill_polygon(x[b, i], y[b, i], direction_x[b, i], direction_y[b, i], c, corners[0])
@@ -427,7 +426,7 @@ def collide(scene: Scene, first: int, after: int) -> None:
                     found += 1
         if found:
             in_turn = np.argsort(hits[:found, 0] * vehicles + hits[:found, 1])
-            apply_hits(b, scene, hits[in_turn])
+            apply_hits(row, scene, hits[in_turn])
 
 
 @compiled
@@ -473,10 +472,11 @@ def obey(
     Crashed vehicles no longer obey [`IDMVehicle.act`].
     """
     (rows, places), (accelerations, lanes) = vehicles, answered
+    is_wreck, wanted, target = crashed.ravel(), acceleration.ravel(), target_lane.ravel()
     for m in range(rows.size):
-        b, i = rows[m], places[m]
-        if not crashed[b, i]:
-            acceleration[b, i], target_lane[b, i] = accelerations[m], lanes[m]
+        i = index(rows[m] * crashed.shape[1] + places[m])
+        wanted[i] = wanted[i] if is_wreck[i] else accelerations[m]
+        target[i] = target[i] if is_wreck[i] else lanes[m]
 
 
 @compiled

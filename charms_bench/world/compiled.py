@@ -1,8 +1,9 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
 F = TypeVar("F")
 
@@ -17,6 +18,15 @@ def inlined(function: F) -> F:
     return cast(
         F, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
     )
+
+
+@inlined
+def index(value: int) -> Any:
+    """An index that is not negative, as a type for which compiled code need not check that.
+
+    Do not compute with it: in compiled code, its sum with an integer is a float.
+    """
+    return np.uint64(value)
 
 
 @compiled
