@@ -21,6 +21,9 @@ from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
+BLOCK_VEHICLES = 512
+"""Vehicles whose intermediate results stay in the processor's cache."""
+
 
 class IdmMobil(DriverModel):
     """IDM along the lane, MOBIL across; constants from the profile's `idm_mobil`.
@@ -38,13 +41,30 @@ class IdmMobil(DriverModel):
 @compiled
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
+    targets = scene.target_lane.copy()
+    acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)
+    for first in range(0, rows.size, BLOCK_VEHICLES):
+        block = slice(first, min(first + BLOCK_VEHICLES, rows.size))
+        _drive_block(
+            scene, rows[block], places[block], targets, acceleration[block], target_lane[block]
+        )
+    return acceleration, target_lane
+
+
+@compiled
+def _drive_block(
+    scene: Scene,
+    rows: Ints,
+    places: Ints,
+    targets: Ints,
+    acceleration: Floats,
+    target_lane: Ints,
+) -> None:
     p, vehicles = scene.constants.idm_mobil, scene.x.shape[1]
     x, y, crashed, lanes = scene.x, scene.y, scene.crashed.ravel(), scene.lane.ravel()
     leaders, followers = scene.leaders, scene.followers
     timer_s, temperament = scene.timer_s.ravel(), scene.temperament.ravel()
-    targets = scene.target_lane.copy()
     all_targets = targets.ravel()
-    acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)
     exponents = np.empty(rows.size)
     for m in range(rows.size):
         share = temperament[index(rows[m] * vehicles + places[m])]
@@ -81,7 +101,6 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
         target_lane[m] = target
         limit = p.acceleration_limit_mps2
         acceleration[m] = 0.0 if crashed[at] else clip(wanted[m], -limit, limit)
-    return acceleration, target_lane
 
 
 @compiled

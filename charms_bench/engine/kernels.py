@@ -271,11 +271,11 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
             last_x = x[i]
         for lane in range(c.lanes):
             on = index(lane)
-            nearest = np.int64(-1)
+            nearest = np.int32(-1)
             for k in range(vehicles):
                 followers[index(order[k]), on] = nearest
                 nearest = order[k] if is_near_lane(sorted_y[k], lane, c) else nearest
-            nearest = np.int64(-1)
+            nearest = np.int32(-1)
             for k in range(vehicles - 1, -1, -1):
                 at = index(k)
                 leaders[index(order[at]), on] = nearest
@@ -421,8 +421,9 @@ def collide(scene: Scene, first: int, after: int) -> None:
                 if now or soon:
                     if found == len(hits):
                         hits = np.concatenate((hits, np.empty_like(hits)))
-                    hits[found, :4] = (i, j, int(now), int(soon))
-                    hits[found, 4:] = (part_x, part_y)
+                    hits[found, 0], hits[found, 1] = i, j
+                    hits[found, 2], hits[found, 3] = now, soon
+                    hits[found, 4], hits[found, 5] = part_x, part_y
                     found += 1
         if found:
             in_turn = np.argsort(hits[:found, 0] * vehicles + hits[:found, 1])

@@ -164,7 +164,8 @@ class Scene(NamedTuple):
     def empty(cls, settings: SceneSettings, scenes: int) -> "Scene":
         """Some scenes, all zeros; an engine fills them."""
         shape = (scenes, settings.vehicles)
-        places = np.tile(np.arange(settings.vehicles), (scenes, 1))
+        places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
+        nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
         per_vehicle: dict[str, NDArray[Any]] = {
             name: np.zeros(shape, dtype)
             for dtype, names in _PER_VEHICLE.items()
@@ -177,8 +178,8 @@ class Scene(NamedTuple):
             active=np.zeros(scenes, dtype=np.bool_),
             order=places,
             rank=places.copy(),
-            leaders=np.full((*shape, settings.lanes), -1),
-            followers=np.full((*shape, settings.lanes), -1),
+            leaders=nobody,
+            followers=nobody.copy(),
             constants=settings.constants,
         )
 
