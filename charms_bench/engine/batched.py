@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from charms_bench.engine import kernels
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
-from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
-from charms_bench.world.lanes import is_reachable
-from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.actions import Actions
+from charms_bench.world.profile import Profile
+from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
 
 class BatchedEngine:
@@ -23,15 +23,16 @@ class BatchedEngine:
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self._settings = settings
         self._spawn_rule = _spawn_rule(settings)
+        self._command_rule = _command_rule(settings.profile)
         self._models = models
         self._shown = self.scene.read_only()
         self._is_modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
         self._vehicles: dict[int, Vehicles] = {}
-        """The active vehicles of each driver model, while `_listed` are the active scenes."""
-        self._listed = self.scene.active.copy()
+        """The active vehicles of each driver model, listed for the active scenes `_listed`."""
+        self._listed = b""
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
-        scene, profile = self.scene, self._settings.profile
+        scene = self.scene
         count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
         words = np.empty((rows.size, count), dtype=np.uint64)
         for row_words, seed in zip(words, seeds, strict=True):
@@ -41,37 +42,22 @@ class BatchedEngine:
         drivers = np.zeros(is_ego.shape, dtype=np.int64)
         drivers[~is_ego] = traffic.ravel()
         self.drivers[rows] = drivers
-        self._is_modelled[rows] = np.isin(drivers, list(self._models))
+        self._is_modelled[rows] = False
+        for agent in self._models:
+            self._is_modelled[rows] |= drivers == agent
         self._vehicles.clear()
-        if profile.target_speeds_mps:
-            which, places = np.nonzero(~self._is_modelled[rows])
-            commanded = rows[which], places
-            speeds = scene.target_speed[commanded]
-            scene.target_speed[commanded] = self._nearest_target_speed(speeds, 0)
+        if self._command_rule.speeds.size:
+            speeds = self._command_rule.speeds
+            kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
-        scene, profile = self.scene, self._settings.profile
-        change = (actions == FASTER).astype(np.int64) - (actions == SLOWER)
-        if profile.target_speeds_mps:
-            wanted = self._nearest_target_speed(scene.speed[vehicles], change)
-        else:
-            wanted = scene.target_speed[vehicles] + change * profile.target_speed_step_mps
-            wanted = wanted.clip(profile.target_speed_min_mps, profile.target_speed_max_mps)
-        scene.target_speed[vehicles] = np.where(change, wanted, scene.target_speed[vehicles])
-
-        side = (actions == LANE_RIGHT).astype(np.int64) - (actions == LANE_LEFT)
-        from_target = profile.lane_command_from == "target_lane"
-        lane = (scene.target_lane if from_target else scene.lane)[vehicles] + side
-        lane = lane.clip(0, self._settings.lanes - 1)
-        reachable = is_reachable(scene.x[vehicles], scene.y[vehicles], lane, scene.constants)
-        scene.target_lane[vehicles] = np.where(
-            (side != 0) & reachable, lane, scene.target_lane[vehicles]
-        )
+        kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 
     def advance(self) -> None:
         scene = self.scene
-        if not self._vehicles or not np.array_equal(self._listed, scene.active):
-            self._listed[:] = scene.active
+        active = scene.active.tobytes()
+        if not self._vehicles or self._listed != active:
+            self._listed = active
             for agent in self._models:
                 found = kernels.vehicles_of(agent, self.drivers, scene.active)
                 self._vehicles[agent] = found
@@ -79,16 +65,9 @@ class BatchedEngine:
             vehicles = self._vehicles[agent]
             if vehicles[0].size:
                 answers = model.drive(self._shown, vehicles)
-                set_here = (scene.crashed, scene.acceleration, scene.target_lane)
-                kernels.obey(vehicles, answers, *set_here)
+                crashed, acceleration = scene.crashed, scene.acceleration
+                kernels.obey(vehicles, answers, crashed, acceleration, scene.target_lane)
         kernels.advance(scene, self._is_modelled)
-
-    def _nearest_target_speed(self, speed: Floats, change: Ints | int) -> Floats:
-        """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
-        speeds = np.array(self._settings.profile.target_speeds_mps, dtype=np.float64)
-        share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
-        index = np.round(share * (speeds.size - 1)).clip(0, speeds.size - 1) + change
-        return np.asarray(speeds[index.clip(0, speeds.size - 1).astype(np.int64)])
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
@@ -103,4 +82,14 @@ def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
         crowding=maths.exp(-5 / 40 * settings.lanes),
         speed_low=profile.spawn_speed_low * profile.speed_limit_mps,
         speed_high=profile.spawn_speed_high * profile.speed_limit_mps,
+    )
+
+
+def _command_rule(profile: Profile) -> kernels.CommandRule:
+    return kernels.CommandRule(
+        speeds=np.array(profile.target_speeds_mps, dtype=np.float64),
+        step=profile.target_speed_step_mps,
+        lowest=profile.target_speed_min_mps,
+        highest=profile.target_speed_max_mps,
+        from_target_lane=profile.lane_command_from == "target_lane",
     )

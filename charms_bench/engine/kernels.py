@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.world import maths
+from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
 from charms_bench.world.compiled import clip, compiled, index, not_zero
-from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length
+from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length, is_reachable
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
@@ -44,6 +45,18 @@ class SpawnRule(NamedTuple):
     """highway-env's factor for all distances; it falls with the number of lanes."""
     speed_low: float
     speed_high: float
+
+
+class CommandRule(NamedTuple):
+    """How meta-actions change target speeds and lanes; SI units."""
+
+    speeds: Floats
+    """The target speeds between which FASTER and SLOWER choose; empty if they add `step`."""
+    step: float
+    lowest: float
+    highest: float
+    from_target_lane: bool
+    """Whether lane commands count from the target lane; otherwise from the current lane."""
 
 
 @compiled
@@ -458,6 +471,58 @@ def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
                     rows[found], places[found] = b, i
                     found += 1
     return rows[:found].copy(), places[:found].copy()
+
+
+@compiled
+def nearest_target_speed(speed: float, change: int, speeds: Floats) -> float:
+    """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
+    last = speeds.size - 1
+    share = (speed - speeds[0]) / (speeds[-1] - speeds[0])
+    nearest = min(max(round(share * last), 0), last)
+    return float(speeds[min(max(nearest + change, 0), last)])
+
+
+@compiled
+def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: CommandRule) -> None:
+    """Carries out the meta-actions (M,) of M vehicles [`ControlledVehicle.act`]."""
+    c, target_speed, target_lane = scene.constants, scene.target_speed, scene.target_lane
+    for m in range(rows.size):
+        b, i, action = rows[m], places[m], actions[m]
+        if action in (FASTER, SLOWER):
+            change = 1 if action == FASTER else -1
+            if rule.speeds.size:
+                wanted = nearest_target_speed(scene.speed[b, i], change, rule.speeds)
+            else:
+                wanted = target_speed[b, i] + change * rule.step
+                wanted = clip(wanted, rule.lowest, rule.highest)
+            target_speed[b, i] = wanted
+        elif action in (LANE_LEFT, LANE_RIGHT):
+            lane = target_lane[b, i] if rule.from_target_lane else scene.lane[b, i]
+            lane = min(max(lane + (1 if action == LANE_RIGHT else -1), 0), c.lanes - 1)
+            if is_reachable(scene.x[b, i], scene.y[b, i], lane, c):
+                target_lane[b, i] = lane
+
+
+@compiled
+def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floats) -> None:
+    """Gives the commanded vehicles of new scenes one of the target speeds."""
+    for b in rows:
+        for i in range(scene.x.shape[1]):
+            if not modelled[b, i]:
+                nearest = nearest_target_speed(scene.target_speed[b, i], 0, speeds)
+                scene.target_speed[b, i] = nearest
+
+
+@compiled
+def crashed_egos(ego: Ints, crashed: Bools, running: Bools) -> Ints:
+    """The running scenes whose ego has crashed."""
+    rows = np.empty(running.size, dtype=np.int64)
+    found = 0
+    for b in range(running.size):
+        if running[b] and crashed[b, ego[b]]:
+            rows[found] = b
+            found += 1
+    return rows[:found]
 
 
 @compiled

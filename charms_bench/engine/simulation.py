@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
-from charms_bench.engine.kernels import vehicles_of
+from charms_bench.engine.kernels import crashed_egos, vehicles_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.compiled import compiled
+from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -90,12 +91,19 @@ class Simulation:
     @property
     def failed(self) -> Bools:
         """[B] whether the ego has collided or left the road, which terminates the episode."""
-        return np.isin(self.ending, (REAR_END, SIDE, OFF_ROAD))
+        return np.asarray((self.ending != RUNNING) & (self.ending != TIME))
 
     @property
     def truncated(self) -> Bools:
         """[B] whether the episode's time is over."""
         return np.equal(self.ending, TIME, dtype=np.bool_)
+
+    @property
+    def is_off_road(self) -> Bools:
+        """[B] whether the ego's centre is outside its lane; see `Scene.off_road`."""
+        scene, egos = self.scene, self.ego_vehicles
+        x, y, lane = scene.x[egos], scene.y[egos], scene.lane[egos]
+        return np.asarray(~is_on_lane(x, y, lane, scene.constants, margin=0.0))
 
     @property
     def ego_vehicles(self) -> Vehicles:
@@ -144,7 +152,7 @@ class Simulation:
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
         self.engine.advance()
-        self._frames[active] += 1
+        self._frames += active
         self._note_collisions()
 
     def finish_step(self) -> None:
@@ -154,7 +162,7 @@ class Simulation:
         running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME
         if self.settings.profile.offroad_terminal:
-            self.ending[running & scene.off_road[self.ego_vehicles]] = OFF_ROAD
+            self.ending[running & self.is_off_road] = OFF_ROAD
         scene.active[self.ending != RUNNING] = False
 
     def _command(self, vehicles: Vehicles, actions: Actions) -> None:
@@ -188,24 +196,26 @@ class Simulation:
     def _note_collisions(self) -> None:
         """Notes how egos have just collided, before the wrecks move on."""
         scene = self.scene
-        crashed = scene.crashed[self.ego_vehicles] & scene.active & (self.ending == RUNNING)
-        for b in np.nonzero(crashed)[0]:
+        for b in crashed_egos(scene.ego, scene.crashed, scene.active):
+            if self.ending[b] != RUNNING:
+                continue  # it has crashed in an earlier simulation step of this decision
             _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
             self.ending[b] = REAR_END if rear_end else SIDE
 
 
+@compiled
 def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
     """The vehicle that the ego has hit, and whether this is a rear-end collision.
 
     Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps the ego most. In a
     rear-end collision, the two overlap less along the road than across it.
     """
-    along = c.length - np.abs(x - x[ego])
-    across = c.width - np.abs(y - y[ego])
-    overlap = np.minimum(along, across)
-    overlap[ego] = -np.inf
-    other = int(overlap.argmax())
-    return other, bool(along[other] < across[other])
+    other, most, is_rear_end = 0, -np.inf, False
+    for i in range(x.size):
+        along, across = c.length - abs(x[i] - x[ego]), c.width - abs(y[i] - y[ego])
+        if i != ego and min(along, across) > most:
+            other, most, is_rear_end = i, min(along, across), along < across
+    return other, is_rear_end
 
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
@@ -240,7 +250,7 @@ class _CheckedModel(DriverModel):
         wrong, what = 0, ""
         if acceleration.shape != shape or target_lane.shape != shape:
             what = f"shapes {acceleration.shape} and {target_lane.shape}; expected {shape} twice"
-        elif not np.issubdtype(target_lane.dtype, np.integer):
+        elif target_lane.dtype.kind not in "iu":
             what = f"lanes of {target_lane.dtype}; expected integers"
         elif (wrong := _first_wrong(acceleration, target_lane, lanes)) >= 0:
             if abs(acceleration[wrong]) <= limit:

@@ -43,9 +43,9 @@ class HighwayReward:
         """The rewards (B,) of the scene after the decisions."""
         scene, egos = simulation.scene, simulation.ego_vehicles
         return highway_reward(
-            forward=scene.speed[egos] * np.cos(scene.heading[egos]),
+            forward=scene.speed[egos] * scene.direction_x[egos],
             target_lane=scene.target_lane[egos],
             crashed=scene.crashed[egos],
-            off_road=scene.off_road[egos],
+            off_road=simulation.is_off_road,
             lanes=scene.constants.lanes,
         )

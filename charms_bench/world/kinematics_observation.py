@@ -4,32 +4,31 @@ It has one row per vehicle: first the observing vehicle, then the vehicles withi
 their distance along the road [`KinematicObservation`, highway-env 1.12].
 """
 
-from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from charms_bench.errors import suggestion
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.fields import Finite, FrozenModel
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
-FEATURES: dict[str, Callable[[Scene, Vehicles], Floats]] = {
-    "presence": lambda scene, seen: np.ones(seen[1].shape),
-    "x": lambda scene, seen: scene.x[seen],
-    "y": lambda scene, seen: scene.y[seen],
-    "vx": lambda scene, seen: scene.speed[seen] * scene.direction_x[seen],
-    "vy": lambda scene, seen: scene.speed[seen] * scene.direction_y[seen],
-    "heading": lambda scene, seen: scene.heading[seen],
-    "cos_h": lambda scene, seen: scene.direction_x[seen],
-    "sin_h": lambda scene, seen: scene.direction_y[seen],
-    "cos_d": lambda scene, seen: np.zeros(seen[1].shape),  # vehicles here have no route
-    "sin_d": lambda scene, seen: np.zeros(seen[1].shape),
-    "long_off": lambda scene, seen: scene.x[seen],
-    "lat_off": lambda scene, seen: scene.y[seen] - scene.lane[seen] * scene.constants.lane_width,
-    "ang_off": lambda scene, seen: (scene.heading[seen] + np.pi) % (2 * np.pi) - np.pi,
-}
+FEATURES = (
+    "presence",
+    "x",
+    "y",
+    "vx",
+    "vy",
+    "heading",
+    "cos_h",
+    "sin_h",
+    "cos_d",
+    "sin_d",
+    "long_off",
+    "lat_off",
+    "ang_off",
+)
 """The features that a row can have [`Vehicle.to_dict`]."""
 RELATIVE = ("x", "y", "vx", "vy")
 DEFAULT = ("presence", *RELATIVE)
@@ -43,7 +42,8 @@ PERCEPTION_M = 5.0 * SPEED_MPS
 
 def _known(feature: str) -> str:
     if feature not in FEATURES:
-        raise ValueError(f"no feature named '{feature}'. {suggestion(feature, FEATURES)}")
+        known = suggestion(feature, dict.fromkeys(FEATURES))
+        raise ValueError(f"no feature named '{feature}'. {known}")
     return feature
 
 
@@ -106,23 +106,22 @@ class Kinematics(FrozenModel):
         nearest = np.full((rows.size, self.vehicles_count), -1)
         back_m = np.inf if self.see_behind else 2 * scene.constants.length
         _find_nearest(scene.x, scene.y, rows, places, back_m, nearest)
-        seen = (np.broadcast_to(rows[:, None], nearest.shape), nearest)
-        columns = [self._column(feature, scene, seen) for feature in self.features]
-        observations = np.stack(columns, axis=-1, dtype=np.float32)
-        observations[nearest < 0] = 0.0
+        observations = np.zeros((rows.size, *self.shape), dtype=np.float32)
+        _fill(scene, rows, nearest, self._columns(scene.constants.lanes), self.clip, observations)
         return observations
 
-    def _column(self, feature: str, scene: Scene, seen: Vehicles) -> Floats:
-        """A feature of the vehicles `seen`, (M, rows)."""
-        values = FEATURES[feature](scene, seen)
-        if feature in RELATIVE and not self.absolute:
-            values[:, 1:] -= values[:, :1]
-        limits = self._ranges(scene.constants.lanes).get(feature)
-        if limits is None or not self.normalize:
-            return values
-        low, high = limits
-        values = -1 + (values - low) * 2 / (high - low)  # in the order of `utils.lmap`
-        return values.clip(-1.0, 1.0) if self.clip else values
+    def _columns(self, lanes: int) -> Floats:
+        """What is done to each feature: its index, whether it is relative, and its range.
+
+        A feature without a range has infinite bounds.
+        """
+        ranges = self._ranges(lanes) if self.normalize else {}
+        columns = []
+        for feature in self.features:
+            is_relative = feature in RELATIVE and not self.absolute
+            low, high = ranges.get(feature, (-np.inf, np.inf))
+            columns.append((FEATURES.index(feature), is_relative, low, high))
+        return np.array(columns, dtype=np.float64)
 
     def _ranges(self, lanes: int) -> Ranges:
         """[`KinematicObservation.normalize_obs`]"""
@@ -130,6 +129,59 @@ class Kinematics(FrozenModel):
             return self.features_range
         limits = (5 * SPEED_MPS, LANE_WIDTH_M * lanes, 2 * SPEED_MPS, 2 * SPEED_MPS)
         return {feature: (-limit, limit) for feature, limit in zip(RELATIVE, limits, strict=True)}
+
+
+@compiled
+def _feature(feature: int, b: int, i: int, scene: Scene) -> float:
+    """A feature of a vehicle, by its index in `FEATURES`. Vehicles here have no route."""
+    heading = scene.heading[b, i]
+    if feature == 0:
+        return 1.0
+    if feature == 1 or feature == 10:
+        return float(scene.x[b, i])
+    if feature == 2:
+        return float(scene.y[b, i])
+    if feature == 3:
+        return float(scene.speed[b, i] * scene.direction_x[b, i])
+    if feature == 4:
+        return float(scene.speed[b, i] * scene.direction_y[b, i])
+    if feature == 5:
+        return float(heading)
+    if feature == 6:
+        return float(scene.direction_x[b, i])
+    if feature == 7:
+        return float(scene.direction_y[b, i])
+    if feature == 11:
+        return float(scene.y[b, i] - scene.lane[b, i] * scene.constants.lane_width)
+    if feature == 12:
+        return float((heading + np.pi) % (2 * np.pi) - np.pi)
+    return 0.0
+
+
+@compiled
+def _fill(
+    scene: Scene,
+    rows: Ints,
+    nearest: Ints,
+    columns: Floats,
+    is_clipped: bool,
+    observations: Observations,
+) -> None:
+    """Writes the features of the vehicles `nearest` (M, rows); see `Kinematics._columns`."""
+    for m in range(rows.size):
+        b = rows[m]
+        for k in range(nearest.shape[1]):
+            if nearest[m, k] < 0:
+                break
+            for column in range(len(columns)):
+                feature, low, high = int(columns[column, 0]), columns[column, 2], columns[column, 3]
+                value = _feature(feature, b, nearest[m, k], scene)
+                if columns[column, 1] and k > 0:
+                    value -= _feature(feature, b, nearest[m, 0], scene)
+                if np.isfinite(low):
+                    value = -1 + (value - low) * 2 / (high - low)  # in the order of `utils.lmap`
+                    value = clip(value, -1.0, 1.0) if is_clipped else value
+                observations[m, k, column] = value
 
 
 @compiled
