@@ -16,7 +16,6 @@ from charms_bench.report.definitions import first_column
 from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
-from charms_bench.statistics import paired
 from charms_bench.statistics.intervals import CONFIDENCE, resample
 from charms_bench.world.scene import Floats
 
@@ -38,6 +37,8 @@ FOLDS = 10
 
 def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals."""
+    from charms_bench.statistics import paired  # imports scipy.stats, which takes half a second
+
     metrics = _metrics(COMPARED)
     sums = [sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene) for cell in cells]
     weights = resample(np.random.default_rng(suite.seed), len(cells[0].episodes))

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special  # scipy.stats takes half a second to import
 
 from charms_bench.metrics.metric import Metric
 from charms_bench.world.scene import Floats
@@ -35,6 +34,8 @@ class Estimate:
 
 def wilson(successes: int, trials: int) -> Bounds:
     """The interval of a share (Wilson 1927)."""
+    from scipy import special
+
     share, z = successes / trials, float(special.ndtri((1 + CONFIDENCE) / 2))
     scale = 2 * (trials + z**2)
     centre = (2 * trials * share + z**2) / scale
@@ -47,6 +48,8 @@ def wilson(successes: int, trials: int) -> Bounds:
 
 def garwood(events: int) -> Bounds:
     """The exact interval of the mean of a Poisson distribution (Garwood 1936)."""
+    from scipy import special  # scipy.stats takes half a second to import
+
     tail = (1 - CONFIDENCE) / 2
     low = special.gammaincinv(events, tail) if events else 0.0
     return float(low), float(special.gammainccinv(events + 1, tail))
