@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import polars as pl
 
-from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, Metric
 from charms_bench.report.definitions import first_column
 from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
@@ -40,8 +40,8 @@ def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     from charms_bench.statistics import paired  # imports scipy.stats, which takes half a second
 
     metrics = _metrics(COMPARED)
-    sums = [sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene) for cell in cells]
-    weights = resample(np.random.default_rng(suite.seed), len(cells[0].episodes))
+    sums = [cell.sums(metrics, suite.scene) for cell in cells]
+    weights = resample(np.random.default_rng(suite.seed), cells[0].size)
     pairs = list(combinations(range(len(cells)), 2))
     found = [paired.differences(metrics, sums[i], sums[j], weights) for i, j in pairs]
     records = [
@@ -87,7 +87,7 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
     metrics = _metrics(SUMMARY)
     summaries = []
     for cell in cells:
-        sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+        sums = cell.sums(metrics, suite.scene)
         values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
         summaries.append(np.stack(values, axis=1))
     features = np.stack(summaries)
