@@ -20,9 +20,6 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.people.reference import read_references
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.report.progress import note, progress
-from charms_bench.report.stored import holds, stored_tables
-from charms_bench.report.suite_table import printed, suite_table
-from charms_bench.report.table import Table
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.document import Document
@@ -36,6 +33,7 @@ if TYPE_CHECKING:
     from charms_bench.episodes.criticality import Kind
     from charms_bench.episodes.edge_cases import EdgeCase
     from charms_bench.episodes.replay import Replay
+    from charms_bench.report.table import Table
     from charms_bench.report.training_tables import Training
 
 PathLike = str | Path
@@ -86,18 +84,22 @@ class Run:
         return pl.concat(_labelled(cell, cell.steps) for cell in self.cells)
 
     @property
-    def tables(self) -> Mapping[str, Table]:
+    def tables(self) -> "Mapping[str, Table]":
         """The tables in the folder, by name: `ego`, `ego-pairs`, `ego-realism`."""
+        from charms_bench.report.stored import stored_tables
+
         return {table.name: table for table in stored_tables(self.path, self.suite).each()}
 
     @property
-    def table(self) -> Table:
+    def table(self) -> "Table":
         """Every metric of every cell."""
         return self.tables[self.suite.suite]
 
     @property
-    def summary(self) -> Table:
+    def summary(self) -> "Table":
         """The metrics that the suite prints."""
+        from charms_bench.report.suite_table import printed
+
         return printed(self.table, self.suite.columns)
 
     @property
@@ -111,7 +113,7 @@ class Run:
         agents: tuple[str, str] | None = None,
         metrics: Sequence[str] = (),
         sets: Sequence[str] = (),
-    ) -> Table:
+    ) -> "Table":
         """Compares two agents over the same episodes.
 
         Args:
@@ -134,13 +136,14 @@ class Run:
         pairs = pairs_of(self._finished, None if other is None else other._finished, agents)
         return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
 
-    def rescore(self, *sets: str) -> Table:
+    def rescore(self, *sets: str) -> "Table":
         """Computes metrics again from the stored rows and writes the table into the folder.
 
         Args:
             sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
         """
         from charms_bench.report.run_files import write_table
+        from charms_bench.report.suite_table import suite_table
         from charms_bench.runs.metric_sets import metric_sets
 
         found = metric_sets(sets)
@@ -362,9 +365,11 @@ def open_training(path: PathLike) -> "Training":
     Raises:
         RunFolderError: It holds no training, or a damaged one.
     """
+    from charms_bench.report.stored import holds
+    from charms_bench.report.training_tables import STAGES, stored_training
+
     if holds(Path(path), MANIFEST):
         raise RunFolderError(f"{path}: holds an evaluation; use charms_bench.open_run")
-    from charms_bench.report.training_tables import STAGES, stored_training
 
     training = stored_training(Path(path))
     if training.stages is None and training.curves is None:
