@@ -4,43 +4,37 @@
     run.table.select("speed_mean", "crashed_episodes").frame()
     run.edge_cases(top=3)
 
-The command line is a thin layer over these functions.
+The command line is a thin layer over these functions. They import what they need when they run, so
+that a run starts at once.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.episodes.criticality import IS_OF_KIND, Kind
-from charms_bench.episodes.edge_cases import EdgeCase, edge_cases
-from charms_bench.episodes.replay import Replay, find_cell, find_cells, replay
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.people.reference import read_references
 from charms_bench.plugins.registry import PIPELINES, load
-from charms_bench.report.comparison import compare
-from charms_bench.report.html.report import write_report
-from charms_bench.report.html.table import notebook
 from charms_bench.report.progress import note, progress
-from charms_bench.report.run_files import write_run, write_table
-from charms_bench.report.stored import holds, stored_tables
-from charms_bench.report.suite_table import printed, suite_table
-from charms_bench.report.table import Table
-from charms_bench.report.training_tables import STAGES, Training, stored_training
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.cluster import on_cluster
 from charms_bench.runs.document import Document
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
 from charms_bench.runs.lock import locked
-from charms_bench.runs.metric_sets import metric_sets
-from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, suite_of
+
+if TYPE_CHECKING:
+    from charms_bench.episodes.criticality import Kind
+    from charms_bench.episodes.edge_cases import EdgeCase
+    from charms_bench.episodes.replay import Replay
+    from charms_bench.report.table import Table
+    from charms_bench.report.training_tables import Training
 
 PathLike = str | Path
 
@@ -90,18 +84,22 @@ class Run:
         return pl.concat(_labelled(cell, cell.steps) for cell in self.cells)
 
     @property
-    def tables(self) -> Mapping[str, Table]:
+    def tables(self) -> "Mapping[str, Table]":
         """The tables in the folder, by name: `ego`, `ego-pairs`, `ego-realism`."""
+        from charms_bench.report.stored import stored_tables
+
         return {table.name: table for table in stored_tables(self.path, self.suite).each()}
 
     @property
-    def table(self) -> Table:
+    def table(self) -> "Table":
         """Every metric of every cell."""
         return self.tables[self.suite.suite]
 
     @property
-    def summary(self) -> Table:
+    def summary(self) -> "Table":
         """The metrics that the suite prints."""
+        from charms_bench.report.suite_table import printed
+
         return printed(self.table, self.suite.columns)
 
     @property
@@ -115,7 +113,7 @@ class Run:
         agents: tuple[str, str] | None = None,
         metrics: Sequence[str] = (),
         sets: Sequence[str] = (),
-    ) -> Table:
+    ) -> "Table":
         """Compares two agents over the same episodes.
 
         Args:
@@ -131,15 +129,23 @@ class Run:
         Raises:
             InputError: The runs differ in more than the egos, or a name is unknown.
         """
+        from charms_bench.report.comparison import compare
+        from charms_bench.runs.metric_sets import metric_sets
+        from charms_bench.runs.pairing import pairs_of
+
         pairs = pairs_of(self._finished, None if other is None else other._finished, agents)
         return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
 
-    def rescore(self, *sets: str) -> Table:
+    def rescore(self, *sets: str) -> "Table":
         """Computes metrics again from the stored rows and writes the table into the folder.
 
         Args:
             sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
         """
+        from charms_bench.report.run_files import write_table
+        from charms_bench.report.suite_table import suite_table
+        from charms_bench.runs.metric_sets import metric_sets
+
         found = metric_sets(sets)
         with locked(self.path):
             table = suite_table(self.suite, self.cells, found)
@@ -149,10 +155,10 @@ class Run:
     def edge_cases(
         self,
         top: int = 10,
-        kind: Kind | None = None,
+        kind: "Kind | None" = None,
         agent: str | None = None,
         traffic: str | None = None,
-    ) -> list[EdgeCase]:
+    ) -> "list[EdgeCase]":
         """The most critical episodes, most critical first.
 
         Args:
@@ -165,13 +171,19 @@ class Run:
             InputError: The kind is unknown.
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
+        from charms_bench.episodes.criticality import IS_OF_KIND
+        from charms_bench.episodes.edge_cases import edge_cases
+        from charms_bench.episodes.replay import find_cells
+
         if kind is not None and kind not in IS_OF_KIND:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
         cells = find_cells(self._finished, agent, traffic)
         return edge_cases(self._finished, top, kind, cells, self._suite_folder)
 
-    def replay(self, episode: int, agent: str | None = None, traffic: str | None = None) -> Replay:
+    def replay(
+        self, episode: int, agent: str | None = None, traffic: str | None = None
+    ) -> "Replay":
         """Simulates an episode again, with the states of all vehicles.
 
         Args:
@@ -183,6 +195,8 @@ class Run:
             InputError: The labels leave several episodes.
             RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
         """
+        from charms_bench.episodes.replay import find_cell, replay
+
         cell = find_cell(self._finished, agent, traffic)
         return replay(self._finished, cell, [episode], self._suite_folder)[0]
 
@@ -193,6 +207,8 @@ class Run:
             output: The file.
             top: How many of the most critical episodes to replay.
         """
+        from charms_bench.report.html.report import write_report
+
         write_report([self.path], Path(output), top, (), self._suite_folder)
         return Path(output)
 
@@ -202,6 +218,8 @@ class Run:
         return f"<Run {self.path}: {cells}, {suite.episodes:,} episodes each>"
 
     def _repr_html_(self) -> str:
+        from charms_bench.report.html.table import notebook
+
         return notebook(self.summary)
 
 
@@ -254,7 +272,11 @@ def run(
     loaded = suite_of(document)
     references = read_references(loaded.references, loaded.folder)
     folder = Path(output or Path("runs") / loaded.suite)
-    on_dask = None if cluster is None else on_cluster(cluster)
+    on_dask = None
+    if cluster is not None:
+        from charms_bench.runs.cluster import on_cluster
+
+        on_dask = on_cluster(cluster)
     try:
         with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
             finished = runner.run(
@@ -268,6 +290,8 @@ def run(
                 notice,
                 on_dask,
             )
+        from charms_bench.report.run_files import write_run
+
         with locked(folder):
             following = finished.following() if references else []
             write_run(loaded, folder, finished.cells(), following, references)
@@ -304,7 +328,7 @@ def train(
     workers: int | None = None,
     only: str | None = None,
     recordings: PathLike | None = None,
-) -> Training:
+) -> "Training":
     """Trains the networks of a training suite, or continues; needs the extra `train`.
 
     Args:
@@ -335,14 +359,18 @@ def train(
     return open_training(folder)
 
 
-def open_training(path: PathLike) -> Training:
+def open_training(path: PathLike) -> "Training":
     """Opens the run folder of a training.
 
     Raises:
         RunFolderError: It holds no training, or a damaged one.
     """
+    from charms_bench.report.stored import holds
+    from charms_bench.report.training_tables import STAGES, stored_training
+
     if holds(Path(path), MANIFEST):
         raise RunFolderError(f"{path}: holds an evaluation; use charms_bench.open_run")
+
     training = stored_training(Path(path))
     if training.stages is None and training.curves is None:
         raise RunFolderError(

@@ -26,7 +26,7 @@ def charms_bench(*arguments: object, cwd: Path | None = None, columns: int = 100
     with (
         patch.object(sys, "argv", ["charms-bench", *map(str, arguments)]),
         patch.dict(os.environ, {"COLUMNS": str(columns), "NO_COLOR": "1"}),
-        patch.object(terminal.out, "_width", columns),
+        patch.object(terminal.out(), "_width", columns),
         chdir(cwd or Path()),
         redirect_stdout(_file()) as stdout,
         redirect_stderr(_file()) as stderr,

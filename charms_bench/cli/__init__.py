@@ -28,8 +28,8 @@ def main() -> None:
         what = "; ".join([str(error), *getattr(error, "__notes__", ())])
         if len(what) > MESSAGE_LIMIT:
             what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
-        err.print("[bold red]error:[/] ", end="")
-        say(what, err)
+        err().print("[bold red]error:[/] ", end="")
+        say(what, err())
         sys.exit(2)
     except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -90,7 +90,7 @@ def bench(
     from charms_bench.testing.bench import bench as measure
 
     def tell(name: str) -> None:
-        err.print(f"[dim]{name}[/]", highlight=False)
+        err().print(f"[dim]{name}[/]", highlight=False)
 
     results = measure(vehicles, traffic, seconds, rounds, tell, environments)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")

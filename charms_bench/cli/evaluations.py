@@ -110,7 +110,7 @@ def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False)
         return
     if run.suite.title:
         say(run.suite.title)
-    out.print(grid(table.without_constant_keys() if everything else run.summary, out.width))
+    out().print(grid(table.without_constant_keys() if everything else run.summary, out().width))
     say(f"Written: {', '.join(map(str, run.files))}")
 
 
@@ -154,7 +154,7 @@ def show(
     engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
-        out.print(drawn(each, out.width))
+        out().print(drawn(each, out().width))
 
 
 def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
@@ -165,9 +165,9 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
         print_json(training.to_dict())
         return
     if training.stages is not None:
-        out.print(grid(training.stages, out.width))
+        out().print(grid(training.stages, out().width))
     if curves:
-        out.print(drawn_curves(training, out.width))
+        out().print(drawn_curves(training, out().width))
 
 
 @app.command()
@@ -209,7 +209,7 @@ def compare(
         print_json(to_dicts(table))
         return
     for part in by_pair(table):
-        out.print(grid(part, out.width, stacked=False))
+        out().print(grid(part, out().width, stacked=False))
 
 
 @app.command()

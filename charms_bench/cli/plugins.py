@@ -58,7 +58,7 @@ def traffic(
         return
     records = [{"agent": agent, "share": share} for agent, share in found.items()]
     columns = (Column("share", form=".1%"),)
-    out.print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out.width))
+    out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
     say(f"Counted among {SAMPLED:,} vehicles.")
     if figure is not None:
         say(f"Figure: {figure}")
@@ -103,7 +103,7 @@ def check(
         title = rule.__name__.replace("_", " ")
         results.append({"rule": title, "kept": not problem, "problem": problem})
         if not as_json:
-            out.print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
+            out().print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
             say(f"{title}: {problem}" if problem else title)
     if as_json:
         print_json(results)

@@ -1,31 +1,28 @@
 """What all commands share: the app, the two streams, common options, interruption."""
 
-import json
 import os
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from typer import rich_utils
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 app = typer.Typer(
     name="charms-bench",
     no_args_is_help=True,
+    rich_markup_mode=None,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-# A file has no width of its own; 80 would cut tables.
-out = Console(emoji=False, width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
-err = Console(stderr=True, emoji=False)
-rich_utils.FORCE_TERMINAL = None  # Typer would take GitHub's log for a terminal
-
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on standard output.")]
 Workers = Annotated[
     int | None,
@@ -54,6 +51,24 @@ SuiteFolder = Annotated[
 FigurePath = Annotated[
     Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
 ]
+
+
+@cache
+def out() -> "Console":
+    """Standard output."""
+    from rich.console import Console
+
+    # A file has no width of its own; 80 would cut tables.
+    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return Console(emoji=False, width=None if has_width else 120)
+
+
+@cache
+def err() -> "Console":
+    """Standard error."""
+    from rich.console import Console
+
+    return Console(stderr=True, emoji=False)
 
 
 def _print_version(wanted: bool) -> None:
@@ -95,7 +110,7 @@ def interruptible() -> Iterator[None]:
     except KeyboardInterrupt as error:
         kept = "; ".join(getattr(error, "__notes__", ()))
         rest = f"; {kept}, and the same command continues there" if kept else ""
-        say(f"interrupted{rest}", err)
+        say(f"interrupted{rest}", err())
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -108,16 +123,18 @@ def print_records(key: str, records: Iterable[Mapping[str, Any]], forms: Mapping
 
     columns = tuple(Column(name, form=form) for name, form in forms.items())
     table = Table.from_records(records, "", "", (key,), columns)
-    out.print(grid(table, out.width, stacked=False))
+    out().print(grid(table, out().width, stacked=False))
 
 
 def print_json(value: Any) -> None:
     """Prints a value as JSON on standard output."""
+    import json
+
     print(json.dumps(value, indent=2, ensure_ascii=False))
 
 
-def say(text: str, console: Console = out) -> None:
+def say(text: str, console: "Console | None" = None) -> None:
     """Prints text as it is: without markup, highlighting or line breaks of its own."""
     from charms_bench.report.progress import printable
 
-    console.print(printable(text), highlight=False, soft_wrap=True)
+    (console or out()).print(printable(text), highlight=False, soft_wrap=True)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 
@@ -101,6 +102,12 @@ def _schema(columns: Mapping[str, Column]) -> pl.Schema:
 STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA = map(_schema, (STEP, EPISODE, COUNT))
 SCHEMAS = {"steps": STEP_SCHEMA, "counts": COUNT_SCHEMA, "episodes": EPISODE_SCHEMA}
 """The kinds of rows that a shard has."""
+
+STEP_RECORD = np.dtype(
+    [(name, pl.Series(dtype=dtype).to_numpy().dtype) for name, dtype in STEP_SCHEMA.items()],
+    align=True,
+)
+"""A step row in memory."""
 
 
 def table(columns: Mapping[str, Any], schema: pl.Schema) -> pl.DataFrame:

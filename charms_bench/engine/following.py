@@ -5,11 +5,16 @@ every vehicle that has a leader within 50 m on its lane, centre to centre: the v
 its distance headway to that leader in the interval in which it starts a lane change.
 """
 
+from typing import Any
+
 import numpy as np
 import polars as pl
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from charms_bench.engine.columns import COUNT_SCHEMA, table
+from charms_bench.world.compiled import compiled
+from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Ints, Scene
 
 FOLLOWING_RANGE_M = 50.0
@@ -28,25 +33,9 @@ class FollowingCounts:
         self._counts = np.zeros((scene.ego.size, len(QUANTITIES), BINS), dtype=np.int64)
         self._target_lane = scene.target_lane.copy()
 
-    def note(self, scene: Scene, rows: Ints) -> None:
-        """Adds the vehicles of the scenes `rows` (R,)."""
-        lane, target = scene.lane[rows], scene.target_lane[rows]
-        starts = (target != self._target_lane[rows]) & (target != lane)
-        self._target_lane[rows] = target
-        drives = ~(scene.crashed | scene.off_road)[rows]
-        which, vehicle = np.nonzero(drives)
-        vehicles = rows[which], vehicle
-        leader, present = scene.leader(vehicles, lane[which, vehicle])
-        distance = scene.x[vehicles[0], leader] - scene.x[vehicles]
-        follows = present & (distance <= FOLLOWING_RANGE_M)
-        self._add(vehicles[0][follows], 0, scene.speed[vehicles][follows])
-        starts_now = follows & starts[which, vehicle]
-        self._add(vehicles[0][starts_now], 1, distance[starts_now])
-
-    def _add(self, scenes: Ints, quantity: int, values: NDArray[np.float64]) -> None:
-        cells = scenes * BINS + bins_of(values)
-        counted = np.bincount(cells, minlength=len(self._counts) * BINS)
-        self._counts[:, quantity] += counted.reshape(-1, BINS)
+    def note(self, scene: Scene, scenes: Ints) -> None:
+        """Adds the vehicles of the scenes (S,)."""
+        _count(scene, scenes, self._target_lane, self._counts)
 
     def table(self, episodes: NDArray[np.uint64]) -> pl.DataFrame:
         """Returns the counts above 0 (`rows.COUNT`), sorted by episode, quantity and bin."""
@@ -60,6 +49,27 @@ class FollowingCounts:
         return table(columns, COUNT_SCHEMA).sort("episode", "quantity", "bin")
 
 
-def bins_of(values: NDArray[np.float64]) -> Ints:
-    """Returns the bin of each value."""
-    return (values / BIN).astype(np.int64).clip(0, BINS - 1)
+@register_jitable
+def bins_of(values: Any) -> Any:
+    """Returns the bin of each value; compiled code calls it with a number."""
+    return np.int64(np.minimum(np.maximum(values / BIN, 0), BINS - 1))
+
+
+@compiled
+def _count(scene: Scene, scenes: Ints, target_lane: Ints, counts: Ints) -> None:
+    """Adds to `counts` [B, 2, BINS]; `target_lane` [B, N] becomes that of the scenes."""
+    speed, dhw = 0, 1
+    for b in scenes:
+        for i in range(scene.x.shape[1]):
+            x, lane, target = scene.x[b, i], scene.lane[b, i], scene.target_lane[b, i]
+            starts = target not in (target_lane[b, i], lane)
+            target_lane[b, i] = target
+            on_road = is_on_lane(x, scene.y[b, i], lane, scene.constants, 0.0)
+            leader = scene.leaders[b, i, lane]
+            if scene.crashed[b, i] or not on_road or leader < 0:
+                continue
+            distance = scene.x[b, leader] - x
+            if distance <= FOLLOWING_RANGE_M:
+                counts[b, speed, bins_of(scene.speed[b, i])] += 1
+                if starts:
+                    counts[b, dhw, bins_of(distance)] += 1

@@ -4,63 +4,68 @@ Every metric is computed from these rows, so a new metric needs no new simulatio
 declares the columns. A value that does not exist, such as the speed of a missing leader, is null.
 """
 
+from typing import Any
+
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA, table
+from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_RECORD, STEP_SCHEMA, table
 from charms_bench.engine.following import FollowingCounts
 from charms_bench.engine.simulation import ENDINGS, Simulation
-from charms_bench.world.scene import Bools, Ints
+from charms_bench.world.compiled import compiled
+from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.scene import Bools, Ints, Scene
 
 INTERACTION_RANGE_M = 30.0
+MASKS = {
+    "has_action": ["action"],
+    "has_leader": ["leader_distance", "leader_speed"],
+    "has_follower": ["follower_distance", "follower_speed"],
+    "follower_drives": ["follower_acceleration"],
+}
+"""The columns whose values may not exist, by what a step needs for them to exist."""
+_MASK_RECORD = np.dtype([(name, np.bool_) for name in ("recorded", *MASKS)])
 
 
 class Recording:
     """Collects the rows of a simulation; call `note` after every step."""
 
     def __init__(self, simulation: Simulation) -> None:
+        scene, shape = simulation.scene, (simulation.seeds.size, simulation.settings.decisions)
         self._simulation = simulation
-        self._start = simulation.scene.x.copy()
+        self._start = scene.x.copy()
         self._lost = np.zeros(self._start.shape, dtype=np.bool_)
-        self._frames: list[pl.DataFrame] = []
-        self._was_running = simulation.scene.active.copy()
-        self._following = FollowingCounts(simulation.scene)
+        self._rows = np.zeros(shape, dtype=STEP_RECORD)
+        self._masks = np.zeros(shape, dtype=_MASK_RECORD)
+        self._was_running = scene.active.copy()
+        self._following = FollowingCounts(scene)
 
     def note(self) -> None:
         """Adds the rows of the step that has just ended."""
         simulation, scene = self._simulation, self._simulation.scene
-        rows = np.nonzero(self._was_running)[0]
+        scenes = np.nonzero(self._was_running)[0]
         self._was_running = scene.active.copy()
-        self._lost[rows] |= (scene.crashed | scene.off_road)[rows]
-        self._following.note(scene, rows)
-        egos = (rows, scene.ego[rows])
-        lane = scene.lane[egos]
-        leader, has_leader = scene.leader(egos, lane)
-        follower, has_follower = scene.follower(egos, lane)
-        near = (np.abs(scene.x[rows] - scene.x[egos][:, None]) <= INTERACTION_RANGE_M) & (
-            np.abs(scene.lane[rows] - lane[:, None]) <= 1
+        self._following.note(scene, scenes)
+        _note(
+            scene,
+            scenes,
+            simulation.seeds,
+            simulation.steps,
+            simulation.action,
+            simulation.has_action,
+            self._rows,
+            self._masks,
+            self._lost,
         )
-        own = ("x", "y", "heading", "speed", "acceleration", "steering", "lane", "target_lane")
-        columns = {
-            "episode": simulation.seeds[rows],
-            "step": simulation.steps[rows],
-            **{name: getattr(scene, name)[egos] for name in own},
-            "action": _where(simulation.has_action[egos], simulation.action[egos]),
-            "leader_distance": _where(has_leader, scene.x[rows, leader] - scene.x[egos]),
-            "leader_speed": _where(has_leader, scene.speed[rows, leader]),
-            "follower_distance": _where(has_follower, scene.x[egos] - scene.x[rows, follower]),
-            "follower_speed": _where(has_follower, scene.speed[rows, follower]),
-            "follower_acceleration": _where(
-                has_follower & ~scene.crashed[rows, follower], scene.acceleration[rows, follower]
-            ),
-            "vehicles_near": near.sum(axis=1),
-        }
-        self._frames.append(table(columns, STEP_SCHEMA))
 
     def steps(self) -> pl.DataFrame:
         """Returns the rows of all steps so far (`rows.STEP`), sorted by episode and step."""
-        frame = pl.concat(self._frames) if self._frames else pl.DataFrame(schema=STEP_SCHEMA)
+        recorded = self._masks["recorded"]
+        rows, masks = self._rows[recorded], self._masks[recorded]
+        frame = table({name: rows[name] for name in STEP_SCHEMA}, STEP_SCHEMA)
+        for mask, names in MASKS.items():
+            frame = frame.with_columns(pl.when(pl.Series(masks[mask])).then(pl.col(names)))
         return frame.sort("episode", "step")
 
     def episodes(self) -> pl.DataFrame:
@@ -87,6 +92,54 @@ class Recording:
         return self._following.table(self._simulation.seeds)
 
 
-def _where(present: Bools, values: NDArray[np.float64] | Ints) -> pl.Series:
-    """Returns the values, null where they are not present."""
-    return pl.select(pl.when(pl.Series(present)).then(pl.Series(values))).to_series()
+@compiled
+def _note(
+    scene: Scene,
+    scenes: Ints,
+    seeds: NDArray[np.uint64],
+    steps: Ints,
+    action: Ints,
+    has_action: Bools,
+    rows: Any,
+    masks: Any,
+    lost: Bools,
+) -> None:
+    """Fills `rows` and `masks` [B, T] with a step of the scenes (S,); adds wrecks to `lost`."""
+    for b in scenes:
+        ego, step = scene.ego[b], steps[b]
+        row, mask = rows[b, step - 1], masks[b, step - 1]
+        x, lane = scene.x[b, ego], scene.lane[b, ego]
+        mask.recorded = True
+        row.episode = seeds[b]
+        row.step = step
+        row.x = x
+        row.y = scene.y[b, ego]
+        row.heading = scene.heading[b, ego]
+        row.speed = scene.speed[b, ego]
+        row.acceleration = scene.acceleration[b, ego]
+        row.steering = scene.steering[b, ego]
+        row.lane = lane
+        row.target_lane = scene.target_lane[b, ego]
+        row.action = action[b, ego]
+        mask.has_action = has_action[b, ego]
+        leader = scene.leaders[b, ego, lane]
+        if leader >= 0:
+            mask.has_leader = True
+            row.leader_distance = scene.x[b, leader] - x
+            row.leader_speed = scene.speed[b, leader]
+        follower = scene.followers[b, ego, lane]
+        if follower >= 0:
+            mask.has_follower = True
+            row.follower_distance = x - scene.x[b, follower]
+            row.follower_speed = scene.speed[b, follower]
+            row.follower_acceleration = scene.acceleration[b, follower]
+            mask.follower_drives = not scene.crashed[b, follower]
+        near = 0
+        for i in range(scene.x.shape[1]):
+            is_near = abs(scene.x[b, i] - x) <= INTERACTION_RANGE_M
+            near += is_near and abs(scene.lane[b, i] - lane) <= 1
+            on_road = is_on_lane(
+                scene.x[b, i], scene.y[b, i], scene.lane[b, i], scene.constants, 0.0
+            )
+            lost[b, i] |= scene.crashed[b, i] or not on_road
+        row.vehicles_near = near

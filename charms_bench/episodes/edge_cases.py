@@ -75,10 +75,9 @@ def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
     """
     rows = run.cells()
     frames = [
-        criticality(rows[cell].episodes, rows[cell].steps, run.suite.scene).with_columns(
-            cell=pl.lit(cell)
-        )
+        criticality(episodes, steps, run.suite.scene).with_columns(cell=pl.lit(cell))
         for cell in cells
+        for episodes, steps in rows[cell].parts
     ]
     order = ["criticality", "cell", "episode"]
     return pl.concat(frames).sort(order, descending=[True, False, False])

@@ -4,10 +4,14 @@ Listing reads metadata only. A plugin is imported when it is asked for, so a bro
 affect the others.
 """
 
+import os
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
 from typing import Any, cast
 
 from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
@@ -42,12 +46,26 @@ class Plugin:
     entry_point: EntryPoint
 
 
-def plugins(group: str) -> dict[str, Plugin]:
+def plugins(group: str) -> Mapping[str, Plugin]:
     """The installed plugins of an entry-point group by name, sorted by name.
 
     Raises:
         RegistryError: Two distributions claim one name.
     """
+    return _plugins(group, tuple((folder, _modified_ns(folder)) for folder in sys.path))
+
+
+def _modified_ns(folder: str) -> int:
+    """When a distribution was last installed in a folder or removed from it; 0 if unknown."""
+    try:
+        return os.stat(folder or os.curdir).st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache
+def _plugins(group: str, path: tuple[tuple[str, int], ...]) -> Mapping[str, Plugin]:
+    """The plugins in the folders of `path`, which are read again only when they have changed."""
     found: dict[str, Plugin] = {}
     for entry_point in entry_points(group=group):
         source = entry_point.dist
@@ -59,7 +77,7 @@ def plugins(group: str) -> dict[str, Plugin]:
                 f"the {plugin.role} '{plugin.name}' is claimed by two distributions, "
                 f"{rival.distribution} and {plugin.distribution}; uninstall one of them"
             )
-    return dict(sorted(found.items()))
+    return MappingProxyType(dict(sorted(found.items())))
 
 
 def find(group: str, name: str) -> Plugin:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from charms_bench.errors import InputError, suggestion
-from charms_bench.metrics import MetricSet, sums_by_episode
+from charms_bench.metrics import MetricSet
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.pairing import Pair
 from charms_bench.statistics.intervals import CONFIDENCE, resample
@@ -65,10 +65,8 @@ def compare(
     metrics = [metric for _, metric in chosen]
     records: list[dict[str, Any]] = []
     for pair in pairs:
-        first, second = (
-            sums_by_episode(metrics, cell.episodes, cell.steps, settings) for cell in pair
-        )
-        weights = resample(np.random.default_rng(seed), len(pair[0].episodes))
+        first, second = (cell.sums(metrics, settings) for cell in pair)
+        weights = resample(np.random.default_rng(seed), pair[0].size)
         found = differences(metrics, first, second, weights)
         for (label, metric), ours, theirs, each in zip(chosen, first, second, found, strict=True):
             labels = (pair[0].agent, pair[1].agent, pair[0].traffic, label, metric.name)

@@ -11,12 +11,11 @@ from itertools import combinations
 import numpy as np
 import polars as pl
 
-from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, Metric
 from charms_bench.report.definitions import first_column
 from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
-from charms_bench.statistics import paired
 from charms_bench.statistics.intervals import CONFIDENCE, resample
 from charms_bench.world.scene import Floats
 
@@ -38,9 +37,11 @@ FOLDS = 10
 
 def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals."""
+    from charms_bench.statistics import paired  # imports scipy.stats, which takes half a second
+
     metrics = _metrics(COMPARED)
-    sums = [sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene) for cell in cells]
-    weights = resample(np.random.default_rng(suite.seed), len(cells[0].episodes))
+    sums = [cell.sums(metrics, suite.scene) for cell in cells]
+    weights = resample(np.random.default_rng(suite.seed), cells[0].size)
     pairs = list(combinations(range(len(cells)), 2))
     found = [paired.differences(metrics, sums[i], sums[j], weights) for i, j in pairs]
     records = [
@@ -86,7 +87,7 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
     metrics = _metrics(SUMMARY)
     summaries = []
     for cell in cells:
-        sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+        sums = cell.sums(metrics, suite.scene)
         values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
         summaries.append(np.stack(values, axis=1))
     features = np.stack(summaries)

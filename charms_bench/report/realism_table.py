@@ -24,7 +24,7 @@ from charms_bench.statistics.divergence import (
     kl_divergence,
     wasserstein,
 )
-from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.statistics.intervals import CONFIDENCE, resampled_totals
 from charms_bench.world.scene import Floats
 
 KEYS = ("traffic",)
@@ -86,7 +86,7 @@ def realism_table(
         for traffic in traffics:
             counts = traffic.of_quantity(quantity)
             totals = counts.sum(axis=0)
-            resampled = resample(np.random.default_rng(suite.seed), len(counts)) @ counts
+            resampled = resampled_totals([counts], np.random.default_rng(suite.seed))
             for reference in references:
                 human = reference.counts(quantity)
                 if human is None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.table import Column, Number, Row, Table, long_schema
 from charms_bench.runs.cells import CellRows
@@ -46,7 +46,7 @@ def suite_table(
     metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
     records = []
     for cell in cells:
-        sums = sums_by_episode(metrics, cell.episodes, cell.steps, suite.scene)
+        sums = cell.sums(metrics, suite.scene)
         estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
         for (label, metric), found in zip(columns, estimates, strict=True):
             paper = cell.paper.get(metric) if label == PAPER.label else None

@@ -1,25 +1,56 @@
 """The rows of a cell: what was recorded of one ego in one traffic."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from charms_bench.engine.following import BINS, QUANTITIES
-from charms_bench.world.scene import Floats
+from charms_bench.metrics import Metric, sums_by_episode
+from charms_bench.world.scene import Floats, SceneSettings
+
+Rows = tuple[pl.DataFrame, pl.DataFrame]
+"""Rows of one kind or another; the first are those of episodes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CellRows:
     """An ego in a traffic, and the rows recorded of it."""
 
     agent: str
     traffic: str
-    episodes: pl.DataFrame
-    steps: pl.DataFrame
+    size: int
+    """Number of episodes."""
+    parts: Iterable[Rows]
+    """The episode rows and the step rows of some episodes at a time. They are read again each time,
+    because all step rows of a long run do not fit into memory."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """Values that the paper reports, by metric of the set `paper`."""
+
+    @cached_property
+    def episodes(self) -> pl.DataFrame:
+        """All episode rows."""
+        return pl.concat(episodes for episodes, _ in self.parts)
+
+    @cached_property
+    def steps(self) -> pl.DataFrame:
+        """All step rows."""
+        return pl.concat(steps for _, steps in self.parts)
+
+    def sums(self, metrics: Sequence[Metric], settings: SceneSettings) -> list[Floats]:
+        """Returns the sums [E, k] of each metric, by episode."""
+        ends = np.cumsum([len(metric.sums) for metric in metrics])
+        whole = np.empty((self.size, ends[-1]))
+        start = 0
+        for episodes, steps in self.parts:
+            end = start + len(episodes)
+            sums = sums_by_episode(metrics, episodes, steps, settings)
+            np.concatenate(sums, axis=1, out=whole[start:end])
+            start = end
+        return np.split(whole, ends[:-1], axis=1)
 
 
 @dataclass(frozen=True)
@@ -27,19 +58,22 @@ class TrafficCounts:
     """What the vehicles of a traffic did while they followed a leader."""
 
     traffic: str
-    counts: Floats
+    counts: NDArray[np.int32]
     """[E, 2, BINS] by episode, quantity and bin."""
 
     @classmethod
-    def of(cls, traffic: str, episodes: pl.DataFrame, rows: pl.DataFrame) -> "TrafficCounts":
-        """Makes the counts of a cell from its rows `episodes` and `counts`."""
-        seeds = np.sort(episodes["episode"].to_numpy())
-        counts = np.zeros((seeds.size, len(QUANTITIES), BINS))
-        quantity = rows["quantity"].replace_strict(QUANTITIES, range(len(QUANTITIES)))
-        episode = np.searchsorted(seeds, rows["episode"].to_numpy())
-        counts[episode, quantity.to_numpy(), rows["bin"].to_numpy()] = rows["count"].to_numpy()
+    def of(cls, traffic: str, size: int, parts: Iterable[Rows]) -> "TrafficCounts":
+        """Makes the counts of a cell of `size` episodes from its rows `episodes` and `counts`."""
+        counts = np.zeros((size, len(QUANTITIES), BINS), dtype=np.int32)
+        start = 0
+        for episodes, rows in parts:
+            seeds = np.sort(episodes["episode"].to_numpy())
+            quantity = rows["quantity"].replace_strict(QUANTITIES, range(len(QUANTITIES)))
+            episode = start + np.searchsorted(seeds, rows["episode"].to_numpy())
+            counts[episode, quantity.to_numpy(), rows["bin"].to_numpy()] = rows["count"].to_numpy()
+            start += seeds.size
         return cls(traffic, counts)
 
-    def of_quantity(self, quantity: str) -> Floats:
+    def of_quantity(self, quantity: str) -> NDArray[np.int32]:
         """Returns the counts [E, BINS] of one quantity."""
         return self.counts[:, QUANTITIES.index(quantity)]

@@ -5,7 +5,7 @@ imports, directly or not. These modules are found in the sources, so no list has
 """
 
 import ast
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from importlib.machinery import BYTECODE_SUFFIXES, all_suffixes
@@ -17,6 +17,8 @@ ENTRY = "charms_bench.runs.shard"
 SOURCES = Path(__file__).parents[2]
 """The folder that holds this package."""
 _LIBRARIES = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
+_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
+"""The fields of a statement that hold statements."""
 _SUFFIXES = tuple(set(all_suffixes()) - set(BYTECODE_SUFFIXES))
 
 
@@ -56,11 +58,10 @@ def imported_modules(node: ast.AST) -> Iterator[str]:
         assert not node.level, "relative imports are not followed"
         names = [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
     yield from (name for name in names if name.partition(".")[0] == "charms_bench")
-    children: Iterable[ast.AST] = ast.iter_child_nodes(node)
-    if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-        children = node.orelse
-    for child in children:
-        yield from imported_modules(child)
+    is_for_type_checkers = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    for block in _BLOCKS[1:] if is_for_type_checkers else _BLOCKS:
+        for child in getattr(node, block, ()):
+            yield from imported_modules(child)
 
 
 @cache

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from charms_bench.errors import RunFolderError
-from charms_bench.runs.cells import CellRows, TrafficCounts
+from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
 from charms_bench.runs.folder import RunFolder, Shard
-from charms_bench.runs.suite import Cell, Suite
+from charms_bench.runs.suite import Suite
+
+PART_ROWS = 2**18
+"""About how many step rows are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -19,20 +22,19 @@ class FinishedRun:
     shards: tuple[Shard, ...]
 
     def cells(self) -> list[CellRows]:
-        """Returns the episode and step rows of every cell.
+        """Returns the episode and step rows of every cell, which are read when they are needed.
 
-        Raises:
-            RunFolderError: A file is missing or has changed since it was written.
+        Reading raises a `RunFolderError` if a file is missing or has changed since it was written.
         """
         return [
             CellRows(
                 agent=cell.ego.title,
                 traffic=cell.traffic.title,
-                episodes=self.folder.read("episodes", shards),
-                steps=self.folder.read("steps", shards),
+                size=self.suite.episodes,
+                parts=self._parts("steps", index),
                 paper=cell.paper,
             )
-            for cell, shards in self._shards_by_cell()
+            for index, cell in enumerate(self.suite.cells)
         ]
 
     def following(self) -> list[TrafficCounts]:
@@ -42,17 +44,30 @@ class FinishedRun:
             RunFolderError: A file is missing or has changed since it was written.
         """
         return [
-            TrafficCounts.of(
-                cell.traffic.title,
-                self.folder.read("episodes", shards),
-                self.folder.read("counts", shards),
-            )
-            for cell, shards in self._shards_by_cell()
+            TrafficCounts.of(cell.traffic.title, self.suite.episodes, self._parts("counts", index))
+            for index, cell in enumerate(self.suite.cells)
         ]
 
-    def _shards_by_cell(self) -> Iterator[tuple[Cell, list[Shard]]]:
-        for index, cell in enumerate(self.suite.cells):
-            yield cell, [shard for shard in self.shards if shard.cell == index]
+    def _parts(self, kind: str, cell: int) -> "_Parts":
+        shards = tuple(shard for shard in self.shards if shard.cell == cell)
+        return _Parts(self.folder, kind, shards, PART_ROWS // self.suite.scene.decisions)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The episode rows of some shards and their rows of one kind, some shards at a time."""
+
+    folder: RunFolder
+    kind: str
+    shards: tuple[Shard, ...]
+    episodes: int
+    """About how many episodes a part has."""
+
+    def __iter__(self) -> Iterator[Rows]:
+        count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
+        for start in range(0, len(self.shards), count):
+            shards = self.shards[start : start + count]
+            yield self.folder.read("episodes", shards), self.folder.read(self.kind, shards)
 
 
 def open_finished(path: Path) -> FinishedRun:

@@ -149,7 +149,7 @@ def identify_agents(
         spec = AgentSpec(name=name)
         found[spec.key] = _identify(spec)
     traffics = plugins(TRAFFIC)
-    if traffic.name in traffics:
+    if traffic.name is not None and traffic.name in traffics:
         found[f"traffic {traffic.name}"] = _origin(traffics[traffic.name])
     return found
 

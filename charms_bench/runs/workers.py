@@ -55,13 +55,17 @@ def in_processes(
     waiting = deque((task, 1) for task in tasks)
     idle: list[_Worker] = []
     busy: dict[Connection, _Busy[Task]] = {}
+
+    def hand_out() -> None:
+        while waiting and len(busy) < count:
+            worker = idle.pop() if idle else _start(work, environment)
+            task, tries = waiting.popleft()
+            busy[worker.connection] = _Busy(worker, task, tries, time.monotonic())
+            worker.send(task)
+
     try:
         while waiting or busy:
-            while waiting and len(busy) < count:
-                worker = idle.pop() if idle else _start(work, environment)
-                task, tries = waiting.popleft()
-                busy[worker.connection] = _Busy(worker, task, tries, time.monotonic())
-                worker.send(task)
+            hand_out()
             for connection in _answered(busy, limit_s, title):
                 done = busy.pop(connection)
                 try:
@@ -77,11 +81,11 @@ def in_processes(
                 idle.append(done.worker)
                 if isinstance(result, BaseException):
                     raise result
+                hand_out()  # the worker goes on while the caller uses the result
                 yield done.task, result
     finally:
-        for each in busy.values():
-            each.worker.process.kill()
         for worker in [*idle, *(each.worker for each in busy.values())]:
+            worker.process.kill()  # an idle worker would take a while to end on its own
             worker.end()
 
 
@@ -105,7 +109,7 @@ class _Worker:
         return f"ended with exit code {code}"
 
     def end(self) -> None:
-        """Waits for the process to end; an idle worker ends when its connection closes."""
+        """Waits for the process to end."""
         self.connection.close()
         self.process.join()
 

@@ -5,7 +5,6 @@ where nothing was counted.
 """
 
 import numpy as np
-from scipy.special import rel_entr
 
 from charms_bench.world.scene import Floats
 
@@ -21,6 +20,8 @@ def kl_divergence(reference: Floats, other: Floats) -> Floats:
     never does, so a traffic that reproduces only one kind of driving scores badly. With more
     counts, missing kinds of driving weigh more, because smoothing hides less.
     """
+    from scipy.special import rel_entr  # a run without references does without SciPy
+
     p, q = (_shares(counts + PSEUDO_COUNT) for counts in (reference, other))
     return _defined(rel_entr(p, q).sum(axis=-1), reference, other)
 
@@ -31,6 +32,8 @@ def js_divergence(reference: Floats, other: Floats) -> Floats:
     Lin 1991 (IEEE Transactions on Information Theory 37). The shares are not smoothed, because
     this divergence is always finite.
     """
+    from scipy.special import rel_entr
+
     p, q = _shares(reference), _shares(other)
     middle = (p + q) / 2
     nats = (rel_entr(p, middle) + rel_entr(q, middle)).sum(axis=-1) / 2

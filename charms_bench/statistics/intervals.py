@@ -5,17 +5,21 @@ resampled episodes (a cluster bootstrap with percentiles, Davison & Hinkley 1997
 events that happen at most once per episode, they come from Wilson (1927) and Garwood (1936).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.world.scene import Floats
+from charms_bench.world.scene import Floats, Ints
 
 CONFIDENCE = 0.95
 RESAMPLES = 1000
+WEIGHTS_LIMIT = 2**23
+"""Most weights of resamples in memory at once, unless one resample has more."""
+EPISODES_AT_ONCE = 2**16
+"""Episodes that are added up at once."""
 
 Bounds = tuple[float, float]
 NO_BOUNDS: Bounds = (np.nan, np.nan)
@@ -34,15 +38,25 @@ class Estimate:
 
 def wilson(successes: int, trials: int) -> Bounds:
     """The interval of a share (Wilson 1927)."""
-    interval = stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
-    return float(interval.low), float(interval.high)
+    from scipy import special
+
+    share, z = successes / trials, float(special.ndtri((1 + CONFIDENCE) / 2))
+    scale = 2 * (trials + z**2)
+    centre = (2 * trials * share + z**2) / scale
+    margin = z / scale * math.sqrt(4 * trials * share * (1 - share) + z**2)
+    return (
+        centre - margin if successes else 0.0,
+        centre + margin if successes < trials else 1.0,
+    )
 
 
 def garwood(events: int) -> Bounds:
     """The exact interval of the mean of a Poisson distribution (Garwood 1936)."""
+    from scipy import special  # scipy.stats takes half a second to import
+
     tail = (1 - CONFIDENCE) / 2
-    low = stats.chi2.ppf(tail, 2 * events) / 2 if events else 0.0
-    return float(low), float(stats.chi2.isf(tail, 2 * (events + 1)) / 2)
+    low = special.gammaincinv(events, tail) if events else 0.0
+    return float(low), float(special.gammainccinv(events + 1, tail))
 
 
 def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES) -> Floats:
@@ -53,6 +67,22 @@ def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES
     return counts.reshape(resamples, episodes).astype(np.float64)
 
 
+def resampled_totals(sums: Sequence[Floats | Ints], rng: np.random.Generator) -> Floats:
+    """The totals [RESAMPLES, K] of all columns of some sums [E, k] over each resample."""
+    episodes = len(sums[0])
+    at_once = max(1, WEIGHTS_LIMIT // max(episodes, 1))
+    blocks = []
+    for start in range(0, RESAMPLES, at_once):
+        weights = resample(rng, episodes, min(at_once, RESAMPLES - start))
+        totals: Floats | float = 0.0
+        for first in range(0, max(episodes, 1), EPISODES_AT_ONCE):
+            part = slice(first, first + EPISODES_AT_ONCE)
+            values = np.concatenate([each[part] for each in sums], axis=1, dtype=np.float64)
+            totals = totals + weights[:, part] @ values
+        blocks.append(totals)
+    return np.concatenate(blocks)
+
+
 def estimate(
     metrics: Sequence[Metric], sums: Sequence[Floats], rng: np.random.Generator
 ) -> list[Estimate]:
@@ -60,7 +90,7 @@ def estimate(
 
     `sums` are the metrics' sums [E, k], one row per episode (`metrics.sums_by_episode`).
     """
-    resampled = resample(rng, len(sums[0])) @ np.concatenate(sums, axis=1)
+    resampled = resampled_totals(sums, rng)
     ends = np.cumsum([each.shape[1] for each in sums])[:-1]
     totals = np.split(resampled, ends, axis=1)
     return list(map(_estimate, metrics, sums, totals))

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -59,9 +60,22 @@ def test_options_an_agent_does_not_take_are_named() -> None:
         make_agent("stackelberg", {"gian": 0.2})
 
 
-def test_two_distributions_that_claim_one_name_are_an_error(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_plugin_that_is_installed_later_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    assert "late" not in plugins(AGENTS)
+    known = tmp_path / "late-0.1.dist-info"
+    known.mkdir()
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: late\nVersion: 0.1\n")
+    (known / "entry_points.txt").write_text(f"[{AGENTS}]\nlate = late:Late\n")
+    assert plugins(AGENTS)["late"].distribution == "late"
+
+
+def test_two_distributions_that_claim_one_name_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)  # the folders that were searched before have not changed
     rivals = [entry_point("racer", "a:A", "one"), entry_point("racer", "b:B", "two")]
     monkeypatch.setattr(registry, "entry_points", lambda group: rivals)
     with pytest.raises(RegistryError, match="'racer' is claimed by two distributions, one and two"):

@@ -43,8 +43,13 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
     return CellRows(
         agent=agent,
         traffic=traffic,
-        episodes=pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-        steps=pl.DataFrame(steps, schema=STEP_SCHEMA),
+        size=len(heads),
+        parts=[
+            (
+                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
+                pl.DataFrame(steps, schema=STEP_SCHEMA),
+            )
+        ],
     )
 
 

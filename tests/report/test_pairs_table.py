@@ -52,8 +52,13 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
     return CellRows(
         agent=agent,
         traffic="idm",
-        episodes=pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-        steps=pl.DataFrame(steps, schema=STEP_SCHEMA),
+        size=len(heads),
+        parts=[
+            (
+                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
+                pl.DataFrame(steps, schema=STEP_SCHEMA),
+            )
+        ],
     )
 
 

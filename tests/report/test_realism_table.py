@@ -53,7 +53,8 @@ def only(long: pl.DataFrame, **where: object) -> dict[str, float]:
 def test_counts_go_to_their_episode_quantity_and_bin() -> None:
     episodes = pl.DataFrame({"episode": [7, 8, 9]}, schema={"episode": pl.UInt64})
     rows = [(9, "dhw", 99, 2), (7, "speed", 46, 5)]
-    counts = TrafficCounts.of("t", episodes, pl.DataFrame(rows, COUNT_SCHEMA, orient="row")).counts
+    parts = [(episodes, pl.DataFrame(rows, COUNT_SCHEMA, orient="row"))]
+    counts = TrafficCounts.of("t", 3, parts).counts
     assert counts.shape == (3, 2, BINS)
     assert {tuple(map(int, at)): int(counts[tuple(at)]) for at in np.argwhere(counts)} == {
         (2, 1, 99): 2,

@@ -38,8 +38,13 @@ def cell(
     return CellRows(
         agent=agent,
         traffic=traffic,
-        episodes=pl.DataFrame(heads, schema=EPISODE_SCHEMA),
-        steps=pl.DataFrame(rows, schema=STEP_SCHEMA),
+        size=len(heads),
+        parts=[
+            (
+                pl.DataFrame(heads, schema=EPISODE_SCHEMA),
+                pl.DataFrame(rows, schema=STEP_SCHEMA),
+            )
+        ],
         paper=paper or {},
     )
 

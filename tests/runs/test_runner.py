@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
+from charms_bench.metrics import METRIC_SETS
+from charms_bench.runs import finished as finished_runs
 from charms_bench.runs import runner
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import KINDS
@@ -170,6 +173,21 @@ def test_the_manifest_begins_with_its_format(tmp_path: Path) -> None:
     assert next(iter(folder.manifest().items())) == ("format", 2)
 
 
+@pytest.mark.usefixtures("small_shards")
+def test_sums_do_not_depend_on_how_many_shards_are_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    metrics = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+    made = run(suite(), tmp_path, workers=1)
+    at_once = made.cells()[0]
+    monkeypatch.setattr(finished_runs, "PART_ROWS", 1)
+    by_shard = made.cells()[0]
+    assert [len(list(cell.parts)) for cell in (at_once, by_shard)] == [1, 3]
+    sums = (cell.sums(metrics, made.suite.scene) for cell in (at_once, by_shard))
+    for whole, parts in zip(*sums, strict=True):
+        np.testing.assert_array_equal(parts, whole)
+
+
 def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_refused(tmp_path: Path) -> None:
     finished = run(suite(episodes=2), tmp_path, workers=1)
     shard = finished.shards[0]
@@ -180,7 +198,7 @@ def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_refused(tmp_pat
     fewer = files | {"steps": files["steps"].drop("lane", "speed")}
     finished.folder.write(shard, {kind: in_parquet(rows) for kind, rows in fewer.items()})
     with pytest.raises(RunFolderError, match="the columns speed, lane are missing or have other"):
-        finished.cells()
+        _ = finished.cells()[0].steps
 
 
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
@@ -188,10 +206,10 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
     path = next((tmp_path / "steps").iterdir())
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(RunFolderError, match=rf"{path.name}: does not match.*sha256; run the"):
-        finished.cells()
+        _ = finished.cells()[0].steps
     path.unlink()
     with pytest.raises(RunFolderError, match=rf"{path.name}: cannot be read: No such file"):
-        finished.cells()
+        _ = finished.cells()[0].steps
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:

@@ -51,13 +51,14 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CellRows]:
     }
     other = found["other"]
     faster = other.steps.with_columns(pl.col("speed") + FASTER_MPS)
-    return {**found, "faster": replace(other, agent="faster", steps=faster)}
+    return {**found, "faster": replace(other, agent="faster", parts=[(other.episodes, faster)])}
 
 
 def part(cell: CellRows, repetition: int) -> CellRows:
     """The episodes of one repetition, which no other has."""
     own = pl.col("episode") // EPISODES == repetition
-    return replace(cell, episodes=cell.episodes.filter(own), steps=cell.steps.filter(own))
+    episodes, steps = cell.episodes.filter(own), cell.steps.filter(own)
+    return replace(cell, size=len(episodes), parts=[(episodes, steps)])
 
 
 def compared(cells: dict[str, CellRows], second: str) -> list[list[dict[str, Any]]]:

@@ -6,7 +6,15 @@ import pytest
 from scipy import stats
 
 from charms_bench.metrics.metric import Interval, Metric, ratio, standard_deviation
-from charms_bench.statistics.intervals import RESAMPLES, estimate, garwood, resample, wilson
+from charms_bench.statistics import intervals
+from charms_bench.statistics.intervals import (
+    RESAMPLES,
+    estimate,
+    garwood,
+    resample,
+    resampled_totals,
+    wilson,
+)
 
 
 def metric_of(interval: Interval = "bootstrap", value=ratio) -> Metric:
@@ -145,3 +153,11 @@ def test_no_episodes_give_no_numbers() -> None:
     assert np.isnan([result.value, result.low, result.high]).all()
     assert result.n == 0
     assert resample(np.random.default_rng(0), 0).shape == (RESAMPLES, 0)
+
+
+def test_resamples_in_blocks_are_the_same_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    sums = [np.arange(14.0).reshape(7, 2), np.ones((7, 1))]
+    whole = resample(np.random.default_rng(1), 7) @ np.concatenate(sums, axis=1)
+    monkeypatch.setattr(intervals, "WEIGHTS_LIMIT", 20)
+    monkeypatch.setattr(intervals, "EPISODES_AT_ONCE", 3)
+    np.testing.assert_array_equal(resampled_totals(sums, np.random.default_rng(1)), whole)
