@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from charms_bench.errors import ModelError
-from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_policy import ROWS_AT_ONCE, OnnxPolicy
 from charms_bench.testing import agent_rules
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import described, neighbours
@@ -23,6 +23,14 @@ def test_it_takes_the_action_of_the_highest_value(network_file: NetworkFile) -> 
     expected = (observations.reshape(64, 35) @ weights).argmax(axis=1)
     policy = OnnxPolicy(network_file(weights))
     assert (policy.decide(observations) == expected).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, ROWS_AT_ONCE, ROWS_AT_ONCE + 1, 3 * ROWS_AT_ONCE])
+def test_values_keep_the_order_of_observations(network_file: NetworkFile, count: int) -> None:
+    weights = np.random.default_rng(1).integers(-8, 8, (35, 5)).astype(np.float32)
+    observations = np.random.default_rng(2).integers(-8, 8, (count, 7, 5)).astype(np.float32)
+    expected = observations.reshape(count, 35) @ weights  # exact, as all sums are small integers
+    assert np.array_equal(OnnxPolicy(network_file(weights)).values(observations), expected)
 
 
 def test_the_hash_is_that_of_the_file(network_file: NetworkFile) -> None:
