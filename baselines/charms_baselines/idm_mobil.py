@@ -70,6 +70,7 @@ def _drive_block(
         share = temperament[index(rows[m] * vehicles + places[m])]
         exponents[m] = p.exponent_low + share * (p.exponent_high - p.exponent_low)
     free, wanted = on_own_lane(scene, rows, places, exponents, p)
+    scene_of_fastest, fastest = -1, 0.0
     for m in range(rows.size):
         at = index(rows[m] * vehicles + places[m])
         lane, target = lanes[at], all_targets[at]
@@ -78,7 +79,9 @@ def _drive_block(
             b, i = rows[m], places[m]
             own = motion(b, i, scene)
             if lane != target:
-                if _someone_takes_the_gap(b, i, own, target, scene, targets, p):
+                if b != scene_of_fastest:
+                    scene_of_fastest, fastest = b, np.abs(scene.speed[b]).max()
+                if _someone_takes_the_gap(b, i, own, target, fastest, scene, targets, p):
                     target = lane
             else:
                 timer_s[at] = 0.0
@@ -105,13 +108,20 @@ def _drive_block(
 
 @compiled
 def _someone_takes_the_gap(
-    b: int, i: int, own: Motion, target: int, scene: Scene, targets: Ints, p: IdmMobilParameters
+    b: int,
+    i: int,
+    own: Motion,
+    target: int,
+    fastest: float,
+    scene: Scene,
+    targets: Ints,
+    p: IdmMobilParameters,
 ) -> bool:
-    """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`]."""
-    x, speed, lane, order = scene.x, scene.speed, scene.lane, scene.order
-    fastest = 0.0
-    for j in range(order.shape[1]):
-        fastest = max(fastest, abs(speed[b, j]))
+    """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`].
+
+    `fastest` is the highest speed in the scene, which bounds how far ahead that can matter.
+    """
+    x, lane, order = scene.x, scene.lane, scene.order
     furthest = desired_gap(abs(own.speed), abs(own.speed) + fastest, p)
     for k in range(scene.rank[b, i] + 1, order.shape[1]):
         j = order[b, k]

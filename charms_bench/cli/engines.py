@@ -1,8 +1,9 @@
 """`verify` and `bench`: the compiled engine beside highway-env."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -64,7 +65,7 @@ def verify(
 @app.command()
 def bench(
     vehicles: Annotated[
-        int, typer.Option(min=6, max=500, help="Vehicles per scene, including the ego.")
+        int, typer.Option(min=6, max=2001, help="Vehicles per scene, including the ego.")
     ] = 21,
     traffic: Annotated[str, typer.Option(help="Traffic of the compiled engine.")] = "idm_mobil",
     seconds: Annotated[
@@ -81,24 +82,37 @@ def bench(
             help="Measure Gymnasium vector environments of this size instead of engines.",
         ),
     ] = None,
+    scale: Annotated[
+        Path | None,
+        typer.Option(
+            help="Measure the compiled engine with 1 to all cores, 21 to 2,000 vehicles and 1 to "
+            "100,000 scenes instead, and draw the speeds to this file (.pdf, .png or .svg)."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Measure environment steps per second.
+    """Measure environment steps and vehicle updates per second.
 
-    It measures the compiled engine, highway-env and, if it is installed, EnvPool.
+    It measures the compiled engine, highway-env and, if it is installed, EnvPool. An environment
+    step is a decision of the ego; a vehicle update is one vehicle in one simulation step.
     """
     from charms_bench.testing.bench import bench as measure
 
     def tell(name: str) -> None:
         err().print(f"[dim]{name}[/]", highlight=False)
 
+    forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
+    forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
+    if scale is not None:
+        _bench_scale(scale, seconds, rounds, tell, {"scenes": ",.0f", **forms}, as_json)
+        return
     results = measure(vehicles, traffic, seconds, rounds, tell, environments)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
     pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
     rows = [
         {
             **asdict(r),
-            "ns_per_vehicle_step": r.ns_per_vehicle_step,
+            **_rates(r),
             "times_highway_env": r.steps_per_s / base,
             "times_envpool": rival and r.steps_per_s / rival,
         }
@@ -108,6 +122,33 @@ def bench(
     if as_json:
         print_json(rows)
         return
-    forms = {"vehicles": ".0f", "threads": ".0f", "steps_per_s": ",.0f"}
-    forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f", "ns_per_vehicle_step": ",.1f"}
+    forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f"}
     print_records("name", rows, forms)
+
+
+def _bench_scale(
+    path: Path,
+    seconds: float,
+    rounds: int,
+    tell: Callable[[str], None],
+    forms: dict[str, str],
+    as_json: bool,
+) -> None:
+    """Measures the compiled engine in different sizes; prints and draws its speeds."""
+    from charms_bench.report.figures.drawing import check_figure, save
+    from charms_bench.report.figures.speed import draw_scale
+    from charms_bench.testing.bench import scale
+
+    check_figure(path)
+    results = scale(seconds, rounds, tell)
+    save(draw_scale(results), path)
+    rows = [{**asdict(r), **_rates(r)} for r in results]
+    if as_json:
+        print_json(rows)
+    else:
+        print_records("name", rows, forms)
+
+
+def _rates(measurement: Any) -> dict[str, float]:
+    names = ("vehicle_updates_per_s", "ns_per_vehicle_step")
+    return {name: getattr(measurement, name) for name in names}

@@ -98,7 +98,7 @@ class HighwayEnvEngine:
         settings, profile = self._settings, self._settings.profile
         network, width = RoadNetwork(), profile.lane_width_m
         for lane in range(settings.lanes):
-            ends = np.array([[0.0, lane * width], [profile.road_length_m, lane * width]])
+            ends = np.array([[0.0, lane * width], [settings.road_length_m, lane * width]])
             straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
             network.add_lane("0", "1", straight)
         road = Road(network=network, np_random=rng)

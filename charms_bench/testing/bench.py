@@ -8,8 +8,8 @@ times, in one run. So their ratios hold even if the speed of the machine drifts.
 import multiprocessing
 import os
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
@@ -19,14 +19,20 @@ from typing import Any
 import numpy as np
 
 from charms_bench.engine import EngineName
+from charms_bench.engine.exact_maths import ONE_THREAD
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.plugins.registry import make_agent, make_traffic
+from charms_bench.runs.workers import starting
 from charms_bench.world.actions import IDLE
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
 
 _SETTINGS = SceneSettings()
-_SCENES = 512
+_SIMULATION_STEPS = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
+_SCENES = 256
+_SCALE_VEHICLES = (21, 200, 2000)
+_SCALE_SCENES = tuple(10**k for k in range(6))
+_MOST_VEHICLES = 2_000_000
 _SEED = 10**6
 _OBSERVATION = {"type": "Kinematics", "vehicles_count": 7}
 
@@ -49,12 +55,18 @@ class Measurement:
     """Median over the rounds."""
     low: float
     high: float
+    scenes: int = 1
+    """Scenes that one thread advances together."""
+
+    @property
+    def vehicle_updates_per_s(self) -> float:
+        """Vehicles times simulation steps."""
+        return self.steps_per_s * _SIMULATION_STEPS * self.vehicles
 
     @property
     def ns_per_vehicle_step(self) -> float:
         """Thread time per vehicle and simulation step, with its share of everything else."""
-        simulation_steps = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
-        return 1e9 * self.threads / (self.steps_per_s * simulation_steps * self.vehicles)
+        return 1e9 * self.threads / self.vehicle_updates_per_s
 
 
 def bench(
@@ -77,30 +89,58 @@ def bench(
             environments each; otherwise they are the engines.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
-    if environments:
-        contestants = _vector_environments(settings, traffic, environments)
-    else:
-        contestants = _engines(settings, traffic)
-    for *_, stepping in contestants:
-        stepping(0.0)  # compiles and allocates
-    rates: list[list[float]] = [[] for _ in contestants]
-    for _ in range(rounds):
-        for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
-            progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
-            steps, took = stepping(seconds)
-            measured.append(steps / took)
+    rates: list[list[float]] = []
+    with ExitStack() as stack:
+        if environments:
+            contestants = _vector_environments(settings, traffic, environments)
+        else:
+            contestants = _engines(settings, traffic, stack)
+        for *_, stepping in contestants:
+            stepping(0.0)  # compiles and allocates
+            rates.append([])
+        for _ in range(rounds):
+            for (name, threads, size, stepping), measured in zip(contestants, rates, strict=True):
+                progress(f"{name}, {size} vehicles, {threads} thread{'s' * (threads > 1)}")
+                steps, took = stepping(seconds)
+                measured.append(steps / took)
     return [
         Measurement(name, threads, size, median(measured), min(measured), max(measured))
         for (name, threads, size, _), measured in zip(contestants, rates, strict=True)
     ]
 
 
-def _engines(settings: SceneSettings, traffic: str) -> list[Contestant]:
+def scale(
+    seconds: float = 1.0, rounds: int = 3, progress: Callable[[str], None] = lambda name: None
+) -> list[Measurement]:
+    """Measures this engine with 1 to all cores, 21 to 2,000 vehicles and 1 to 100,000 scenes.
+
+    At most two million vehicles are simulated at once; see `bench` for the arguments.
+    """
+    cores = os.cpu_count() or 1
+    measured = []
+    for threads in sorted({1, cores} | {2**k for k in range(cores.bit_length())}):
+        for vehicles in _SCALE_VEHICLES:
+            settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
+            for scenes in _SCALE_SCENES:
+                if threads * vehicles * scenes > _MOST_VEHICLES:
+                    break
+                progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
+                with _processes(settings, "idm_mobil", threads, scenes) as stepping:
+                    stepping(0.0)
+                    answers = [stepping(seconds) for _ in range(rounds)]
+                rates = [steps / took for steps, took in answers]
+                spread = (median(rates), min(rates), max(rates))
+                measured.append(Measurement("batched", threads, vehicles, *spread, scenes))
+    return measured
+
+
+def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Contestant]:
     crowded = settings.model_copy(update={"traffic_vehicles": 199})
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
+    together = stack.enter_context(_processes(settings, traffic, cores))
     ours = [
         ("batched", 1, vehicles, _stepping(_ours(settings, traffic))),
-        ("batched", cores, vehicles, _in_processes(settings, traffic, cores)),
+        ("batched", cores, vehicles, together),
         ("batched", 1, 200, _stepping(_ours(crowded, traffic))),
         ("highway-env engine", 1, vehicles, _stepping(_ours(settings, traffic, "highway-env", 1))),
         ("highway-env", 1, vehicles, _stepping(_highway_env(settings))),
@@ -154,15 +194,21 @@ def _stepping(step: Step) -> Stepping:
     return run
 
 
-def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Stepping:
+@contextmanager
+def _processes(
+    settings: SceneSettings, traffic: str, count: int, scenes: int = _SCENES
+) -> Iterator[Stepping]:
     """This engine as `run` uses it: one thread in each of several processes."""
     context = multiprocessing.get_context("spawn")
-    pipes = []
+    processes, pipes = [], []
     for _ in range(count):
         ours, theirs = context.Pipe()
-        arguments = (theirs, settings, traffic)
-        context.Process(target=_serve, args=arguments, daemon=True).start()
+        arguments = (theirs, settings, traffic, scenes)
+        processes.append(context.Process(target=_serve, args=arguments, daemon=True))
         pipes.append(ours)
+    with starting(ONE_THREAD):
+        for process in processes:
+            process.start()
 
     def run(seconds: float) -> tuple[int, float]:
         for pipe in pipes:
@@ -170,11 +216,16 @@ def _in_processes(settings: SceneSettings, traffic: str, count: int) -> Stepping
         answers = [pipe.recv() for pipe in pipes]
         return sum(steps for steps, _ in answers), max(took for _, took in answers)
 
-    return run
+    try:
+        yield run
+    finally:
+        for process in processes:
+            process.kill()
+            process.join()
 
 
-def _serve(pipe: Connection, settings: SceneSettings, traffic: str) -> None:
-    run = _stepping(_ours(settings, traffic))
+def _serve(pipe: Connection, settings: SceneSettings, traffic: str, scenes: int) -> None:
+    run = _stepping(_ours(settings, traffic, scenes=scenes))
     with suppress(EOFError):  # the parent process is gone
         while True:
             pipe.send(run(pipe.recv()))

@@ -46,6 +46,7 @@ class Profile(FrozenModel):
     name: str
     lane_width_m: Positive = 4.0
     road_length_m: Positive = 10_000.0
+    """The least length; scenes with more vehicles than fit have a longer road."""
     speed_limit_mps: Positive
     vehicle_length_m: Positive = 5.0
     vehicle_width_m: Positive = 2.0

@@ -50,7 +50,7 @@ class SceneSettings(FrozenModel):
     profile: Annotated[Profile, BeforeValidator(_with_overrides)] = CHARMS
     """A profile, its name, or its name and other values for some of its fields."""
     lanes: Annotated[int, Field(ge=2, le=8)] = 3
-    traffic_vehicles: Annotated[int, Field(ge=0, le=500)] = 20
+    traffic_vehicles: Annotated[int, Field(ge=0, le=2000)] = 20
     density: Positive = 1.0
     ego_slots: Annotated[int, Field(ge=1)] = 6
     """The ego is one of this many first vehicles; each is equally likely."""
@@ -88,13 +88,23 @@ class SceneSettings(FrozenModel):
         return round(self.duration_s * self.decision_hz)
 
     @property
+    def road_length_m(self) -> float:
+        """The profile's road, or one that is long enough for all vehicles until the end."""
+        profile = self.profile
+        fastest = max(profile.speed_limit_mps, profile.speed_max_mps, profile.ego_speed_mps)
+        spacing = max(profile.ego_spacing or 0.0, 1 / self.density)
+        # Each vehicle spawns at most this far ahead of the furthest before it; see `kernels.spawn`.
+        furthest = 1.1 * spacing * (12 + fastest) * (self.vehicles + 3)
+        return max(profile.road_length_m, furthest + fastest * self.duration_s)
+
+    @property
     def constants(self) -> Constants:
         """The constants of a scene as compiled code reads them."""
         profile = self.profile
         return Constants(
             lanes=self.lanes,
             lane_width=profile.lane_width_m,
-            road_length=profile.road_length_m,
+            road_length=self.road_length_m,
             speed_limit=profile.speed_limit_mps,
             length=profile.vehicle_length_m,
             width=profile.vehicle_width_m,
