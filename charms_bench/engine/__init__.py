@@ -4,6 +4,10 @@ In one simulation step every driver model acts, in the order of the engine's `mo
 of one model act in the order of spawning, and each sees the target lanes of those before it. Then
 all vehicles move, and then collisions are found. Meta-actions given by `command` take effect before
 the step that follows.
+
+On every x86-64 processor, the engines are equal to the last bit if `highway-env` runs in a process
+that `exact_maths` has prepared. In any other process, the bits of `highway-env` depend on the
+processor, NumPy, OpenBLAS and the C library.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The environment in which worker processes compute the same bits wherever they run."""
+"""Makes highway-env compute the same bits on every x86-64 processor, in worker processes."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Environment variables of a process that computes on one thread."""
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
-"""The oldest core type that OpenBLAS knows; it has no fused multiply-add."""
+"""A core type without fused multiply-add, which every processor with SSE4.2 supports."""
 _IS_X86 = platform.machine() in ("x86_64", "AMD64")
 _MODULES = (
     "road.lane",
@@ -33,9 +33,10 @@ _MODULES = (
 def worker_environment(engine: EngineName) -> dict[str, str]:
     """Returns the environment variables with which a worker process has to be started.
 
-    highway-env's vehicles use dot products of NumPy, whose library OpenBLAS rounds them once or
-    twice, depending on the processor. For that engine, it has to round twice. OpenBLAS reads this
-    setting when it is loaded.
+    highway-env's vehicles use dot products of NumPy arrays, which cannot be replaced. OpenBLAS
+    rounds each product in them or not, depending on the processor. For that engine, it has to round
+    them. OpenBLAS reads this setting when it is loaded. On other processors than x86-64, there is
+    no such setting, and bits may differ.
     """
     if engine == "batched" or not _IS_X86:
         return ONE_THREAD
