@@ -10,7 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_baselines.idm import Motion, following, motion, motion_ahead, motion_behind
+from charms_baselines.idm import (
+    Motion,
+    interaction,
+    motion,
+    motion_ahead,
+    motion_behind,
+    on_own_lane,
+)
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.compiled import clip, compiled
@@ -80,8 +87,9 @@ def _drive(
 ) -> tuple[Floats, Ints]:
     lane_of, target_of, crashed = scene.lane, scene.target_lane, scene.crashed
     leaders, followers = scene.leaders, scene.followers
-    exponent = options.exponent
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    exponents = np.full(rows.size, options.exponent)
+    free, wanted = on_own_lane(scene, rows, places, exponents, p)
     for m in range(rows.size):
         b, i = rows[m], places[m]
         lane, target = lane_of[b, i], target_of[b, i]
@@ -89,8 +97,8 @@ def _drive(
         if crashed[b, i]:
             continue
         own = motion(b, i, scene)
-        leader = motion_ahead(b, leaders[b, i, lane], scene)
         if lane == target:
+            leader = motion_ahead(b, leaders[b, i, lane], scene)
             best = _utility(own, leader) + options.gain
             for side in (lane - 1, lane + 1):
                 if not 0 <= side < scene.constants.lanes:
@@ -100,14 +108,13 @@ def _drive(
                 utility = _utility(own, side_leader)
                 if utility > best and (
                     own.x - side_follower.x > options.open_distance
-                    or _loss(side_follower, side_leader, own, exponent, p) <= options.follower_loss
+                    or _loss(side_follower, side_leader, own, p) <= options.follower_loss
                 ):
                     best, target = utility, side
-        wanted = following(own, leader, exponent, p)
         if lane != target:
             leader = motion_ahead(b, leaders[b, i, target], scene)
-            wanted = min(wanted, following(own, leader, exponent, p))
-        acceleration[m] = clip(wanted, -options.braking, options.accelerating)
+            wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
+        acceleration[m] = clip(wanted[m], -options.braking, options.accelerating)
         target_lane[m] = target
     return acceleration, target_lane
 
@@ -121,8 +128,9 @@ def _utility(own: Motion, leader: Motion) -> float:
 
 
 @compiled
-def _loss(
-    follower: Motion, leader: Motion, entering: Motion, exponent: float, p: IdmMobilParameters
-) -> float:
-    """Acceleration that a follower loses by its best response to an entering vehicle, m/s2."""
-    return following(follower, leader, exponent, p) - following(follower, entering, exponent, p)
+def _loss(follower: Motion, leader: Motion, entering: Motion, p: IdmMobilParameters) -> float:
+    """Acceleration that a follower loses by its best response to an entering vehicle, m/s².
+
+    Its acceleration on a free road is part of both accelerations and cancels out.
+    """
+    return interaction(follower, entering, p) - interaction(follower, leader, p)
