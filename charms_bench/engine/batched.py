@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
+from charms_bench.engine.random_words import random_words
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
 from charms_bench.world.actions import Actions
@@ -25,6 +26,7 @@ class BatchedEngine:
         self._spawn_rule = _spawn_rule(settings)
         self._command_rule = _command_rule(settings.profile)
         self._models = models
+        self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
         self._shown = self.scene.read_only()
         self._is_modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
         self._vehicles: dict[int, Vehicles] = {}
@@ -34,17 +36,10 @@ class BatchedEngine:
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         scene = self.scene
         count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
-        words = np.empty((rows.size, count), dtype=np.uint64)
-        for row_words, seed in zip(words, seeds, strict=True):
-            row_words[:] = np.random.PCG64(int(seed)).random_raw(count)
+        words = random_words(seeds.astype(np.uint64), count)
         kernels.spawn(scene, rows, words, self._spawn_rule)
-        is_ego = np.arange(self._settings.vehicles) == scene.ego[rows, None]
-        drivers = np.zeros(is_ego.shape, dtype=np.int64)
-        drivers[~is_ego] = traffic.ravel()
-        self.drivers[rows] = drivers
-        self._is_modelled[rows] = False
-        for agent in self._models:
-            self._is_modelled[rows] |= drivers == agent
+        seats = (self._are_models, self.drivers, self._is_modelled)
+        kernels.seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
             speeds = self._command_rule.speeds

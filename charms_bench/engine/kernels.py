@@ -15,8 +15,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from charms_bench.engine.random_words import Words
 from charms_bench.world import maths
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
 from charms_bench.world.compiled import clip, compiled, index, not_zero
@@ -28,9 +28,6 @@ BLOCK_VEHICLES = 512
 """Vehicles of a block, unless one scene has more."""
 USUAL_SPEED_MPS = 50.0
 """Up to this speed, collisions are searched as if every vehicle had it; the result is the same."""
-
-
-Words = NDArray[np.uint64]
 
 
 class SpawnRule(NamedTuple):
@@ -514,6 +511,17 @@ def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floa
 
 
 @compiled
+def egos_off_road(scene: Scene) -> Bools:
+    """[B] whether the ego's centre is outside its lane [`RoadObject.on_road`]."""
+    off_road = np.empty(scene.ego.size, dtype=np.bool_)
+    for b in range(off_road.size):
+        i = scene.ego[b]
+        x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
+        off_road[b] = not is_on_lane(x, y, lane, scene.constants, 0.0)
+    return off_road
+
+
+@compiled
 def crashed_egos(ego: Ints, crashed: Bools, running: Bools) -> Ints:
     """The running scenes whose ego has crashed."""
     rows = np.empty(running.size, dtype=np.int64)
@@ -617,6 +625,23 @@ def draw_float(words: Words, cursor: Ints) -> float:
     word = words[cursor[0]]
     cursor[0] += 1
     return float(word >> np.uint64(11)) * 2.0**-53
+
+
+@compiled
+def seat(
+    rows: Ints, ego: Ints, traffic: Ints, models: Bools, drivers: Ints, is_modelled: Bools
+) -> None:
+    """Gives the vehicles of the scenes `rows` (R,) their drivers; agent 0 drives the ego.
+
+    `traffic` (R, N - 1) are the agents of the other vehicles. `models` marks the agents that are
+    driver models; agents beyond its end are not.
+    """
+    for r in range(rows.size):
+        b = rows[r]
+        for i in range(drivers.shape[1]):
+            agent = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
+            drivers[b, i] = agent
+            is_modelled[b, i] = agent < models.size and models[agent]
 
 
 @compiled

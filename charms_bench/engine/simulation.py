@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
-from charms_bench.engine.kernels import crashed_egos, vehicles_of
+from charms_bench.engine.kernels import crashed_egos, egos_off_road, vehicles_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.compiled import compiled
-from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.observations import observation_of
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -101,9 +100,7 @@ class Simulation:
     @property
     def is_off_road(self) -> Bools:
         """[B] whether the ego's centre is outside its lane; see `Scene.off_road`."""
-        scene, egos = self.scene, self.ego_vehicles
-        x, y, lane = scene.x[egos], scene.y[egos], scene.lane[egos]
-        return np.asarray(~is_on_lane(x, y, lane, scene.constants, margin=0.0))
+        return egos_off_road(self.scene)
 
     @property
     def ego_vehicles(self) -> Vehicles:
@@ -158,7 +155,7 @@ class Simulation:
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
         scene = self.scene
-        self.steps[scene.active] += 1
+        self.steps += scene.active
         running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME
         if self.settings.profile.offroad_terminal:

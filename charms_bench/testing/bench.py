@@ -29,7 +29,7 @@ from charms_bench.world.scene import SceneSettings
 
 _SETTINGS = SceneSettings()
 _SIMULATION_STEPS = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
-_SCENES = 256
+_SCENES = 384
 _SCALE_VEHICLES = (21, 200, 2000)
 _SCALE_SCENES = tuple(10**k for k in range(6))
 _MOST_VEHICLES = 2_000_000
