@@ -21,7 +21,7 @@ from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
-BLOCK_VEHICLES = 512
+BLOCK_VEHICLES = 1024
 """Vehicles whose intermediate results stay in the processor's cache."""
 
 

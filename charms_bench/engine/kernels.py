@@ -24,7 +24,7 @@ from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length, is_
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
-BLOCK_VEHICLES = 512
+BLOCK_VEHICLES = 1024
 """Vehicles of a block, unless one scene has more."""
 USUAL_SPEED_MPS = 50.0
 """Up to this speed, collisions are searched as if every vehicle had it; the result is the same."""
