@@ -146,7 +146,7 @@ def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Co
         ("highway-env", 1, vehicles, _stepping(_highway_env(settings))),
     ]
     return ours + [
-        ("EnvPool", threads, vehicles, _stepping(_envpool(settings, threads)))
+        ("EnvPool", threads, vehicles, _stepping(_envpool(settings, threads, 64 * threads)))
         for threads in (1, cores)
         if find_spec("envpool")
     ]
@@ -155,7 +155,8 @@ def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Co
 def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> list[Contestant]:
     """All of them observe seven rows of `Kinematics`.
 
-    highway-env's environments run in one process, or in one process each.
+    highway-env's environments run in one process, or in one process each. EnvPool is measured if
+    it is installed.
     """
     import gymnasium
     import highway_env  # noqa: F401  # registers highway-v0
@@ -178,6 +179,9 @@ def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> l
         environments.reset(seed=_SEED)
         stepping = _stepping(_together(environments, count))
         contestants.append((name, threads, settings.vehicles, stepping))
+    if find_spec("envpool"):
+        pool = _stepping(_envpool(settings, 1, count))
+        contestants.append(("EnvPool", 1, settings.vehicles, pool))
     return contestants
 
 
@@ -292,12 +296,12 @@ def _together(environments: Any, count: int, dtype: Any = np.int64) -> Step:
     return step
 
 
-def _envpool(settings: SceneSettings, threads: int) -> Step:
+def _envpool(settings: SceneSettings, threads: int, count: int) -> Step:
     import envpool
 
     environments = envpool.make_gymnasium(
         "Highway-v0",
-        num_envs=64 * threads,
+        num_envs=count,
         num_threads=threads,
         max_episode_steps=settings.decisions,
         lanes_count=settings.lanes,
@@ -308,4 +312,4 @@ def _envpool(settings: SceneSettings, threads: int) -> Step:
         duration=round(settings.duration_s),
     )
     environments.reset()
-    return _together(environments, 64 * threads, np.int32)
+    return _together(environments, count, np.int32)

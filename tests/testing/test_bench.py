@@ -2,16 +2,33 @@
 
 import pytest
 
-from charms_bench.testing.bench import bench
+from charms_bench.testing.bench import bench, scale
 
 
 def test_environments_of_both_kinds_are_measured_in_the_same_scene() -> None:
     told: list[str] = []
     measured = bench(6, seconds=0.05, rounds=2, progress=told.append, environments=2)
-    assert [m.name for m in measured] == ["Ego-v0", "highway-env, sync", "highway-env"]
+    names = [m.name for m in measured if m.name != "EnvPool"]  # which need not be installed
+    assert names == ["Ego-v0", "highway-env, sync", "highway-env"]
     assert len(told) == 2 * len(measured)
     for m in measured:
         assert 0 < m.low <= m.steps_per_s <= m.high
         # 5 simulation steps of 6 vehicles in a decision
         steps = m.steps_per_s / m.threads * 5 * 6
         assert m.ns_per_vehicle_step == pytest.approx(1e9 / steps)
+
+
+def test_the_scale_covers_all_sizes_of_up_to_two_million_vehicles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("charms_bench.testing.bench.os.cpu_count", lambda: 1)
+    monkeypatch.setattr("charms_bench.testing.bench._SCALE_VEHICLES", (6, 40))
+    monkeypatch.setattr("charms_bench.testing.bench._SCALE_SCENES", (1, 10))
+    monkeypatch.setattr("charms_bench.testing.bench._MOST_VEHICLES", 60)
+    measured = scale(seconds=0.01, rounds=1)
+    assert [(m.threads, m.vehicles, m.scenes) for m in measured] == [
+        (1, 6, 1),
+        (1, 6, 10),
+        (1, 40, 1),
+    ]
+    assert all(m.vehicle_updates_per_s == m.steps_per_s * 5 * m.vehicles for m in measured)
