@@ -121,9 +121,8 @@ def scale(
     for threads in sorted({1, cores} | {2**k for k in range(cores.bit_length())}):
         for vehicles in _SCALE_VEHICLES:
             settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
-            for scenes in _SCALE_SCENES:
-                if threads * vehicles * scenes > _MOST_VEHICLES:
-                    break
+            most = _MOST_VEHICLES // (threads * vehicles)
+            for scenes in dict.fromkeys(min(scenes, most) for scenes in _SCALE_SCENES):
                 progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
                 with _processes(settings, "idm_mobil", threads, scenes) as stepping:
                     stepping(0.0)

@@ -40,6 +40,7 @@ def draw_scale(measurements: Sequence[Measured]) -> Figure:
         xlabel="scenes per thread",
         ylabel="million vehicle updates per second",
     )
+    axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize=8)
