@@ -2,6 +2,7 @@
 
 import os
 import platform
+from collections.abc import Callable
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -67,32 +68,22 @@ class _Numpy(ModuleType):
         return getattr(np, name)
 
     @staticmethod
-    def sin(x: float) -> np.float64:
-        return np.float64(maths.sin(x))
-
-    @staticmethod
-    def cos(x: float) -> np.float64:
-        return np.float64(maths.cos(x))
-
-    @staticmethod
-    def tan(x: float) -> np.float64:
-        return np.float64(maths.tan(x))
-
-    @staticmethod
-    def arcsin(x: float) -> np.float64:
-        return np.float64(maths.asin(x))
-
-    @staticmethod
-    def arctan(x: float) -> np.float64:
-        return np.float64(maths.atan(x))
-
-    @staticmethod
-    def exp(x: float) -> np.float64:
-        return np.float64(maths.exp(x))
-
-    @staticmethod
     def power(x: float, y: float) -> np.float64:
         return np.float64(x * x if y == 2 else maths.power(x, y))
 
 
+def _for_numpy(function: Callable[[float], float]) -> Callable[[float], np.float64]:
+    """The function with NumPy's type of result, which divides by zero without an exception."""
+    return lambda x: np.float64(function(x))
+
+
 _numpy = _Numpy("numpy")
+for _name, _function in {
+    "sin": maths.sin,
+    "cos": maths.cos,
+    "tan": maths.tan,
+    "arcsin": maths.asin,
+    "arctan": maths.atan,
+    "exp": maths.exp,
+}.items():
+    setattr(_numpy, _name, _for_numpy(_function))

@@ -59,7 +59,7 @@ class Kinematics(FrozenModel):
 
     name: ClassVar[str] = "Kinematics"
 
-    vehicles_count: Annotated[int, Field(ge=2, le=501)] = 5
+    vehicles_count: Annotated[int, Field(ge=2, le=2001)] = 5
     """Number of rows."""
     features: Annotated[tuple[Feature, ...], Field(strict=False, min_length=1)] = DEFAULT
     """The columns."""
