@@ -99,7 +99,7 @@ class Simulation:
 
     @property
     def is_off_road(self) -> Bools:
-        """[B] whether the ego's centre is outside its lane; see `Scene.off_road`."""
+        """[B] whether the ego's centre is outside its lane [`RoadObject.on_road`]."""
         return egos_off_road(self.scene)
 
     @property

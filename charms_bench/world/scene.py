@@ -12,7 +12,6 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from charms_bench.errors import suggestion
 from charms_bench.world.fields import FrozenModel, Positive
-from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 
 Floats = NDArray[np.float64]
@@ -224,11 +223,6 @@ class Scene(NamedTuple):
         found = table[vehicles[0], vehicles[1], np.where(on_road, lane, 0)]
         present = on_road & (found >= 0)
         return np.where(present, found, 0), present
-
-    @property
-    def off_road(self) -> Bools:
-        """[B, N] whether the vehicle's centre is outside its lane [`RoadObject.on_road`]."""
-        return np.asarray(~is_on_lane(self.x, self.y, self.lane, self.constants, margin=0.0))
 
 
 _PER_VEHICLE: dict[type, str] = {
