@@ -91,7 +91,7 @@ def simulate(chunk: Chunk, engine: EngineName, path: Path) -> None:
     events, x = [], []
     for _ in range(settings.decisions):
         actions = np.array([generator.integers(len(ACTIONS)) for generator in generators])
-        for frame in range(settings.simulation_hz // settings.decision_hz):
+        for frame in range(settings.steps_per_decision):
             simulation.advance(actions if chunk.ego is None and frame == 0 else None)
             scene = simulation.scene
             events.append(np.stack([scene.lane, scene.target_lane, scene.crashed], axis=1))

@@ -43,8 +43,12 @@ class Engine(Protocol):
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,)."""
 
-    def advance(self) -> None:
-        """Advances every active scene by one simulation step."""
+    def advance(self, hold_egos: bool = False) -> None:
+        """Advances every active scene by one simulation step.
+
+        If `hold_egos`, the egos keep the steering and the acceleration of the step before, within
+        highway-env's limits, and their driver models are not asked.
+        """
 
 
 def make_engine(

@@ -28,9 +28,11 @@ class BatchedEngine:
         self._models = models
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
         self._shown = self.scene.read_only()
-        self._is_modelled = np.zeros(self.drivers.shape, dtype=np.bool_)
-        self._vehicles: dict[int, Vehicles] = {}
-        """The active vehicles of each driver model, listed for the active scenes `_listed`."""
+        self._is_modelled, self._is_ego = np.zeros((2, *self.drivers.shape), dtype=np.bool_)
+        self._nobody = np.zeros(self.drivers.shape, dtype=np.bool_)
+        self._vehicles: dict[tuple[int, bool], Vehicles] = {}
+        """The active vehicles that each driver model drives, and those of them that are not egos;
+        listed for the active scenes `_listed`."""
         self._listed = b""
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
@@ -38,7 +40,7 @@ class BatchedEngine:
         count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
         words = random_words(seeds.astype(np.uint64), count)
         kernels.spawn(scene, rows, words, self._spawn_rule)
-        seats = (self._are_models, self.drivers, self._is_modelled)
+        seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         kernels.seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
@@ -48,21 +50,24 @@ class BatchedEngine:
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 
-    def advance(self) -> None:
+    def advance(self, hold_egos: bool = False) -> None:
         scene = self.scene
         active = scene.active.tobytes()
         if not self._vehicles or self._listed != active:
             self._listed = active
             for agent in self._models:
                 found = kernels.vehicles_of(agent, self.drivers, scene.active)
-                self._vehicles[agent] = found
+                others = np.nonzero(~self._is_ego[found])[0]
+                self._vehicles[agent, False] = found
+                self._vehicles[agent, True] = found[0][others], found[1][others]
         for agent, model in self._models.items():
-            vehicles = self._vehicles[agent]
+            vehicles = self._vehicles[agent, hold_egos]
             if vehicles[0].size:
                 answers = model.drive(self._shown, vehicles)
                 crashed, acceleration = scene.crashed, scene.acceleration
                 kernels.obey(vehicles, answers, crashed, acceleration, scene.target_lane)
-        kernels.advance(scene, self._is_modelled)
+        held = self._is_ego if hold_egos else self._nobody
+        kernels.advance(scene, self._is_modelled, held)
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:

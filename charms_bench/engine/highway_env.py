@@ -22,6 +22,9 @@ from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.profile import Profile
 from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
 
+_NOBODY = -1
+"""Stands for the agent of a vehicle that keeps its last control."""
+
 
 class HighwayEnvEngine:
     """highway-env itself, behind the interface of `charms_bench.engine`."""
@@ -63,12 +66,14 @@ class HighwayEnvEngine:
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
 
-    def advance(self) -> None:
+    def advance(self, hold_egos: bool = False) -> None:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
-            drivers = self.drivers[row]
-            self._act(row, np.nonzero(~np.isin(drivers, list(self._models)))[0])
+            drivers = self.drivers[row].copy()
+            if hold_egos:
+                drivers[self.scene.ego[row]] = _NOBODY
+            self._act(row, np.nonzero(~np.isin(drivers, [*self._models, _NOBODY]))[0])
             for agent, model in self._models.items():
                 places = np.nonzero(drivers == agent)[0]
                 if places.size and not model.highway_env_class:

@@ -71,7 +71,7 @@ class Turning(NamedTuple):
     vehicle: Ints
     """The vehicle's index among all vehicles of the block."""
     is_steered: Bools
-    """Whether the vehicle controls its steering; a crashed vehicle does not."""
+    """Whether the vehicle controls its steering; a crashed vehicle and a held one do not."""
     x: Floats
     """Position before the step, m."""
     lateral: Floats
@@ -112,6 +112,8 @@ def room_to_turn(vehicles: int) -> Turning:
 def steer(turning: Turning, count: int, c: Constants) -> None:
     """Computes the steering angles of `count` vehicles towards the centres of their target lanes.
 
+    Vehicles that are not steered keep the angle that they have.
+
     [`ControlledVehicle.steering_control`]
     """
     lateral, heading, speed = turning.lateral, turning.heading, turning.speed
@@ -129,7 +131,7 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
         angle[k] = 2 * maths.tan(angle[k])
     for k in range(count):
         limited = clip(maths.atan(angle[k]), -c.steering_limit, c.steering_limit)
-        steering[k] = limited if is_steered[k] else 0.0
+        steering[k] = limited if is_steered[k] else steering[k]
 
 
 @compiled
@@ -165,11 +167,14 @@ def closest_lane(y: float, lanes: int, lane_width: float) -> int:
 
 
 @compiled
-def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning) -> None:
+def move(
+    scene: Scene, first: int, after: int, modelled: Bools, held: Bools, turning: Turning
+) -> None:
     """Steers and moves the scenes from `first` to before `after` by one step of the bicycle model.
 
-    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; all others
-    control their target speed [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
+    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; `held` marks
+    those that keep their acceleration and steering; all others control their target speed
+    [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
     """
     c = scene.constants
     x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
@@ -180,16 +185,17 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
     target_lane = scene.target_lane[first:after].reshape(-1)
     timer_s, lane = scene.timer_s[first:after].reshape(-1), scene.lane[first:after].reshape(-1)
     crashed, impact = scene.crashed[first:after].reshape(-1), scene.impact[first:after].reshape(-1)
-    is_modelled = modelled[first:after].reshape(-1)
+    is_modelled, is_held = modelled[first:after].reshape(-1), held[first:after].reshape(-1)
     turns = 0
     for i in range(x.size):
         turning.vehicle[turns] = i
         # The functions of a vehicle that goes straight would give 0 and 1.
         is_beside = (y[i] - target_lane[i] * c.lane_width != 0.0) & (not crashed[i])
-        turns += (heading[i] != 0.0) | is_beside
+        turns += (heading[i] != 0.0) | is_beside | (is_held[i] & (steering[i] != 0.0))
     for k in range(turns):
         i = index(turning.vehicle[k])
-        turning.is_steered[k] = not crashed[i]
+        turning.is_steered[k] = not (crashed[i] or is_held[i])
+        turning.steering[k] = steering[i] if is_held[i] and not crashed[i] else 0.0
         turning.x[k] = x[i]
         turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
         turning.heading[k] = heading[i]
@@ -198,7 +204,7 @@ def move(scene: Scene, first: int, after: int, modelled: Bools, turning: Turning
     for i in range(x.size):
         v = speed[i]
         wanted = (1 / c.tau_acceleration) * (target_speed[i] - v)
-        wanted = acceleration[i] if is_modelled[i] else wanted
+        wanted = acceleration[i] if is_modelled[i] | is_held[i] else wanted
         wanted = -1.0 * v if crashed[i] else wanted
         wanted = min(wanted, 1.0 * (c.speed_max - v)) if v > c.speed_max else wanted
         wanted = max(wanted, 1.0 * (c.speed_min - v)) if v < c.speed_min else wanted
@@ -572,12 +578,12 @@ def blocks_of(active: Bools, vehicles: int) -> list[tuple[int, int]]:
 
 
 @compiled
-def advance(scene: Scene, modelled: Bools) -> None:
-    """One simulation step of every active scene, after the driver models have acted."""
+def advance(scene: Scene, modelled: Bools, held: Bools) -> None:
+    """One simulation step of every active scene, after the driver models have acted; see `move`."""
     vehicles = scene.x.shape[1]
     turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
     for first, after in blocks_of(scene.active, vehicles):
-        move(scene, first, after, modelled, turning)
+        move(scene, first, after, modelled, held, turning)
         sort_by_x(scene, first, after)
         collide(scene, first, after)
         find_neighbours(scene, first, after)
@@ -629,7 +635,13 @@ def draw_float(words: Words, cursor: Ints) -> float:
 
 @compiled
 def seat(
-    rows: Ints, ego: Ints, traffic: Ints, models: Bools, drivers: Ints, is_modelled: Bools
+    rows: Ints,
+    ego: Ints,
+    traffic: Ints,
+    models: Bools,
+    drivers: Ints,
+    is_modelled: Bools,
+    is_ego: Bools,
 ) -> None:
     """Gives the vehicles of the scenes `rows` (R,) their drivers; agent 0 drives the ego.
 
@@ -640,7 +652,7 @@ def seat(
         b = rows[r]
         for i in range(drivers.shape[1]):
             agent = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
-            drivers[b, i] = agent
+            drivers[b, i], is_ego[b, i] = agent, i == ego[b]
             is_modelled[b, i] = agent < models.size and models[agent]
 
 

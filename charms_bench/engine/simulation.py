@@ -59,6 +59,9 @@ class Simulation:
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
         self._frames = np.zeros(scenes, dtype=np.int64)
+        self._holds_egos = settings.profile.ego_control_rate == "decision"
+        self._is_decided = False
+        """Whether a decision interval has begun; all scenes share their intervals."""
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
@@ -122,6 +125,7 @@ class Simulation:
         self.engine.reset(rows, seeds, traffic)
         self.steps[rows] = self._frames[rows] = 0
         self.ending[rows] = RUNNING
+        self._is_decided = False
         self.has_action[rows] = False
 
     def step(self, ego_actions: Actions | None = None) -> None:
@@ -129,7 +133,7 @@ class Simulation:
 
         `ego_actions` are the (B,) meta-actions of egos driven from outside.
         """
-        for frame in range(self.settings.simulation_hz // self.settings.decision_hz):
+        for frame in range(self.settings.steps_per_decision):
             self.advance(ego_actions if frame == 0 else None)
         self.finish_step()
 
@@ -148,13 +152,15 @@ class Simulation:
                 decisions.append((vehicles, self._decide(self._names[agent], policy, vehicles)))
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
-        self.engine.advance()
+        self.engine.advance(hold_egos=self._holds_egos and self._is_decided)
+        self._is_decided = True
         self._frames += active
         self._note_collisions()
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
         scene = self.scene
+        self._is_decided = False
         self.steps += scene.active
         running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME

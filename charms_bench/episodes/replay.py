@@ -81,7 +81,7 @@ class Replay:
 
     def frame_of(self, step: int) -> int:
         """Returns the frame at the end of a decision interval; intervals are counted from 1."""
-        return step * self.settings.simulation_hz // self.settings.decision_hz
+        return step * self.settings.steps_per_decision
 
     def animate(self, path: str | Path, caption: str | None = None) -> None:
         """Writes the episode as an animated GIF that plays in real time.
@@ -183,7 +183,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]
-    interval = simulation.settings.simulation_hz // simulation.settings.decision_hz
+    interval = simulation.settings.steps_per_decision
     while simulation.scene.active.any():
         for _ in range(interval):
             simulation.advance()

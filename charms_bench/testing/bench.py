@@ -28,7 +28,7 @@ from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
 
 _SETTINGS = SceneSettings()
-_SIMULATION_STEPS = _SETTINGS.simulation_hz // _SETTINGS.decision_hz
+_SIMULATION_STEPS = _SETTINGS.steps_per_decision
 _SCENES = 384
 _SCALE_VEHICLES = (21, 200, 2000)
 _SCALE_SCENES = tuple(10**k for k in range(6))

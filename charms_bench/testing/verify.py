@@ -163,7 +163,7 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
     differences: list[Difference] = []
     largest, steps, lane_changes, frame = 0.0, 0, 0, 0
     while ours.scene.active.any():
-        for _ in range(case.scene.simulation_hz // case.scene.decision_hz):
+        for _ in range(case.scene.steps_per_decision):
             frame += 1
             steps += int(ours.scene.active.sum())
             before = ours.scene.target_lane.copy()

@@ -77,8 +77,14 @@ class Profile(FrozenModel):
     """Initial speed of the ego."""
     ego_spacing: Positive | None = None
     """Spacing at which the ego spawns; by default that of the traffic, 1 / density."""
+    ego_control_rate: Literal["decision", "simulation"]
+    """How often the ego's steering and acceleration are computed: once per decision, and then held
+    until the next one, or in every simulation step."""
     offroad_terminal: bool
     """Whether the episode ends when the ego leaves the road."""
+    sums_time: bool
+    """Whether an episode's time is the sum of its decision intervals, rounded at every decision as
+    in highway-env. Some durations then take one decision more, such as 20 s at 3 Hz."""
     idm_mobil: IdmMobilConstants = IdmMobilConstants()
 
     @model_validator(mode="after")
@@ -147,7 +153,9 @@ CHARMS = Profile(
     target_speed_min_mps=22.0,
     target_speed_max_mps=33.0,
     ego_speed_mps=30.0,
+    ego_control_rate="decision",
     offroad_terminal=True,
+    sums_time=False,
     idm_mobil=IdmMobilConstants(time_headway_s=1.0),
 )
 """The constants of the CHARMS paper and its release."""
@@ -166,7 +174,9 @@ HIGHWAY_ENV = Profile(
     target_speeds_mps=(20.0, 25.0, 30.0),
     ego_speed_mps=25.0,
     ego_spacing=2.0,
+    ego_control_rate="simulation",
     offroad_terminal=False,
+    sums_time=True,
 )
 """The values highway-env 1.12's `highway-v0` ships with."""
 

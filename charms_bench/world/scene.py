@@ -4,6 +4,7 @@ Lane 0 is the leftmost and its centre is y = 0; y grows to the right, x along th
 heading is positive towards the right. Vehicles keep the order in which they were spawned.
 """
 
+from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -41,6 +42,15 @@ def _with_overrides(value: object) -> object:
         else:
             merged[key] = override
     return merged
+
+
+@lru_cache
+def _decisions_until(duration_s: float, decision_hz: int) -> int:
+    """The decisions until the sum of their intervals reaches a duration [`AbstractEnv.step`]."""
+    decisions, time = 0, 0.0
+    while time < duration_s:
+        decisions, time = decisions + 1, time + 1 / decision_hz
+    return decisions
 
 
 class SceneSettings(FrozenModel):
@@ -84,7 +94,14 @@ class SceneSettings(FrozenModel):
     @property
     def decisions(self) -> int:
         """The decisions of a full episode."""
-        return round(self.duration_s * self.decision_hz)
+        if not self.profile.sums_time:
+            return round(self.duration_s * self.decision_hz)
+        return _decisions_until(self.duration_s, self.decision_hz)
+
+    @property
+    def steps_per_decision(self) -> int:
+        """The simulation steps of a decision interval."""
+        return self.simulation_hz // self.decision_hz
 
     @property
     def road_length_m(self) -> float:

@@ -12,12 +12,16 @@ import numpy as np
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
 
-EPISODES = 50
+EPISODES = 40
 CASES = {
     "idm_mobil in idm_mobil, charms": ("idm_mobil", "idm_mobil", {"profile": "charms"}),
+    "idm_mobil in idm_mobil, charms, control in every step": (
+        "idm_mobil",
+        "idm_mobil",
+        {"profile": {"name": "charms", "ego_control_rate": "simulation"}},
+    ),
     "stackelberg in idm_mobil, charms": (
         "stackelberg",
         "idm_mobil",
@@ -42,7 +46,7 @@ EVENTS = ("lane", "target_lane", "crashed")
 def hashes(case: str) -> list[str]:
     """The hash of each episode of a case."""
     ego, traffic, scene = CASES[case]
-    settings = SceneSettings(**{**scene, "profile": PROFILES[scene["profile"]]})
+    settings = SceneSettings.model_validate(scene)
     agents = {name: make_agent(name) for name in {ego, traffic}}
     simulation = Simulation(settings, EPISODES, ego, OneAgent(traffic), agents)
     simulation.reset(np.arange(EPISODES, dtype=np.uint64))

@@ -39,7 +39,8 @@ def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
 def move(scene: Scene, modelled: bool) -> None:
     vehicles = scene.x.shape[1]
     room = kernels.room_to_turn(vehicles)
-    kernels.move(scene, 0, 1, np.full((1, vehicles), modelled), room)
+    nobody = np.zeros((1, vehicles), dtype=np.bool_)
+    kernels.move(scene, 0, 1, np.full((1, vehicles), modelled), nobody, room)
 
 
 @settings(derandomize=True, deadline=None)

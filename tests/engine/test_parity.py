@@ -25,6 +25,7 @@ def reset(engine: Engine, settings: SceneSettings, ego: str, seeds: list[int]) -
     engine.reset(np.arange(len(seeds)), np.array(seeds, dtype=np.uint64), traffic)
 
 
+@pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize(
     ("profile", "lanes", "traffic", "density", "ego"),
     [
@@ -38,7 +39,7 @@ def reset(engine: Engine, settings: SceneSettings, ego: str, seeds: list[int]) -
     ],
 )
 def test_both_engines_move_alike(
-    profile: str, lanes: int, traffic: int, density: float, ego: str
+    profile: str, lanes: int, traffic: int, density: float, ego: str, held: bool
 ) -> None:
     settings = SceneSettings(
         profile=PROFILES[profile], lanes=lanes, traffic_vehicles=traffic, density=density
@@ -54,8 +55,8 @@ def test_both_engines_move_alike(
             for engine in engines:
                 engine.command((np.arange(2), engine.scene.ego), actions)
         for engine in engines:
-            engine.advance()
-        for name in ("x", "y"):
+            engine.advance(hold_egos=held and step % settings.steps_per_decision != 0)
+        for name in ("x", "y", "acceleration", "steering"):
             np.testing.assert_allclose(
                 getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-6, err_msg=f"{step}"
             )

@@ -1,5 +1,7 @@
 """Episodes: how they end, who acts, and what is said of agents that misbehave."""
 
+import gymnasium
+import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
 import pytest
 
@@ -57,6 +59,94 @@ def test_an_episode_of_20_s_at_3_hz_has_60_decisions() -> None:
     simulation = simulate(make_agent("idm_mobil"), SceneSettings())
     assert (simulation.ending == TIME).all()
     assert (simulation.steps == 60).all()
+
+
+@pytest.mark.parametrize(
+    ("decision_hz", "duration_s"), [(1, 10.0), (3, 20.0), (3, 1.0), (5, 20.0), (15, 12.0)]
+)
+def test_the_profile_highway_env_has_as_many_decisions_as_stock_highway_env(
+    decision_hz: int, duration_s: float
+) -> None:
+    config = {"vehicles_count": 1, "policy_frequency": decision_hz, "duration": duration_s}
+    stock = gymnasium.make("highway-v0", config=config)
+    stock.reset(seed=0)
+    decisions, truncated = 0, False
+    while not truncated:
+        _, _, terminated, truncated, _ = stock.step(IDLE)
+        decisions += 1
+        assert not terminated
+    settings = SceneSettings.model_validate(
+        {"profile": "highway-env", "decision_hz": decision_hz, "duration_s": duration_s}
+    )
+    assert settings.decisions == decisions
+
+
+class Counting(DriverModel):
+    """Accelerates by half the number of times that it has been asked about its vehicle."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        self.asked += vehicles[1].tolist()
+        return np.full(vehicles[0].size, 0.5 * len(self.asked)), scene.target_lane[vehicles]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(("rate", "per_decision"), [("decision", 1), ("simulation", 5)])
+def test_an_ego_is_asked_as_often_as_the_profile_says(
+    rate: str, per_decision: int, engine: EngineName
+) -> None:
+    settings = SceneSettings.model_validate(
+        {
+            "profile": {"name": "charms", "ego_control_rate": rate},
+            "traffic_vehicles": 1,
+            "ego_slots": 1,
+        }
+    )
+    ego, other = Counting(), Counting()
+    agents = {"ego": ego, "other": other}
+    simulation = Simulation(settings, 1, "ego", OneAgent("other"), agents, engine)
+    simulation.reset(np.zeros(1, dtype=np.uint64))
+    timer_s = simulation.scene.timer_s[0].copy()
+    simulation.step()
+    simulation.step()
+    assert (len(ego.asked), len(other.asked)) == (2 * per_decision, 10)
+    np.testing.assert_allclose(simulation.scene.timer_s[0], timer_s + 10 / 15)
+    held_mps = 30.0 + (5 * 0.5 + 5 * 1.0) / 15
+    every_step_mps = 30.0 + 0.5 * sum(range(1, 11)) / 15
+    expected = held_mps if rate == "decision" else every_step_mps
+    assert simulation.scene.speed[0, 0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_held_command_stays_as_highway_env_has_limited_it(engine: EngineName) -> None:
+    """At 40 m/s, 33 - 40 = -7 m/s2 is commanded; the ego keeps that while it slows down."""
+    settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
+    simulation = Simulation(settings, 1, "ego", OneAgent("ego"), {"ego": Counting()}, engine)
+    simulation.reset(np.zeros(1, dtype=np.uint64))
+    simulation.scene.speed[0, 0] = 40.0
+    if engine == "highway-env":
+        simulation.engine.roads[0].vehicles[0].speed = 40.0
+    simulation.step()
+    assert simulation.scene.acceleration[0, 0] == -7.0
+    assert simulation.scene.speed[0, 0] == pytest.approx(40.0 - 7 * 5 / 15)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_held_ego_keeps_its_steering_angle_during_a_decision(engine: EngineName) -> None:
+    settings = SceneSettings(traffic_vehicles=0, ego_slots=1)
+    simulation = Simulation(settings, 1, None, OneAgent("none"), {"none": Always()}, engine)
+    simulation.reset(np.zeros(1, dtype=np.uint64))
+    angles = []
+    for action in (ACTIONS.index("LANE_LEFT"), ACTIONS.index("LANE_RIGHT"), IDLE):
+        for frame in range(5):
+            simulation.advance(np.array([action]) if frame == 0 else None)
+            angles.append(simulation.scene.steering[0, 0])
+        simulation.finish_step()
+    of_decisions = np.array(angles).reshape(3, 5)
+    assert (of_decisions == of_decisions[:, :1]).all()
+    assert np.unique(of_decisions).size == 3
 
 
 def test_a_vehicle_that_runs_into_its_leader_ends_its_episode_as_a_rear_end() -> None:

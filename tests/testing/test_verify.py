@@ -7,7 +7,7 @@ from charms_bench.engine import batched, kernels
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.testing import verify
 from charms_bench.testing.verify import Case, compare, default_cases
-from charms_bench.world.scene import Ints, Scene, SceneSettings
+from charms_bench.world.scene import Bools, Scene, SceneSettings
 
 CASE = Case(
     scene=SceneSettings(duration_s=3.0, traffic_vehicles=6),
@@ -28,8 +28,8 @@ def test_the_first_step_vehicle_and_quantity_that_differ_are_named(
 ) -> None:
     advance, calls = kernels.advance, []
 
-    def gusty(scene: Scene, modelled: Ints) -> None:
-        advance(scene, modelled)
+    def gusty(scene: Scene, modelled: Bools, held: Bools) -> None:
+        advance(scene, modelled, held)
         calls.append(1)
         if len(calls) == 7:
             scene.y[1, 4] += 1e-5  # a gust in the seventh step
@@ -45,7 +45,7 @@ def test_the_engines_agree_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("OPENBLAS_CORETYPE", "")  # what is set for the worker ends with this test
     crowded = default_cases()[0][5]  # a dot product rounded once shows in this one's episode 33
     (comparison,) = verify.verify([crowded], episodes=1, seed=33, workers=1)
-    assert (comparison.steps, comparison.largest) == (300, 0.0)
+    assert (comparison.steps, comparison.largest) == (305, 0.0)
 
 
 def test_comparisons_add_up_over_episodes() -> None:
@@ -58,7 +58,12 @@ def test_comparisons_add_up_over_episodes() -> None:
 def test_the_default_cases_cover_what_they_promise() -> None:
     cases, episodes = default_cases()
     assert len(cases) * episodes >= 1000
-    assert {case.scene.profile.name for case in cases} == {"charms", "highway-env"}
+    profiles = {(case.scene.profile.name, case.scene.profile.ego_control_rate) for case in cases}
+    assert profiles == {
+        ("charms", "decision"),
+        ("charms", "simulation"),
+        ("highway-env", "simulation"),
+    }
     assert {case.scene.lanes for case in cases} == {2, 3, 4, 5}
     sizes = [case.scene.vehicles for case in cases]
     assert (min(sizes), max(sizes)) == (6, 60)

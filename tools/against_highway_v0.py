@@ -1,0 +1,155 @@
+"""Compares `Ego-v0` with stock `highway-v0`: `python tools/against_highway_v0.py FOLDER`.
+
+Every episode has a configuration drawn at random: 2 to 6 lanes, 5 to 60 vehicles, density 0.6 to 3,
+1, 3, 5 or 15 decisions per second, 10 to 40 s. Random meta-actions drive the ego. In every second
+episode they are IDLE and SLOWER only, so that most of these episodes last until their time is over.
+An episode differs if an observation or a reward differs by more than 1e-6, or if the episodes do
+not end in the same step. The same is counted for stock highway-env under another NumPy dispatch.
+Every episode that differs is listed. FOLDER keeps the episodes, so the command continues where it
+was interrupted. `--episodes N` sets their number, by default 200.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import highway_env  # noqa: F401  # registers highway-v0
+import numpy as np
+from numpy.typing import NDArray
+
+import charms_bench.envs  # registers Ego-v0
+from charms_bench.engine.exact_maths import ONE_THREAD
+from charms_bench.statistics.intervals import wilson
+from charms_bench.statistics.paired import tango
+from charms_bench.world.actions import ACTIONS, IDLE, SLOWER
+
+DISABLED = "NPY_DISABLE_CPU_FEATURES"
+DISPATCHED = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+"""The processor's features for which NumPy has functions of their own."""
+VARIABLES = {"stock": {}, "dispatch": {DISABLED: " ".join(DISPATCHED)}, "ours": {}}
+"""The variables in the environment of each contestant's process."""
+TOLERANCE = 1e-6
+
+
+class Configuration(NamedTuple):
+    """A configuration of `highway-v0`, and the seed of its episode."""
+
+    seed: int
+    lanes: int
+    vehicles: int
+    density: float
+    decision_hz: int
+    duration_s: float
+
+    @classmethod
+    def drawn(cls, seed: int) -> "Configuration":
+        rng = np.random.default_rng([seed, 3])
+        lanes, vehicles = int(rng.integers(2, 7)), int(rng.integers(5, 61))
+        density, decision_hz = float(rng.uniform(0.6, 3.0)), int(rng.choice([1, 3, 5, 15]))
+        return cls(seed, lanes, vehicles, density, decision_hz, float(rng.integers(10, 41)))
+
+    def make(self, contestant: str) -> Any:
+        if contestant == "ours":
+            return gymnasium.make(
+                charms_bench.envs.ID,
+                profile="highway-env",
+                lanes=self.lanes,
+                traffic_vehicles=self.vehicles,
+                density=self.density,
+                decision_hz=self.decision_hz,
+                duration_s=self.duration_s,
+                ego_slots=1,
+                observation="Kinematics",
+            )
+        config = {
+            "lanes_count": self.lanes,
+            "vehicles_count": self.vehicles,
+            "vehicles_density": self.density,
+            "policy_frequency": self.decision_hz,
+            "duration": self.duration_s,
+        }
+        return gymnasium.make("highway-v0", config=config)
+
+
+def simulate(configuration: Configuration, contestant: str, path: Path) -> None:
+    """Writes the observations, rewards and endings of an episode."""
+    environment = configuration.make(contestant)
+    rng = np.random.default_rng([configuration.seed, 4])
+    observations = [environment.reset(seed=configuration.seed)[0]]
+    rewards, ending = [], (False, False)
+    actions = [IDLE, SLOWER] if configuration.seed % 2 else range(len(ACTIONS))
+    while not any(ending):
+        step = environment.step(int(rng.choice(actions)))
+        observations.append(step[0])
+        rewards.append(step[1])
+        ending = step[2:4]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".unfinished.npz")
+    np.savez_compressed(
+        unfinished, observations=observations, rewards=rewards, terminated=ending[0]
+    )
+    unfinished.replace(path)
+
+
+def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) -> str:
+    """The first difference of an episode from stock highway-env in words; empty if none."""
+    for step, (reward, expected) in enumerate(zip(ours["rewards"], stock["rewards"], strict=False)):
+        seen, known = ours["observations"][step + 1], stock["observations"][step + 1]
+        apart = np.abs(seen - known).max()
+        if max(apart, abs(reward - expected)) > TOLERANCE:
+            speed = np.hypot(*stock["observations"][step + 1][0, 3:5]) * 80
+            return f"step {step + 1}: observation {apart:.1e}, ego at {speed:.1f} m/s"
+    if ours["rewards"].size != stock["rewards"].size or ours["terminated"] != stock["terminated"]:
+        return f"ends in step {ours['rewards'].size}, stock in step {stock['rewards'].size}"
+    return ""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--simulate", choices=VARIABLES, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    configurations = [Configuration.drawn(seed) for seed in range(given.episodes)]
+    paths = {
+        name: [given.folder / name / f"{each.seed}.npz" for each in configurations]
+        for name in VARIABLES
+    }
+    if given.simulate:
+        for configuration, path in zip(configurations, paths[given.simulate], strict=True):
+            if not path.exists():
+                simulate(configuration, given.simulate, path)
+        return
+    for name, variables in VARIABLES.items():  # NumPy reads its variables when it is imported
+        subprocess.run(
+            [sys.executable, __file__, *sys.argv[1:], "--simulate", name],
+            env={**os.environ, **ONE_THREAD, **variables},
+            check=True,
+        )
+    differs = {}
+    for name in ("ours", "dispatch"):
+        print(name)
+        found, timed = [], 0
+        for each, path, stock in zip(configurations, paths[name], paths["stock"], strict=True):
+            with np.load(path) as mine, np.load(stock) as theirs:
+                found.append(difference(dict(mine), dict(theirs)))
+                timed += not theirs["terminated"]
+            if found[-1]:
+                print(f"  {each}: {found[-1]}")
+        differs[name] = np.array([bool(text) for text in found])
+        count, n = int(differs[name].sum()), len(found)
+        low, high = wilson(count, n)
+        share = f"{count / n:.1%} [{low:.1%}, {high:.1%}]"
+        print(f"  {count} of {n} episodes differ from stock, {share}; {timed} last their full time")
+    only_ours = int((differs["ours"] & ~differs["dispatch"]).sum())
+    only_theirs = int((differs["dispatch"] & ~differs["ours"]).sum())
+    low, high = tango(only_ours, only_theirs, given.episodes)
+    print(f"difference {(only_ours - only_theirs) / given.episodes:+.1%} [{low:+.1%}, {high:+.1%}]")
+
+
+if __name__ == "__main__":
+    main()
