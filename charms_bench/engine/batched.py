@@ -28,8 +28,10 @@ class BatchedEngine:
         self._models = models
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
         self._shown = self.scene.read_only()
-        self._is_modelled, self._is_ego = np.zeros((2, *self.drivers.shape), dtype=np.bool_)
-        self._nobody = np.zeros(self.drivers.shape, dtype=np.bool_)
+        shape = self.drivers.shape
+        self._is_modelled = np.zeros(shape, dtype=np.bool_)
+        self._is_ego = np.zeros(shape, dtype=np.bool_)
+        self._nobody = np.zeros(shape, dtype=np.bool_)
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""

@@ -44,7 +44,10 @@ class Policy(ABC):
 
 
 class DriverModel(ABC):
-    """Chooses the acceleration and the lane of its vehicles at every simulation step."""
+    """Chooses the acceleration and the lane of its vehicles at every simulation step.
+
+    For the ego, it does so once per decision if the profile's `ego_control_rate` says so.
+    """
 
     highway_env_class: ClassVar[str] = ""
     """The highway-env vehicle class that is this model's reference, as `module:Class`.
