@@ -112,6 +112,25 @@ def test_side_by_side_the_networks_are_the_same(
     assert (tmp_path / "curves.csv").read_text() == (finished / "curves.csv").read_text()
 
 
+def test_a_suite_of_several_seeds_trains_the_networks_of_each_seed(
+    suite: Path, finished: Path, tmp_path: Path
+) -> None:
+    several = suite.with_name("several.yaml")
+    several.write_text(f"{SUITE}seeds: [0, 1]\n")
+    pipeline.run(several, tmp_path, workers=2, only="charms_kind")
+    stages = ("level_1", "kind", "charms_kind")
+    for name in stages:
+        expected = only(finished, f"{name}-*/{name}.onnx").read_bytes()
+        same, other = (
+            only(tmp_path / folder, f"{name}-*/{name}.onnx").read_bytes()
+            for folder in ("seed-0", "seed-1")
+        )
+        assert same == expected
+        assert other != expected
+    titles = [f"{folder}/{name}" for folder in ("seed-0", "seed-1") for name in stages]
+    assert pl.read_csv(tmp_path / "stages.csv")["stage"].to_list() == titles
+
+
 def test_a_fine_tuned_network_says_where_it_started_and_what_it_changed(finished: Path) -> None:
     made = manifest(finished, "charms_kind")
     sha256 = manifest(finished, "kind")["onnx_sha256"]

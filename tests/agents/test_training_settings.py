@@ -73,6 +73,7 @@ def test_no_training_scene_is_ever_evaluated() -> None:
             {"name": "level_1", "options": {"tau": 1.5}},
             "no traffic named 'level_1'",
         ),
+        (("seeds",), [1, 2, 1], "a seed is given twice in seeds"),
         (("stages", "level_1", "variant"), "calm", "no variant named 'calm'; this file has: "),
         (("weights", "safe", "comfort"), -1.0, "weights.safe.comfort"),
         (("stages", "level_1", "scene", "density"), 0, "stages.level_1.scene.density"),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib.metadata import version
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from charms_agents.human.samples import SampleStore
@@ -26,12 +26,19 @@ _OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost"}
 """The settings of a stage that the paper lacks."""
 
 
+def title_of(seed_folder: str, name: str) -> str:
+    """The name of a stage, after the folder of its seed if it has one."""
+    return (PurePosixPath(seed_folder) / name).as_posix()
+
+
 @dataclass(frozen=True)
 class Job:
     """A stage that is ready to be trained, and its folder."""
 
     output: Path
     """The run folder."""
+    seed_folder: str
+    """The folder of the stage's seed in the run folder; empty if the suite has one seed."""
     name: str
     style: str
     """The style of the network in words."""
@@ -52,9 +59,14 @@ class Job:
         return hashlib.sha256(json.dumps(self.inputs, sort_keys=True).encode()).hexdigest()
 
     @property
+    def title(self) -> str:
+        """See `title_of`."""
+        return title_of(self.seed_folder, self.name)
+
+    @property
     def folder(self) -> Path:
         """The folder of the stage."""
-        return self.output / f"{self.name}-{self.key[:12]}"
+        return self.output / self.seed_folder / f"{self.name}-{self.key[:12]}"
 
     def file(self, ending: str) -> Path:
         """The stage's network (`.onnx`), manifest (`.json`) or learning curve (`.csv`)."""
@@ -67,7 +79,7 @@ class Job:
 
 
 def reinforcement_job(
-    output: Path, name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]
+    output: Path, seed_folder: str, name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]
 ) -> Job:
     """The job of the suite's stage `name`, whose traffic `drivers` drive, in a run folder."""
     stage = suite.stages[name]
@@ -91,6 +103,7 @@ def reinforcement_job(
     }
     return Job(
         output,
+        seed_folder,
         name,
         style=f"{stage.weights}, {stage.svo}",
         total=stage.steps,
@@ -114,7 +127,12 @@ def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any
 
 
 def human_job(
-    output: Path, name: str, suite: TrainingSuite, samples: SampleStore, start: Path | None
+    output: Path,
+    seed_folder: str,
+    name: str,
+    suite: TrainingSuite,
+    samples: SampleStore,
+    start: Path | None,
 ) -> Job:
     """The job of the suite's stage `name`, which learns from samples of human driving.
 
@@ -145,6 +163,7 @@ def human_job(
     }
     return Job(
         output,
+        seed_folder,
         name,
         style=style,
         total=settings.epochs,

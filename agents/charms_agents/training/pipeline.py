@@ -14,7 +14,7 @@ from types import FrameType
 from rich.console import Console
 
 from charms_agents.human.samples import SampleStore
-from charms_agents.training.job import Job, human_job, reinforcement_job
+from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
 from charms_agents.training.progress import progress
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import Human, TrainingSuite, load_training
@@ -54,6 +54,7 @@ def run(
     if only is not None and only not in suite.needs:
         raise InputError(f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.needs)}")
     names = suite.order if only is None else suite.needed_for(only)
+    suites = suite.by_seed
     console = Console(stderr=True, force_interactive=None if sys.stderr.isatty() else False)
 
     def say(text: str) -> None:
@@ -63,16 +64,21 @@ def run(
     if suite.human is not None and set(names) & set(suite.human.stages):
         samples = _sample_store(suite_file, suite.human, output, recordings)
 
-    needs = {name: suite.needs[name] for name in names}
+    needs = {
+        title_of(seed_folder, name): [title_of(seed_folder, each) for each in suite.needs[name]]
+        for seed_folder in suites
+        for name in names
+    }
     with locked(output):
         if samples is not None:
             samples.load()
         with _stop_on_signals() as stop, progress(console) as tell:
-            make_job = partial(_make_job, output, suite, samples)
+            make_job = partial(_make_job, output, suites, samples)
             workers = workers or os.cpu_count() or 1
-            jobs = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
+            finished = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
+        jobs = {title: finished[title] for title in needs}
         write_curves(output, suite, jobs)
-        write_summary(output, [jobs[name] for name in names])
+        write_summary(output, jobs.values())
 
 
 def _sample_store(
@@ -92,25 +98,28 @@ def _sample_store(
 
 def _make_job(
     output: Path,
-    suite: TrainingSuite,
+    suites: Mapping[str, TrainingSuite],
     samples: SampleStore | None,
-    name: str,
+    title: str,
     finished: Mapping[str, Job],
 ) -> Job:
     """The job of a stage whose needs are finished."""
+    seed_folder, _, name = title.rpartition("/")
+    suite = suites[seed_folder]
+
+    def network(stage: str) -> Path:
+        return finished[title_of(seed_folder, stage)].file(".onnx")
+
     if name in suite.human_stages:
         assert samples is not None
         start = suite.human_stages[name].fine_tunes
-        return human_job(
-            output, name, suite, samples, finished[start].file(".onnx") if start else None
-        )
+        started = network(start) if start else None
+        return human_job(output, seed_folder, name, suite, samples, started)
     drivers = {
-        driver: OnnxPolicy(finished[driver].file(".onnx"))
-        if driver in suite.stages
-        else make_agent(driver)
+        driver: OnnxPolicy(network(driver)) if driver in suite.stages else make_agent(driver)
         for driver in suite.traffic_of(suite.stages[name]).agents
     }
-    return reinforcement_job(output, name, suite, drivers)
+    return reinforcement_job(output, seed_folder, name, suite, drivers)
 
 
 @contextmanager

@@ -69,9 +69,9 @@ def run_stages(
         return jobs
 
     def end(job: Job, how: str = "finished") -> None:
-        say(f"{job.name}: {how}, in {job.folder}")
-        finished[job.name] = job
-        sorter.done(job.name)
+        say(f"{job.title}: {how}, in {job.folder}")
+        finished[job.title] = job
+        sorter.done(job.title)
 
     if workers == 1:
         while sorter.is_active():

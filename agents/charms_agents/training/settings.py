@@ -27,6 +27,7 @@ Count = Annotated[int, Field(ge=1, le=10**9)]
 Width = Annotated[int, Field(ge=1, le=4096)]
 """Number of neurons in a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
+Seed = Annotated[int, Field(ge=0, lt=2**23)]
 
 
 class Hyperparameters(FrozenModel):
@@ -159,7 +160,10 @@ class TrainingSuite(FrozenModel):
 
     pipeline: Literal["charms"]
     title: Line = ""
-    seed: Annotated[int, Field(ge=0, lt=2**23)] = 0
+    seed: Seed = 0
+    seeds: Annotated[tuple[Seed, ...], Field(strict=False, max_length=100)] = ()
+    """If given, every stage is trained once with each of these seeds instead of `seed`; the stages
+    of a seed need only stages of the same seed."""
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
     """Further hyperparameters, which stages can name."""
@@ -171,6 +175,22 @@ class TrainingSuite(FrozenModel):
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
+
+    @model_validator(mode="after")
+    def _seeds_differ(self) -> "TrainingSuite":
+        if len(set(self.seeds)) < len(self.seeds):
+            raise ValueError("a seed is given twice in seeds")
+        return self
+
+    @property
+    def by_seed(self) -> dict[str, "TrainingSuite"]:
+        """The suite of each seed, by its folder in the run folder."""
+        if not self.seeds:
+            return {"": self}
+        return {
+            f"seed-{seed}": self.model_copy(update={"seed": seed, "seeds": ()})
+            for seed in self.seeds
+        }
 
     def hyperparameters_of(self, stage: Stage) -> Hyperparameters:
         """The hyperparameters of a stage."""

@@ -122,7 +122,7 @@ class _Life:
             self.logger.dump(at)
             words = point.in_words
         self.reported += len(points)
-        self.tell(self.job.name, self.learner.done, self.job.total, words)
+        self.tell(self.job.title, self.learner.done, self.job.total, words)
 
     def _save(self) -> None:
         now = time.monotonic()

@@ -77,7 +77,7 @@ def write_summary(output: Path, jobs: Iterable[Job]) -> pl.DataFrame:
 
 def _row(job: Job) -> dict[str, Any]:
     made = json.loads(job.file(".json").read_text(encoding="utf-8"))
-    row = {"stage": job.name, "wall_s": made["wall_s"]}
+    row = {"stage": job.title, "wall_s": made["wall_s"]}
     if "supervised" in made:
         before, after = made["before"], made["after"]
         return row | {
@@ -104,9 +104,8 @@ def write_curves(output: Path, suite: TrainingSuite, jobs: Mapping[str, Job]) ->
     stages among other stages' networks, and one for the losses of learning from human driving.
     """
     tables = {
-        name: pl.read_csv(jobs[name].file(".csv"), infer_schema_length=None)
-        for name in suite.needs
-        if name in jobs
+        title: pl.read_csv(job.file(".csv"), infer_schema_length=None)
+        for title, job in jobs.items()
     }
     long = pl.concat(
         [table.select(pl.lit(name).alias("stage"), pl.all()) for name, table in tables.items()],
@@ -118,8 +117,8 @@ def write_curves(output: Path, suite: TrainingSuite, jobs: Mapping[str, Job]) ->
         return
     write_bytes(csv, text.encode())
     titled: dict[str, dict[str, pl.DataFrame]] = {}
-    for name, table in tables.items():
-        titled.setdefault(_title(name, suite), {})[name] = table
+    for title, table in tables.items():
+        titled.setdefault(_title(jobs[title].name, suite), {})[title] = table
     save(_figure({title: titled[title] for title in sorted(titled)}), png)
 
 
