@@ -1,10 +1,11 @@
 """Traffic of all eight styles, mixed by a Poisson cognitive hierarchy (PCH)."""
 
 import math
+from collections.abc import Mapping
 from numbers import Real
 
 from charms_agents.charms import STYLES, SVOS
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.traffic import Mixture
 
 
@@ -15,12 +16,17 @@ class Pch(Mixture):
         tau: Mean of the Poisson distribution over competitive, egoistic, prosocial and altruistic
             (0 to 3). Altruistic also takes the probability of all higher values.
         beta: Probability of an efficient style; otherwise the style is safe.
+        styles: The agents that drive in these styles, such as `{safe-egoistic: mine.onnx}`. CHARMS
+            drives in the other styles.
 
     Raises:
-        InputError: `tau` is negative or not finite, or `beta` is not a probability.
+        InputError: `tau` is negative or not finite, `beta` is not a probability, or `styles` names
+            another style or something other than an agent.
     """
 
-    def __init__(self, tau: float = 1.5, beta: float = 0.5) -> None:
+    def __init__(
+        self, tau: float = 1.5, beta: float = 0.5, styles: Mapping[str, str] | None = None
+    ) -> None:
         if not (_is_number(tau) and 0 <= tau < math.inf):
             raise InputError(f"traffic 'pch': tau must be 0 or more, got {tau!r}")
         if not (_is_number(beta) and 0 <= beta <= 1):
@@ -28,9 +34,24 @@ class Pch(Mixture):
         poisson = [math.exp(-tau) * tau**k / math.factorial(k) for k in range(len(SVOS) - 1)]
         of_svo = dict(zip(SVOS, [*poisson, max(0.0, 1 - math.fsum(poisson))], strict=True))
         of_priority = {"efficient": beta, "safe": 1 - beta}
-        super().__init__(
-            {name: of_priority[style[0]] * of_svo[style[1]] for name, style in STYLES.items()}
-        )
+        agents = {"-".join(style): name for name, style in STYLES.items()} | _checked(styles or {})
+        shares = dict.fromkeys(agents.values(), 0.0)
+        for priority, svo in STYLES.values():  # one agent may drive in several styles
+            shares[agents[f"{priority}-{svo}"]] += of_priority[priority] * of_svo[svo]
+        super().__init__(shares)
+
+
+def _checked(styles: object) -> dict[str, str]:
+    """The agents given for styles."""
+    known = {"-".join(style): style for style in STYLES.values()}
+    if not isinstance(styles, Mapping):
+        raise InputError(f"traffic 'pch': styles must be a mapping of styles to agents: {styles!r}")
+    for style, agent in styles.items():
+        if style not in known:
+            raise InputError(f"traffic 'pch': no style {style!r}. {suggestion(str(style), known)}")
+        if not isinstance(agent, str):
+            raise InputError(f"traffic 'pch': {style} must be an agent's name, got {agent!r}")
+    return dict(styles)
 
 
 def _is_number(value: object) -> bool:

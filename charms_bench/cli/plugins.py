@@ -130,10 +130,21 @@ def new_agent(
 
 @app.command()
 def export(
-    checkpoint: Annotated[
-        Path, typer.Argument(help="Zip file of a DQN, PPO or A2C saved by Stable-Baselines3.")
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CHECKPOINT... [OUT.onnx]",
+            help="Zip file of a DQN, PPO or A2C saved by Stable-Baselines3, and the ONNX file to "
+            "write; with --to, any number of zip files.",
+        ),
     ],
-    output: Annotated[Path, typer.Argument(metavar="OUT.onnx", help="ONNX file to write.")],
+    to: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder to write to; each ONNX file is named like its zip file.",
+        ),
+    ] = None,
     observation: Annotated[
         str,
         typer.Option(
@@ -156,30 +167,39 @@ def export(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Convert a trained network to an ONNX file for suites.
+    """Convert trained networks to ONNX files for suites.
 
-    A suite names the file as `{onnx: OUT.onnx}`.
+    In a suite, the path of an ONNX file is the name of an agent.
     """
     import yaml
 
     from charms_bench.plugins.registry import EXPORTERS, load
     from charms_bench.world.observations import named_observation
 
-    if output.suffix != ".onnx":
-        raise InputError(f"{output}: expected a name that ends in .onnx")
+    if to is not None:
+        outputs = {checkpoint: to / f"{checkpoint.stem}.onnx" for checkpoint in files}
+    elif files[-1].suffix != ".onnx":
+        raise InputError(f"{files[-1]}: expected a name that ends in .onnx, or --to FOLDER")
+    elif len(files) != 2:
+        raise InputError(f"expected one checkpoint before {files[-1]}; --to FOLDER takes several")
+    else:
+        outputs = {files[0]: files[1]}
     try:
         seen = named_observation(yaml.safe_load(observation))
     except yaml.YAMLError as error:
         raise InputError(f"--observation {observation}: is not YAML") from error
     hz = decision_hz or DECISION_HZ[seen.name]
     facts = {"decision_hz": f"{hz:g}"} | ({"style": style} if style else {})
-    made = load(EXPORTERS, "sb3")(checkpoint, output, facts, seen)
-    made |= {"observation": seen.name, "decision_hz": hz}
+    export_zip = load(EXPORTERS, "sb3")
+    records = []
+    for checkpoint, output in outputs.items():
+        made = export_zip(checkpoint, output, facts, seen)
+        records.append(made | {"observation": seen.name, "decision_hz": hz})
+        if not as_json:
+            sizes = " → ".join(map(str, made["sizes"]))
+            say(
+                f"{output}: {sizes}, {made['activation']}; acts as {checkpoint} in "
+                f"{made['observations']:,} observations; observes {seen.name}, decides at {hz:g} Hz"
+            )
     if as_json:
-        print_json(made)
-        return
-    sizes = " → ".join(map(str, made["sizes"]))
-    say(
-        f"{output}: {sizes}, {made['activation']}; acts as {checkpoint} in "
-        f"{made['observations']:,} observations; observes {seen.name}, decides at {hz:g} Hz"
-    )
+        print_json(records[0] if to is None else records)

@@ -4,7 +4,7 @@ A run folder holds rows of the ego only. The seed and the agents determine an ep
 a new simulation gives the trajectories of all vehicles. Its rows must equal those of the run.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,14 @@ import polars as pl
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, RunFolderError, suggestion
-from charms_bench.plugins.agent import Agent
-from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.specs import AgentSpec
+from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
+Networks = Mapping[str, Path]
+"""The files of a cell's networks; see `specs.networks_of`."""
 TRAJECTORY_SCHEMA = pl.Schema(
     {
         "t_s": pl.Float64(),  # time since the start of the episode
@@ -177,8 +177,8 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     """
     stored = _stored(run, cell, episodes)
     ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
-    agents = {name: AgentSpec(name=name).make(folder) for name in traffic.agents}
-    agents[ego.key] = _ego(run, ego, folder)
+    networks = _networks(run, cell, folder)
+    agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
     simulation = Simulation(run.suite.scene, len(episodes), ego.key, traffic, agents)
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
@@ -195,7 +195,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     for b, episode in enumerate(episodes):
         mine = pl.col("episode") == episode
         again = steps.filter(mine)
-        _check(run, cell, stored.filter(mine), again)
+        _check(run, cell, networks, stored.filter(mine), again)
         length = int(simulation.steps[b]) * interval + 1
         replays.append(
             Replay(
@@ -230,15 +230,11 @@ def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFram
     return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
 
 
-def _ego(run: FinishedRun, ego: AgentSpec, folder: Path) -> Agent:
-    """Returns the agent of the ego; a network given by path comes from the run folder."""
-    kept = None if ego.onnx is None else run.folder.network(ego.key)
-    if kept is None:
-        return ego.make(folder)
-    network = OnnxPolicy(kept, ego.decision_hz)
-    if network.weights_sha256 != kept.stem:
-        raise RunFolderError(f"{kept}: has changed since it was written; run the suite again")
-    return network
+def _networks(run: FinishedRun, cell: int, folder: Path) -> Networks:
+    """Returns the files of the cell's networks: the copies in the run folder, if it has them."""
+    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
+    given = networks_of(ego, traffic, folder)
+    return {name: run.folder.network(name) or path for name, path in given.items()}
 
 
 def _frame(simulation: Simulation) -> dict[str, Any]:
@@ -247,7 +243,9 @@ def _frame(simulation: Simulation) -> dict[str, Any]:
     return scene | {name: getattr(simulation, name).copy() for name in ("action", "has_action")}
 
 
-def _check(run: FinishedRun, cell: int, stored: pl.DataFrame, again: pl.DataFrame) -> None:
+def _check(
+    run: FinishedRun, cell: int, networks: Networks, stored: pl.DataFrame, again: pl.DataFrame
+) -> None:
     """Raises an error if the rows of a replay differ from those of the run."""
     if again.equals(stored):
         return
@@ -262,17 +260,14 @@ def _check(run: FinishedRun, cell: int, stored: pl.DataFrame, again: pl.DataFram
     raise RunFolderError(
         f"{run.folder.path}: episode {stored['episode'][0]} of {run.suite.cells[cell].ego.title} "
         f"no longer follows the recorded trajectory: step {step}, {name} was {then}, now {now}. "
-        f"{_reason(run, cell)}"
+        f"{_reason(run, cell, networks)}"
     )
 
 
-def _reason(run: FinishedRun, cell: int) -> str:
+def _reason(run: FinishedRun, cell: int, networks: Networks) -> str:
     """Says which versions the run was made with, agents first."""
     manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
-    ego, traffic = chosen.ego.agent, chosen.traffic.traffic
-    if ego.onnx is not None:  # its hash was checked; only the traffic's agents can differ
-        ego = AgentSpec(name=traffic.make().agents[0])
-    agents = identify_agents(ego, traffic)
+    agents = identify_agents(chosen.ego.agent, chosen.traffic.traffic, networks)
     recorded = manifest.get("agents", {})
     changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
     made = (

@@ -46,7 +46,9 @@ class OnnxPolicy(Policy):
         try:
             data = read_limited(self.path, SIZE_LIMIT_BYTES)
         except OSError as error:
-            raise ModelError(f"{self.path}: cannot be read: {error.strerror}") from error
+            missing = isinstance(error, FileNotFoundError)
+            remedy = f"; {_made_by(self.path)}" if missing else ""
+            raise ModelError(f"{self.path}: cannot be read: {error.strerror}{remedy}") from error
         if problem := problem_of(data):
             raise ModelError(f"{self.path}: {problem}")
         self._sha256 = sha256(data).hexdigest()
@@ -97,6 +99,12 @@ class OnnxPolicy(Policy):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self.decision_hz)
+
+
+def _made_by(path: Path) -> str:
+    """How to make a network from its checkpoint."""
+    command = f"charms-bench export {path.stem}.zip --to {path.parent}"
+    return f"`{command}` makes it from a checkpoint of Stable-Baselines3"
 
 
 def _session(path: Path, data: bytes) -> Any:

@@ -1,4 +1,4 @@
-"""Finds plugins by name among the installed entry points.
+"""Finds plugins by name among the installed entry points; an agent can also be a network's file.
 
 Listing reads metadata only. A plugin is imported when it is asked for, so a broken plugin does not
 affect the others.
@@ -16,6 +16,7 @@ from typing import Any, cast
 
 from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.traffic import OneAgent, Traffic
 
 AGENTS = "charms_bench.agents"
@@ -32,6 +33,11 @@ _ROLES = {
     METRICS: "metric set",
     SAMPLERS: "sampler",
 }
+
+
+def is_network(name: str) -> bool:
+    """Whether an agent's name is the path of a network: it ends in `.onnx`."""
+    return name.endswith(".onnx")
 
 
 @dataclass(frozen=True)
@@ -89,16 +95,27 @@ def find(group: str, name: str) -> Plugin:
     installed = plugins(group)
     if name in installed:
         return installed[name]
-    raise RegistryError(f"no {_ROLES[group]} named '{name}'. {suggestion(name, installed)}")
+    raise RegistryError(_unknown(_ROLES[group], name, installed))
+
+
+def _unknown(role: str, name: str, known: Mapping[str, object]) -> str:
+    drives = role in ("agent", "traffic")
+    path = " The path of a network ends in .onnx." * (drives and ("/" in name or "." in name))
+    return f"no {role} named '{name}'. {suggestion(name, known)}{path}"
 
 
 def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
-    """The agent of that name, made with `options`.
+    """The agent of that name, made with `options`; a name that ends in `.onnx` is a network's path.
 
     Raises:
         RegistryError: It is not installed, cannot be imported, does not accept the options, or is
             not an agent.
+        ModelError: The network cannot be used.
     """
+    if is_network(name):
+        if options:
+            raise RegistryError(f"the network {name} takes no options, got {', '.join(options)}")
+        return OnnxPolicy(name)
     return cast(Agent, _make(find(AGENTS, name), options, Policy, DriverModel))
 
 
@@ -108,14 +125,14 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     Raises:
         RegistryError: As for `make_agent`.
     """
-    installed = plugins(TRAFFIC)
-    if name not in installed:
-        agents = plugins(AGENTS)
-        if name in agents and not options:
-            return OneAgent(name)
-        known = {**installed, **agents}
-        raise RegistryError(f"no traffic named '{name}'. {suggestion(name, known)}")
-    return cast(Traffic, _make(installed[name], options, Traffic))
+    installed, agents = plugins(TRAFFIC), plugins(AGENTS)
+    if name in installed:
+        return cast(Traffic, _make(installed[name], options, Traffic))
+    if not is_network(name) and name not in agents:
+        raise RegistryError(_unknown("traffic", name, {**installed, **agents}))
+    if options:
+        raise RegistryError(f"'{name}' is an agent; as a traffic, it takes no options")
+    return OneAgent(name)
 
 
 def load(group: str, name: str) -> Any:

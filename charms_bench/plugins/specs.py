@@ -1,64 +1,88 @@
 """Agents and traffics as a suite describes them."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.registry import make_agent, make_traffic
+from charms_bench.plugins.registry import is_network, make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.fields import FilePath, FrozenModel, Name
+from charms_bench.world.fields import FrozenModel, Line
+
+
+def _short(name: str) -> str:
+    """Refuses an empty name and one that is too long; a path may be as long as a line."""
+    if not name or (len(name) > 80 and not is_network(name)):
+        raise ValueError("expected 1 to 80 characters")
+    return name
+
+
+AgentName = Annotated[Line, AfterValidator(_short)]
+"""The name of an installed agent, or the path of a network; see `registry.is_network`."""
 
 
 class _Spec(FrozenModel):
-    """A plugin by its name; a plain string is the name."""
+    """A plugin by its name; a plain string is the name, and `{onnx: path}` means `{name: path}`."""
 
-    name: Name | None = None
+    name: AgentName | None = None
     options: dict[str, Any] = Field(default={})
 
     @model_validator(mode="before")
     @classmethod
     def _from_name(cls, value: object) -> object:
-        return {"name": value} if isinstance(value, str) else value
+        if isinstance(value, str):
+            return {"name": value}
+        if not isinstance(value, dict) or value.get("onnx") is None:
+            return value
+        path, others = value["onnx"], {key: value[key] for key in value if key != "onnx"}
+        if others.get("name") is not None or not isinstance(path, str) or not is_network(path):
+            raise ValueError("onnx: expected a path that ends in .onnx, and no name beside it")
+        return {**others, "name": path}
 
 
 class AgentSpec(_Spec):
-    """An agent by its name, or a network by the path of its ONNX file."""
+    """An agent by its name; a network may be given its decision rate."""
 
-    onnx: FilePath | None = None
+    name: AgentName
     decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    """By default, the rate in the network's file."""
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> "AgentSpec":
-        if (self.name is None) == (self.onnx is None):
-            raise ValueError("give a name, or the path of an ONNX file as {onnx: path}")
-        if self.onnx is None and self.decision_hz is not None:
+    def _fits(self) -> "AgentSpec":
+        if is_network(self.name):
+            if self.options:
+                raise ValueError("options are for installed agents; a network has decision_hz")
+        elif self.decision_hz is not None:
             raise ValueError("decision_hz is for networks given by path")
-        if self.onnx is not None and self.options:
-            raise ValueError("options are for agents given by name")
         return self
 
     @property
     def key(self) -> str:
-        """Identifies the agent: its name if it has no options, else all of this as JSON."""
-        if self.name is not None and not self.options:
+        """Identifies the agent: its name if it has nothing else, or all of this as JSON."""
+        if not self.options and self.decision_hz is None:
             return self.name
         return json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
 
-    def make(self, folder: Path) -> Agent:
-        """The agent; a relative path starts at `folder`."""
-        if self.onnx is None:
-            return make_agent(str(self.name), self.options)
-        return OnnxPolicy(folder / self.onnx, self.decision_hz)
+    @property
+    def origin(self) -> str:
+        """What its version belongs to: the path of a network, or else its `key`."""
+        return self.name if is_network(self.name) else self.key
+
+    def make(self, networks: Mapping[str, Path]) -> Agent:
+        """The agent; `networks` has the file of each network, see `networks_of`."""
+        if is_network(self.name):
+            return OnnxPolicy(networks[self.name], self.decision_hz)
+        return make_agent(self.name, self.options)
 
 
 class TrafficSpec(_Spec):
     """A traffic or an agent by its name, or a mixture of agents with shares."""
 
-    mixture: dict[Name, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
+    mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "TrafficSpec":
@@ -71,3 +95,30 @@ class TrafficSpec(_Spec):
         if self.name is not None:
             return make_traffic(self.name, self.options)
         return Mixture(self.mixture)
+
+
+def drivers_of(ego: AgentSpec, traffic: Traffic) -> tuple[AgentSpec, ...]:
+    """The agents that drive in a cell: the ego's, then the others of the traffic."""
+    return (ego, *(AgentSpec(name=name) for name in traffic.agents if name != ego.key))
+
+
+def networks_of(ego: AgentSpec, traffic: Traffic, folder: Path) -> dict[str, Path]:
+    """The file of each network in a cell, by its name; relative paths start at `folder`."""
+    names = (driver.name for driver in drivers_of(ego, traffic))
+    return {name: folder / name for name in names if is_network(name)}
+
+
+def by_content(value: Any, contents: Mapping[str, str]) -> Any:
+    """A JSON value in which what stands for a network's content replaces its name.
+
+    Args:
+        value: The JSON value.
+        contents: What stands for each network, by its name.
+    """
+    if isinstance(value, str):
+        return contents.get(value, value)
+    if isinstance(value, Mapping):
+        return {contents.get(key, key): by_content(each, contents) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [by_content(each, contents) for each in value]
+    return value

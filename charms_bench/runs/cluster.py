@@ -78,8 +78,8 @@ def _simulate_all(
         agents = task.software.agents
         names |= task.software.versions.keys()
         names |= {agent["distribution"] for agent in agents.values() if "distribution" in agent}
-        if task.network is not None:
-            networks[agents[task.ego.key]["weights_sha256"]] = task.network
+        for name, path in task.networks.items():
+            networks[agents[name]["weights_sha256"]] = path
     with _connected(address) as client:
         # Where there are no workers yet, this waits for one, or has the cluster start one.
         list(_finished(client, {client.submit(getpid, pure=False): "a first task"}, str, limit_s))

@@ -32,7 +32,7 @@ class Job:
     environment: Mapping[str, str]
     """Environment variables that workers have to set."""
     networks: Mapping[str, bytes]
-    """The ONNX files of egos given by path, by their SHA-256."""
+    """The ONNX files of networks given by path, by their SHA-256."""
 
 
 def describe_platform(
@@ -70,13 +70,14 @@ def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
         from charms_bench.world.files import write_bytes
 
         task: ShardTask = pickle.loads(pickled)
-        if task.network is not None:
-            sha256 = task.software.agents[task.ego.key]["weights_sha256"]
-            network = Path(worker.local_directory, "networks", f"{sha256}.onnx")
-            if not network.exists():
-                write_bytes(network, job.networks[sha256])
-            task = replace(task, network=network)
-        found = installed(task.ego, task.traffic, task.network)
+        networks = {}
+        for name in task.networks:
+            sha256 = task.software.agents[name]["weights_sha256"]
+            networks[name] = Path(worker.local_directory, "networks", f"{sha256}.onnx")
+            if not networks[name].exists():
+                write_bytes(networks[name], job.networks[sha256])
+        task = replace(task, networks=networks)
+        found = installed(task.ego, task.traffic, task.networks)
         _refuse(worker.address, found.differences(task.software))
         return simulate(task)
 

@@ -1,6 +1,6 @@
 """Reads YAML files from users into validated models; errors name file, line and field."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -74,8 +74,30 @@ class Document:
             named += f"[{part}]" if isinstance(part, int) else f".{part}"
         return self._at(line, f"{named.lstrip('.')}: {what}" if named else what)
 
+    def place_of(self, text: str, within: Location) -> Location:
+        """Returns the location of the first key or value that is this text.
+
+        Args:
+            text: The key or value.
+            within: The location to search, which is also returned if the text is not there.
+        """
+        value = self.data
+        for part in within:
+            value = value[part]
+        found = _places(value, text)
+        return (*within, *next(found, ()))
+
     def _at(self, line: int, what: str) -> SuiteError:
         return SuiteError(f"{self.path}:{line + 1}: {what}")
+
+
+def _places(value: Any, text: str) -> Iterator[tuple[str | int, ...]]:
+    """Yields the locations below a value of the keys and values that are a text."""
+    if isinstance(value, dict | list):
+        for part, below in value.items() if isinstance(value, dict) else enumerate(value):
+            if text in (part, below):
+                yield (part,)
+            yield from ((part, *rest) for rest in _places(below, text))
 
 
 def value_of(text: str) -> Any:

@@ -22,6 +22,7 @@ from charms_bench import __version__
 from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import library_versions
 from charms_bench.runs.lock import locked
 from charms_bench.runs.shard import ShardFiles
@@ -286,19 +287,33 @@ class RunFolder:
         if not copy.exists() or copy.read_bytes() != data:
             write_bytes(copy, data)
 
-    def network(self, key: str) -> Path | None:
-        """Returns the copy of an agent's network, or None if the folder has none.
-
-        Args:
-            key: The agent's `AgentSpec.key`.
-        """
+    def network_hashes(self) -> dict[str, str]:
+        """Returns the SHA-256 of each network that the suite gives by path, by its name there."""
         agents = self.manifest().get("agents")
-        identity = agents.get(key) if isinstance(agents, dict) else None
-        sha256 = identity.get("weights_sha256") if isinstance(identity, dict) else None
-        if re.fullmatch(r"[0-9a-f]{64}", str(sha256)) is None:
+        found = {
+            name: str(identity.get("weights_sha256"))
+            for name, identity in (agents.items() if isinstance(agents, dict) else ())
+            if is_network(name) and isinstance(identity, dict)
+        }
+        return {name: each for name, each in found.items() if re.fullmatch("[0-9a-f]{64}", each)}
+
+    def network(self, name: str) -> Path | None:
+        """Returns the copy of a network that the suite gives by path, or None if it has none.
+
+        Raises:
+            RunFolderError: The copy has changed since it was written, or cannot be read.
+        """
+        sha256 = self.network_hashes().get(name, "")
+        copy = self._network(sha256)
+        if not copy.exists():
             return None
-        copy = self._network(str(sha256))
-        return copy if copy.exists() else None
+        try:
+            data = read_limited(copy, FILE_LIMIT_BYTES)
+        except OSError as error:
+            raise RunFolderError(f"{copy}: cannot be read: {error.strerror}") from error
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise RunFolderError(f"{copy}: has changed since it was written; run the suite again")
+        return copy
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Deletes every shard that is not one of these."""

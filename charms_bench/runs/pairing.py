@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from charms_bench.errors import InputError, suggestion
+from charms_bench.plugins.specs import by_content
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.folder import differing_fields
@@ -71,15 +72,16 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
     named = {name for traffic in traffics for name in (traffic.name, *traffic.mixture)}
-    egos = {ego.agent.key for ego in suite.egos} - named
+    egos = {ego.agent.origin for ego in suite.egos} - named
     agents = manifest.get("agents", {})
+    networks = run.folder.network_hashes()
     return {
         "charms_bench": manifest.get("charms_bench"),
         "scene": suite.scene.model_dump(mode="json"),
         "seed": suite.seed,
         "episodes": suite.episodes,
-        "traffics": [traffic.model_dump(mode="json") for traffic in traffics],
-        "agents": {name: found for name, found in agents.items() if name not in egos},
+        "traffics": [by_content(each.model_dump(mode="json"), networks) for each in traffics],
+        "agents": by_content({k: agents[k] for k in agents if k not in egos}, networks),
     }
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.folder import RunFolder, Shard
 from charms_bench.runs.shard import (
@@ -79,9 +80,9 @@ def run(
             for name, identity in task.software.agents.items()
         }
         folder.write_manifest(suite, engine, agents)
-        for task in tasks.values():
-            if task.network is not None:
-                folder.keep_network(task.network, agents[task.ego.key]["weights_sha256"])
+        networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
+        for name, path in networks.items():
+            folder.keep_network(path, agents[name]["weights_sha256"])
         if rows is not None:
             folder.take(tasks, rows)
         missing: dict[ShardTask, Shard] = {}
@@ -120,8 +121,8 @@ def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
     tasks: dict[Shard, ShardTask] = {}
     for index, cell in enumerate(suite.cells):
         ego, traffic = cell.ego.agent, cell.traffic.traffic
-        network = None if ego.onnx is None else suite.folder / ego.onnx
-        software = installed(ego, traffic, network)
+        networks = networks_of(ego, traffic.make(), suite.folder)
+        software = installed(ego, traffic, networks)
         for start in range(0, suite.episodes, SHARD_EPISODES[engine]):
             episodes = min(SHARD_EPISODES[engine], suite.episodes - start)
             first, last = suite.seed + start, suite.seed + start + episodes - 1
@@ -131,7 +132,7 @@ def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
                 scene=suite.scene,
                 ego=ego,
                 traffic=traffic,
-                network=network,
+                networks=networks,
                 first_seed=first,
                 episodes=episodes,
                 software=software,

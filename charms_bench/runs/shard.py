@@ -21,9 +21,8 @@ from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
-from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, plugins
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
 from charms_bench.world.scene import SceneSettings
 
@@ -65,8 +64,8 @@ class ShardTask:
     scene: SceneSettings
     ego: AgentSpec
     traffic: TrafficSpec
-    network: Path | None
-    """The ONNX file of an ego that the suite gives by path."""
+    networks: Mapping[str, Path]
+    """The files of the cell's networks; see `specs.networks_of`."""
     first_seed: int
     """Seed of the first episode; the next episodes have the next seeds."""
     episodes: int
@@ -75,17 +74,25 @@ class ShardTask:
 
     @property
     def key(self) -> str:
-        """Hash of everything that its rows depend on."""
+        """Hash of everything that its rows depend on: of a network, the content and not the path.
+
+        The order of agents is part of it, because the random draw of a mixture follows that order.
+        """
         inputs = {
             "engine": self.engine,
             "scene": self.scene.model_dump(mode="json"),
-            "ego": self.ego.key,
+            "ego": self.ego.model_dump(mode="json"),
             "traffic": self.traffic.model_dump(mode="json"),
             "first_seed": self.first_seed,
             "episodes": self.episodes,
             "software": asdict(self.software),
         }
-        return sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+        # Numbered, so that two names for the same content stay two keys of a mixture.
+        contents = {
+            name: f"{self.software.agents[name]['weights_sha256']} {number}"
+            for number, name in enumerate(self.networks)
+        }
+        return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
 
 
 def simulate(task: ShardTask) -> ShardFiles:
@@ -96,13 +103,13 @@ def simulate(task: ShardTask) -> ShardFiles:
         CharmsBenchError: An agent cannot be made, or fails.
     """
     use_exact_maths(task.engine)
-    if changed := installed(task.ego, task.traffic, task.network).differences(task.software):
+    if changed := installed(task.ego, task.traffic, task.networks).differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"
         )
     traffic = task.traffic.make()
-    agents = {name: _agent(AgentSpec(name=name)) for name in traffic.agents}
-    agents[task.ego.key] = _agent(task.ego, task.network)
+    drivers = drivers_of(task.ego, traffic)
+    agents = {driver.key: _agent(driver, task.networks) for driver in drivers}
     ego, count, first = task.ego.key, task.episodes, task.first_seed
     simulation = Simulation(task.scene, count, ego, traffic, agents, task.engine)
     simulation.reset(np.arange(first, first + count, dtype=np.uint64))
@@ -124,40 +131,38 @@ def in_parquet(rows: pl.DataFrame) -> bytes:
     return file.getvalue()
 
 
-def installed(ego: AgentSpec, traffic: TrafficSpec, network: Path | None) -> Software:
+def installed(ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path]) -> Software:
     """Returns what is installed here and decides the rows of a cell."""
-    agents = identify_agents(ego, traffic, network)
+    agents = identify_agents(ego, traffic, networks)
     return Software(harness_sha256(), library_versions(), agents)
 
 
 def identify_agents(
-    ego: AgentSpec, traffic: TrafficSpec, network: Path | None = None
+    ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path]
 ) -> dict[str, dict[str, str]]:
     """Returns what tells each agent of a cell, and its traffic plugin, from other versions.
 
     Args:
         ego: The ego's agent.
         traffic: The traffic around it.
-        network: The ONNX file of an ego given by path.
+        networks: The files of their networks; see `specs.networks_of`.
 
     Returns:
-        By `AgentSpec.key`, the hash of a policy's weights and the plugin's distribution, version
+        By `AgentSpec.origin`, the hash of a policy's weights and the plugin's distribution, version
         and hash of its code.
     """
-    found = {ego.key: _identify(ego, network)}
-    for name in traffic.make().agents:
-        spec = AgentSpec(name=name)
-        found[spec.key] = _identify(spec)
+    drivers = drivers_of(ego, traffic.make())
+    found = {driver.origin: _identify(driver, networks) for driver in drivers}
     traffics = plugins(TRAFFIC)
     if traffic.name is not None and traffic.name in traffics:
         found[f"traffic {traffic.name}"] = _origin(traffics[traffic.name])
     return found
 
 
-def _identify(spec: AgentSpec, network: Path | None = None) -> dict[str, str]:
-    agent = _agent(spec, network)
+def _identify(spec: AgentSpec, networks: Mapping[str, Path]) -> dict[str, str]:
+    agent = _agent(spec, networks)
     weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
-    return weights if spec.name is None else weights | _origin(find(AGENTS, spec.name))
+    return weights if is_network(spec.name) else weights | _origin(find(AGENTS, spec.name))
 
 
 def _origin(plugin: Plugin) -> dict[str, str]:
@@ -168,14 +173,14 @@ def _origin(plugin: Plugin) -> dict[str, str]:
     }
 
 
-def _agent(spec: AgentSpec, network: Path | None = None) -> Agent:
-    return _cached_agent(spec.model_dump_json(), network)
+def _agent(spec: AgentSpec, networks: Mapping[str, Path]) -> Agent:
+    return _cached_agent(spec.model_dump_json(), networks.get(spec.name))
 
 
 @lru_cache
 def _cached_agent(spec_json: str, network: Path | None) -> Agent:
     spec = AgentSpec.model_validate_json(spec_json)
-    return spec.make(Path()) if network is None else OnnxPolicy(network, spec.decision_hz)
+    return spec.make({} if network is None else {spec.name: network})
 
 
 def forget_agents() -> None:

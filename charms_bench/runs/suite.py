@@ -11,7 +11,8 @@ from pydantic import Field, ValidationInfo, model_validator
 from charms_bench.errors import InputError, suggestion
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.people.reference import ReferenceSpec
-from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.world.fields import Finite, FrozenModel, Line, Name
@@ -36,7 +37,7 @@ class EgoEntry(FrozenModel):
     @property
     def title(self) -> str:
         """Its name in tables."""
-        return self.label or self.agent.name or str(self.agent.onnx)
+        return self.label or self.agent.name
 
 
 class TrafficEntry(FrozenModel):
@@ -141,7 +142,8 @@ def load_suite(path: Path) -> Suite:
     """Reads a suite from a YAML file.
 
     Raises:
-        SuiteError: The file is wrong, or an agent or a traffic is not installed.
+        SuiteError: The file is wrong, an agent or a traffic is not installed, or a network cannot
+            be used.
     """
     return suite_of(Document(path))
 
@@ -154,9 +156,18 @@ def suite_of(document: Document) -> Suite:
     for what, entries in both.items():
         for index, entry in enumerate(entries):
             try:
-                _check_names(entry)
+                names = _names(entry)
+                for name in names:
+                    if not is_network(name):
+                        find(AGENTS, name)
             except InputError as error:
                 raise document.error((what, index), str(error)) from error
+            for name in filter(is_network, names):
+                try:
+                    OnnxPolicy(suite.folder / name)
+                except InputError as error:
+                    place = document.place_of(name, (what, index))
+                    raise document.error(place, str(error)) from error
         for index, entry in enumerate(entries):
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
@@ -173,10 +184,6 @@ def _check_metric(
         raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
 
 
-def _check_names(entry: EgoEntry | TrafficEntry) -> None:
-    if isinstance(entry, EgoEntry):
-        if entry.agent.name is not None:
-            find(AGENTS, entry.agent.name)
-        return
-    for agent in entry.traffic.make().agents:
-        find(AGENTS, agent)
+def _names(entry: EgoEntry | TrafficEntry) -> tuple[str, ...]:
+    """Returns the names of an entry's agents."""
+    return (entry.agent.name,) if isinstance(entry, EgoEntry) else entry.traffic.make().agents

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec, drivers_of, networks_of
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
 from charms_bench.runs.workers import in_processes
@@ -38,7 +38,7 @@ class Case(FrozenModel):
         """A description in one line."""
         scene = self.scene
         return (
-            f"{self.ego.name or self.ego.onnx}, {scene.profile.name}: {scene.lanes} lanes, "
+            f"{self.ego.name}, {scene.profile.name}: {scene.lanes} lanes, "
             f"{scene.vehicles} vehicles, density {scene.density:g}"
         )
 
@@ -152,8 +152,8 @@ class _Chunk:
 def compare(case: Case, seed: int, episodes: int) -> Comparison:
     """Compares the engines over the episodes `seed` to `seed + episodes - 1`."""
     traffic = case.traffic.make()
-    agents = {name: AgentSpec(name=name).make(case.folder) for name in traffic.agents}
-    agents[case.ego.key] = case.ego.make(case.folder)
+    networks = networks_of(case.ego, traffic, case.folder)
+    agents = {driver.key: driver.make(networks) for driver in drivers_of(case.ego, traffic)}
     ours, theirs = (
         Simulation(case.scene, episodes, case.ego.key, traffic, agents, engine)
         for engine in ("batched", "highway-env")

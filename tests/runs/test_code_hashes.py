@@ -21,7 +21,7 @@ from charms_bench.runs import shard
 from charms_bench.world.scene import SceneSettings
 for name in ("stackelberg", "charms", "imitation"):
     agent, traffic = AgentSpec(name=name), TrafficSpec(name="pch")
-    inputs = SceneSettings(duration_s=1.0), agent, traffic, None
+    inputs = SceneSettings(duration_s=1.0), agent, traffic, {}
     task = shard.ShardTask("a", "batched", *inputs, 0, 2, shard.installed(*inputs[1:]))
     shard.simulate(task)
 import charms_bench.engine.highway_env

@@ -83,17 +83,27 @@ def test_references_are_for_one_ego() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec",
+    ("spec", "message"),
     [
-        {"name": "a", "onnx": "b.onnx"},
-        {},
-        {"name": "a", "decision_hz": 3},
-        {"onnx": "b.onnx", "options": {"gain": 1}},
+        ({"name": "a", "onnx": "b.onnx"}, "expected a path that ends in .onnx, and no name"),
+        ({"onnx": "b.pt"}, "expected a path that ends in .onnx, and no name"),
+        ({}, "Field required"),
+        ({"name": "a", "decision_hz": 3}, "decision_hz is for networks"),
+        ({"name": "b.onnx", "options": {"gain": 1}}, "options are for installed agents"),
+        ("a" * 81, "expected 1 to 80 characters"),
+        ("a" * 1000 + ".onnx", "at most 1000 characters"),
+        ("a\x1b.onnx", "characters that can be printed"),
     ],
 )
-def test_an_agent_is_a_name_or_a_network(spec: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=r"give a name|decision_hz is for|options are for"):
+def test_an_agent_is_a_name_or_a_network(spec: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         AgentSpec.model_validate(spec)
+
+
+def test_the_two_ways_to_write_a_network_mean_the_same() -> None:
+    assert AgentSpec.model_validate({"onnx": "b.onnx"}) == AgentSpec.model_validate("b.onnx")
+    slow = AgentSpec.model_validate({"onnx": "b.onnx", "decision_hz": 1})
+    assert (slow.name, slow.decision_hz) == ("b.onnx", 1.0)
 
 
 def test_an_agent_that_is_not_installed_is_named_with_its_line(tmp_path: Path) -> None:
