@@ -3,7 +3,8 @@
 RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, and that of the
 training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
 `<!-- results: NAME -->` and `<!-- end of results -->` wherever that stands. What RUNS does not
-hold stays as it is.
+hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-ego` with `RUNS/ego`,
+and so on; CSV files in `docs/results` hold their numbers.
 """
 
 import re
@@ -12,6 +13,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import polars as pl
+from reproduction import compared, verdicts
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.markdown import markdown
@@ -125,6 +129,16 @@ def fine_tuning(run: Path) -> str:
     return markdown(chosen.named("before", "after"))
 
 
+def reproduction(run: Path) -> str:
+    """The results of the authors' networks and ours beside the paper's; nothing without ours."""
+    name = run.name.removeprefix("released-")
+    if not (run.parent / name).is_dir():
+        return ""
+    numbers = RESULTS / f"reproduction-{name}.csv"
+    compared(run, run.parent / name).write_csv(numbers)
+    return verdicts(pl.read_csv(numbers))
+
+
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "ego": ("ego", partial(of_suite, EGO)),
     "edge-cases": ("ego", edges),
@@ -134,6 +148,9 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
     "fine-tuning": ("train", fine_tuning),
+    "reproduction-ego": ("released-ego", reproduction),
+    "reproduction-styles": ("released-styles", reproduction),
+    "reproduction-environment": ("released-environment", reproduction),
 }
 """By name: the run folder that is needed, and what makes the text of it."""
 

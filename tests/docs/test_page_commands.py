@@ -19,6 +19,7 @@ ELSEWHERE = {
     "plugins.md": "tests/docs/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
     "cluster.md": "tests/runs/test_cluster.py",
+    "reproduction.md": "tests/runs/test_released_suites.py",
 }
 """Pages whose examples depend on one another, and the test that runs all of them."""
 NOT_RUN = {
