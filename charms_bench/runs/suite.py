@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from charms_bench.errors import InputError, suggestion
+from charms_bench.errors import InputError, first_problem, suggestion
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -162,6 +162,8 @@ def suite_of(document: Document) -> Suite:
                         find(AGENTS, name)
             except InputError as error:
                 raise document.error((what, index), str(error)) from error
+            except ValidationError as error:  # a name in the options of a traffic
+                raise document.error((what, index), first_problem(error)[1]) from error
             for name in filter(is_network, names):
                 try:
                     OnnxPolicy(suite.folder / name)
@@ -185,5 +187,11 @@ def _check_metric(
 
 
 def _names(entry: EgoEntry | TrafficEntry) -> tuple[str, ...]:
-    """Returns the names of an entry's agents."""
-    return (entry.agent.name,) if isinstance(entry, EgoEntry) else entry.traffic.make().agents
+    """Returns the names of an entry's agents.
+
+    Raises:
+        ValidationError: A name is too long, or has characters that cannot be printed.
+    """
+    if isinstance(entry, EgoEntry):
+        return (entry.agent.name,)
+    return tuple(AgentSpec(name=name).name for name in entry.traffic.make().agents)

@@ -56,6 +56,15 @@ def test_at_tau_zero_everybody_competes() -> None:
     assert set(assigned.ravel()) == {"charms-efficient-competitive"}
 
 
+def test_other_agents_take_the_shares_of_the_styles_that_they_are_given_for() -> None:
+    styles = {"efficient-egoistic": "mine.onnx", "safe-egoistic": "mine.onnx"}
+    traffic = Pch(tau=1.5, beta=0.5, styles=styles)
+    assigned = traffic.assign(np.random.default_rng(0), 1, 200_000)
+    # exp(-1.5) times 1.5, efficient and safe together.
+    assert (assigned == "mine.onnx").mean() == pytest.approx(0.3347, abs=0.005)
+    assert set(STYLES) - set(traffic.agents) == {"charms", "charms-safe-egoistic"}
+
+
 def test_every_style_is_an_installed_agent() -> None:
     assert set(make_traffic("pch").agents) == set(STYLES) <= set(plugins(AGENTS))
 
@@ -69,6 +78,9 @@ def test_every_style_is_an_installed_agent() -> None:
         ({"tau": "1.5"}, "tau must be 0 or more, got '1.5'"),
         ({"beta": 1.1}, "beta must be from 0 to 1, got 1.1"),
         ({"beta": True}, "beta must be from 0 to 1, got True"),
+        ({"styles": ["a"]}, r"styles must be a mapping of styles to agents: \['a'\]"),
+        ({"styles": {"safe-egoist": "a"}}, "no style 'safe-egoist'.* Did you mean 'safe-egoistic'"),
+        ({"styles": {"safe-egoistic": 3}}, "safe-egoistic must be an agent's name, got 3"),
     ],
 )
 def test_what_is_no_parameter_is_refused(options: dict[str, float], what: str) -> None:

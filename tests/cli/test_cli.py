@@ -188,6 +188,12 @@ def test_an_export_to_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     assert (result.returncode, "a name that ends in .onnx" in result.stderr) == (2, True)
 
 
+def test_an_export_of_several_checkpoints_needs_a_folder(tmp_path: Path) -> None:
+    result = charms_bench("export", "one.zip", "two.zip", tmp_path / "model.onnx")
+    assert result.returncode == 2
+    assert "model.onnx; --to FOLDER takes several" in result.stderr
+
+
 def test_a_checkpoint_that_is_not_there_is_named(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="needs the extra 'train'")
     pytest.importorskip("onnx", reason="needs the extra 'train'")

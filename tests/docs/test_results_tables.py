@@ -14,6 +14,9 @@ from charms_bench.report.suite_table import KEYS, LONG, from_frame
 from charms_bench.report.table import long_schema
 from charms_bench.runs.suite import Suite
 
+NUMBERS = ("value", "low", "high")
+REPRODUCTIONS = ("reproduction-ego", "reproduction-styles", "reproduction-environment")
+
 
 @pytest.fixture(scope="module")
 def tool() -> Iterator[ModuleType]:
@@ -54,4 +57,32 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
         "|---|---:|---:|",
         "| IDM | 3.0 % [2.3, 3.9] | 23.68 (23.67) |",
         "| other | 0.0 % | – |",
+    ]
+
+
+@pytest.mark.parametrize("name", REPRODUCTIONS)
+def test_a_table_of_the_reproduction_is_that_of_its_numbers(tool: ModuleType, name: str) -> None:
+    numbers = pl.read_csv(tool.RESULTS / f"{name}.csv")
+    assert tool.verdicts(numbers) == (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8")
+
+
+def test_a_value_agrees_within_its_interval_and_the_papers_rounding(tool: ModuleType) -> None:
+    parts = [f"{source}_{part}" for source in ("released", "ours") for part in NUMBERS]
+    columns = ["agent", "metric", "paper", *parts]
+    rows = [
+        # The column has two digits, so 23.10 means 23.095 to 23.105.
+        ("A", "speed_mean", 23.1, 23.2, 23.104, 23.3, 23.0, 22.9, 23.094),
+        ("B", "speed_mean", 23.67, 23.6, 23.5, 23.7, 23.665, None, None),
+        ("B", "crashed_episodes", None, 0.25, 0.2, 0.3, None, None, None),
+    ]
+    *table, empty, summary = tool.verdicts(
+        pl.DataFrame(rows, schema=columns, orient="row")
+    ).splitlines()
+    assert (empty, summary.count("2 of 2 rows"), summary[-5:]) == ("", 1, "in 1.")
+    assert table == [
+        "| agent | metric | paper | authors' networks | agrees | this project | agrees |",
+        "|---|---|---:|---:|---:|---:|---:|",
+        "| A | speed, m/s | 23.10 | 23.20 [23.10, 23.30] | yes | 23.000 [22.900, 23.094] | no |",
+        "| B | speed, m/s | 23.67 | 23.60 [23.50, 23.70] | yes | 23.7 | yes |",
+        "| B | episodes crashed, % | – | 25.0 [20.0, 30.0] | – | – | – |",
     ]

@@ -2,7 +2,8 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,7 +19,7 @@ from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.registry import make_agent, make_traffic
-from charms_bench.world.actions import FASTER, IDLE
+from charms_bench.world.actions import FASTER, IDLE, SLOWER
 from charms_bench.world.observations import neighbours
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import EVALUATION_SEEDS, Floats, SceneSettings
@@ -115,6 +116,24 @@ def test_the_vector_environment_has_the_same_episodes() -> None:
     np.testing.assert_array_equal(seen[2], expected[0])
     assert (rewards[2], terminated[2], truncated[2]) == expected[1:4]
     assert many.single_observation_space == one.observation_space
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_traffic_is_a_network_by_its_path(network_file: Callable[..., Path], mixed: bool) -> None:
+    weights = np.zeros((35, 5))
+    weights[0, SLOWER] = 1.0  # the ego's presence, which is always 1
+    path = str(network_file(weights))
+    many = gymnasium.make_vec(
+        ID,
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        traffic={path: 1.0} if mixed else path,
+    )
+    many.reset(seed=4)
+    for _ in range(15):
+        many.step(np.full(2, SLOWER))
+    # The profile's lowest speed; vehicles start between 23.1 and 26.4 m/s.
+    np.testing.assert_allclose(many.simulation.scene.speed, 22.0, atol=0.5)
 
 
 def test_episodes_of_stock_highway_are_there_with_its_observations_and_rewards() -> None:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import pytest
 
 from charms_bench.errors import RegistryError
 from charms_bench.plugins import registry
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
 from charms_bench.plugins.traffic import OneAgent
 
@@ -86,6 +88,16 @@ def test_an_agents_name_is_also_that_of_a_traffic() -> None:
     traffic = make_traffic("stackelberg")
     assert isinstance(traffic, OneAgent)
     assert traffic.agents == ("stackelberg",)
+
+
+def test_a_name_that_ends_in_onnx_is_the_path_of_a_network(
+    network_file: Callable[..., Path],
+) -> None:
+    path = str(network_file())
+    assert isinstance(make_agent(path), OnnxPolicy)
+    assert make_traffic(path).agents == (path,)
+    with pytest.raises(RegistryError, match=r"policy\.onnx takes no options, got gain"):
+        make_agent(path, {"gain": 1})
 
 
 def test_an_unknown_traffic_lists_traffics_and_agents() -> None:

@@ -30,7 +30,7 @@ SUITE = """\
 suite: away
 episodes: 600
 egos: [{agent: {onnx: ../network.onnx}}, {agent: stackelberg}]
-traffics: [{traffic: idm_mobil}]
+traffics: [{traffic: {mixture: {../network.onnx: 0.1, idm_mobil: 0.9}}}]
 """
 HURRIED = "import charms_bench.runs.cluster as client; client.WORKERLESS_S = 1.0"
 
@@ -193,7 +193,8 @@ def test_a_worker_with_other_versions_is_named(
     cluster.start_worker()
     cluster.start_worker(packages=tmp_path)
     suite = tmp_path / "suite.yaml"
-    suite.write_text(SUITE.replace("{onnx: ../network.onnx}", "outside_policy"))
+    agents = re.sub(r"\{onnx: \S+?\}|\.\./network\.onnx", "outside_policy", SUITE)
+    suite.write_text(agents)
     code, said = finished(start(suite, tmp_path / "run", "--cluster", cluster.address))
     assert code == 2
     assert re.match(rf"error: worker tcp://\S+: {distribution} is {version}, expected \d", said)

@@ -1,0 +1,187 @@
+"""Networks by path as traffic, in a mixture and in `pch`: checked, hashed, kept and replayed."""
+
+import shutil
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from charms_agents.charms import STYLES
+from command_line import charms_bench
+
+import charms_bench as bench
+from charms_bench.errors import InputError
+from charms_bench.runs.finished import open_finished
+from charms_bench.runs.pairing import pairs_of
+from charms_bench.runs.runner import plan, run
+from charms_bench.runs.shard import simulate
+from charms_bench.runs.suite import Suite
+
+NetworkFile = Callable[..., Path]
+POLICIES = Path(str(files("charms_agents") / "policies"))
+BY_PATH = {f"{style}-{svo}": f"charms_{style}_{svo}.onnx" for style, svo in STYLES.values()}
+WAYS: dict[str, Callable[[str], Any]] = {
+    "traffic": lambda path: path,
+    "onnx": lambda path: {"onnx": path},
+    "mixture": lambda path: {"mixture": {path: 0.5, "idm_mobil": 0.5}},
+    "pch": lambda path: {"name": "pch", "options": {"styles": {"safe-egoistic": path}}},
+}
+"""The ways to name a network in a traffic."""
+
+
+def suite_of(folder: Path, traffic: object, ego: object = "idm_mobil") -> Suite:
+    scene = {"duration_s": 3.0, "traffic_vehicles": 6}
+    entries = {"egos": [{"agent": ego}], "traffics": [{"traffic": traffic, "label": "mine"}]}
+    return Suite.model_validate(
+        {"suite": "small", "episodes": 3, "scene": scene, "folder": folder, **entries}
+    )
+
+
+def key_of(folder: Path, traffic: object) -> str:
+    (task,) = plan(suite_of(folder, traffic), "batched").values()
+    return task.key
+
+
+@pytest.mark.parametrize(
+    ("named", "by_path"),
+    [
+        ("imitation", "imitation.onnx"),
+        (
+            {"mixture": {"imitation": 0.5, "idm_mobil": 0.5}},
+            {"mixture": {"imitation.onnx": 0.5, "idm_mobil": 0.5}},
+        ),
+        (
+            {"name": "pch", "options": {"tau": 1.0}},
+            {"name": "pch", "options": {"tau": 1.0, "styles": BY_PATH}},
+        ),
+    ],
+)
+def test_a_network_drives_by_its_path_as_it_drives_by_its_name(
+    named: object, by_path: object
+) -> None:
+    found = []
+    for traffic in (named, by_path):
+        (task,) = plan(suite_of(POLICIES, traffic), "batched").values()
+        found.append(simulate(task))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_key_follows_the_content_of_a_traffics_network_and_not_its_path(
+    network_file: NetworkFile, tmp_path: Path, way: str
+) -> None:
+    network_file(name="one.onnx")
+    (tmp_path / "below").mkdir()
+    shutil.copy(tmp_path / "one.onnx", tmp_path / "below" / "two.onnx")
+    before = key_of(tmp_path, WAYS[way]("one.onnx"))
+    assert key_of(tmp_path, WAYS[way]("below/two.onnx")) == before
+    assert key_of(tmp_path / "below", WAYS[way]("../one.onnx")) == before
+    network_file(np.ones((35, 5)), name="one.onnx")
+    assert key_of(tmp_path, WAYS[way]("one.onnx")) != before
+
+
+def test_a_key_follows_the_order_of_a_mixture_and_its_share_of_each_network(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    for name in ("a", "b", "c"):
+        network_file(name=f"{name}.onnx")  # all the same
+    mixtures = [
+        {"a.onnx": 0.2, "idm_mobil": 0.3, "b.onnx": 0.0, "c.onnx": 0.5},
+        {"a.onnx": 0.1, "idm_mobil": 0.3, "b.onnx": 0.1, "c.onnx": 0.5},
+        {"idm_mobil": 0.3, "a.onnx": 0.1, "b.onnx": 0.1, "c.onnx": 0.5},
+    ]
+    assert len({key_of(tmp_path, {"mixture": mixture}) for mixture in mixtures}) == 3
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_moved_run_folder_has_the_networks_of_its_traffic(
+    network_file: NetworkFile, tmp_path: Path, way: str
+) -> None:
+    network = network_file()
+    suite = suite_of(tmp_path, WAYS[way](network.name), {"onnx": network.name, "decision_hz": 5})
+    run(suite, tmp_path / "run", workers=1)
+    network.unlink()
+    charms_bench("rescore", tmp_path / "run")
+    moved = bench.open_run(shutil.move(tmp_path / "run", tmp_path / "moved"), tmp_path / "nowhere")
+    assert len(list((moved.path / "networks").iterdir())) == 1
+    assert network.name in moved.replay(1).agents
+    assert len(moved.edge_cases()) == 3
+    assert moved.report(tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("traffic", "message"),
+    [
+        (
+            "nets/none.onnx",
+            "suite.yaml:5: traffics[0].traffic: {0}/nets/none.onnx: cannot be read: No such file",
+        ),
+        ("nets/none.onnx", "directory; `charms-bench export none.zip --to {0}/nets` makes it"),
+        (
+            "\n      mixture:\n        idm_mobil: 0.5\n        nets/bad.onnx: 0.5",
+            "suite.yaml:8: traffics[0].traffic.mixture.nets/bad.onnx: {0}/nets/bad.onnx: is not an",
+        ),
+        (
+            "{name: pch, options: {tau: 1,\n    styles: {safe-egoistic: nets/none.onnx}}}",
+            "suite.yaml:6: traffics[0].traffic.options.styles.safe-egoistic: {0}/nets/none.onnx: c",
+        ),
+        (
+            "{name: pch, options: {styles: {kind: nets/bad.onnx}}}",
+            "suite.yaml:5: traffics[0]: traffic 'pch': no style 'kind'. Known: efficient-competi",
+        ),
+        (
+            "nets/bad.pt",
+            "suite.yaml:5: traffics[0]: no traffic named 'nets/bad.pt'. Known: ",
+        ),
+        ("nets/bad.pt", "The path of a network ends in .onnx."),
+        ("{name: nets/bad.onnx, options: {gain: 1}}", "is an agent; as a traffic, it takes no opt"),
+        ('{name: pch, options: {styles: {safe-egoistic: "a\\e[2J.onnx"}}}', "can be printed"),
+    ],
+)
+def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_runs(
+    tmp_path: Path, traffic: str, message: str
+) -> None:
+    (tmp_path / "nets").mkdir()
+    for name in ("bad.onnx", "bad.pt"):
+        (tmp_path / "nets" / name).write_bytes(b"nothing")
+    suite = tmp_path / "suite.yaml"
+    head = "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\ntraffics:\n"
+    suite.write_text(f"{head}  - traffic: {traffic}\n")
+    called = charms_bench("run", suite, "--output", tmp_path / "run")
+    assert called.returncode == 2
+    assert message.format(tmp_path) in called.stderr
+    assert "Traceback" not in called.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_both_engines_agree_with_networks_in_the_traffic(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    network_file()
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(
+        "suite: small\nepisodes: 2\nscene: {duration_s: 3.0, traffic_vehicles: 6}\n"
+        "egos: [{agent: policy.onnx}]\n"
+        "traffics: [{traffic: policy.onnx}, {traffic: {mixture: {policy.onnx: 0.5, level_0: 0.5}}}]"
+    )
+    called = charms_bench("verify", "--suite", suite, "--episodes", 2, "--workers", 1)
+    assert called.returncode == 0, called.stderr
+    assert "4 episodes: the engines agree." in called.stdout
+
+
+def test_runs_are_compared_if_their_traffics_networks_have_the_same_content(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    weights = {"a": None, "b": None, "c": np.ones((35, 5))}
+    runs = []
+    for name, given in weights.items():
+        ego = "idm_mobil" if name == "a" else "level_0"
+        network_file(given, name=f"{name}.onnx")
+        run(suite_of(tmp_path, WAYS["pch"](f"{name}.onnx"), ego), tmp_path / name, workers=1)
+        runs.append(open_finished(tmp_path / name))
+    ((one, other),) = pairs_of(runs[0], runs[1], None)
+    assert (one.agent, other.agent) == ("idm_mobil", "level_0")
+    with pytest.raises(InputError, match=r"traffics\[0\]\.options\.styles\.safe-egoistic is"):
+        pairs_of(runs[0], runs[2], None)
