@@ -72,7 +72,7 @@ def test_a_value_agrees_within_its_interval_and_the_papers_rounding(tool: Module
     rows = [
         # The column has two digits, so 23.10 means 23.095 to 23.105.
         ("A", "speed_mean", 23.1, 23.2, 23.104, 23.3, 23.0, 22.9, 23.094),
-        ("B", "speed_mean", 23.67, 23.6, 23.5, 23.7, 23.668, None, None),
+        ("B", "speed_mean", 23.67, 23.6, 23.47, 23.73, 23.668, None, None),
         ("B", "crashed_episodes", None, 0.25, 0.2, 0.3, None, None, None),
     ]
     *table, empty, summary = tool.verdicts(
@@ -83,6 +83,6 @@ def test_a_value_agrees_within_its_interval_and_the_papers_rounding(tool: Module
         "| agent | metric | paper | authors' networks | agrees | this project | agrees |",
         "|---|---|---:|---:|---:|---:|---:|",
         "| A | speed, m/s | 23.10 | 23.20 [23.10, 23.30] | yes | 23.000 [22.900, 23.094] | no |",
-        "| B | speed, m/s | 23.67 | 23.60 [23.50, 23.70] | yes | 23.7 | yes |",
+        "| B | speed, m/s | 23.67 | 23.60 [23.47, 23.73] | yes | 23.7 | yes |",
         "| B | episodes crashed, % | – | 25.0 [20.0, 30.0] | – | – | – |",
     ]
