@@ -245,9 +245,7 @@ def _bad(title: str, model: Callable[[], Any]) -> BadInput:
         made = model()
         data = made if isinstance(made, bytes) else made.SerializeToString()
         (folder / "policy.onnx").write_bytes(data)
-        (folder / "suite.yaml").write_text(
-            BASE.replace("agent: idm_mobil", "agent: {onnx: policy.onnx}")
-        )
+        (folder / "suite.yaml").write_text(BASE.replace("agent: idm_mobil", "agent: policy.onnx"))
         return "run", folder / "suite.yaml", "--output", "run"
 
     return BadInput(f"network: {title}", make)

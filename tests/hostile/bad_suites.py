@@ -177,7 +177,8 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
         "{onnx: nowhere.onnx}", "{onnx: .}", '{onnx: ""}', "{onnx: 7}", "{onnx: /etc/passwd}",
         r'{onnx: "a\0b"}', r'{onnx: "\e[2Jx"}', "{onnx: /dev/zero}", "{onnx: /dev/null}",
         "{onnx: /proc/self/mem}", "{onnx: " + "x" * 100_000 + "}", "{onnx: " + "../" * 2000 + "x}",
-        "{onnx: https://example.com/policy.onnx}", "{onnx: x, decision_hz: 0}",
+        "{onnx: https://example.com/policy.onnx}", "{onnx: x, decision_hz: 0}", "nowhere.onnx",
+        "{onnx: nowhere.onnx, decision_hz: 0}", "{name: nowhere.onnx, options: {a: 1}}",
         "{onnx: x, decision_hz: .nan}", "{onnx: x, options: {a: 1}}",
         r'"idm_mobil\e[31m"', r'"idm_mobil\u202E"',
     )),
@@ -188,7 +189,15 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
         "{name: idm_mobil, mixture: {idm_mobil: 1.0}}", "{name: idm_mobil, options: {tau: 1}}",
         "{name: pch, options: {tau: .nan}}", "{name: pch, options: {tau: 1.0e+308}}",
         f"{{name: pch, options: {{tau: {HUGE}}}}}", "{name: pch, options: {beta: [1]}}",
-        "{name: pch, options: {tau: 2001-01-01}}",
+        "{name: pch, options: {tau: 2001-01-01}}", "nowhere.onnx", "/dev/zero", "{onnx: /dev/zero}",
+        "{mixture: {nowhere.onnx: 1.0}}", '{mixture: {"a\\0b.onnx": 1.0}}', "{onnx: nowhere.onnx}",
+        "../" * 2000 + "x.onnx", "{mixture: {" + "../" * 2000 + "x.onnx: 1.0}}",
+        "{name: nowhere.onnx, options: {a: 1}}", "{onnx: nowhere.onnx, decision_hz: 3}",
+        "{name: pch, options: {styles: 3}}", "{name: pch, options: {styles: {kind: level_0}}}",
+        "{name: pch, options: {styles: {safe-egoistic: 3}}}",
+        "{name: pch, options: {styles: {safe-egoistic: nowhere.onnx}}}",
+        '{name: pch, options: {styles: {safe-egoistic: "a\\e[2J.onnx"}}}',
+        "{name: pch, options: {styles: {safe-egoistic: " + "x" * 9000 + ".onnx}}}",
     )),
     (BASE, "columns", ("[nothing]", "[3]", "nothing", "[" + "x" * 50_000 + "]")),
     (BASE, "pairs", ("true", "3", '"yes"')),
@@ -279,8 +288,8 @@ def _special(title: str, make_file: Callable[[Path], object]) -> tuple[BadInput,
         return "run", "special"
 
     def as_network(folder: Path) -> Sequence[str]:
-        make_file(folder / "special")
-        (folder / "suite.yaml").write_text(_with(BASE, "agent", "{onnx: special}"))
+        make_file(folder / "special.onnx")
+        (folder / "suite.yaml").write_text(_with(BASE, "agent", "special.onnx"))
         return "run", "suite.yaml"
 
     return BadInput(f"{title} as a suite", as_suite), BadInput(f"{title} as a network", as_network)
