@@ -29,7 +29,7 @@ def packaged(network: str) -> OnnxPolicy:
     if not file.is_file():
         raise ModelError(
             f"the network '{network}' is not in this installation of charms-bench; "
-            "suites/train.yaml trains it, and {onnx: path} uses the trained file"
+            "suites/train.yaml trains it, and the path of the trained file is an agent's name"
         )
     return OnnxPolicy(str(file))
 

@@ -178,6 +178,8 @@ def export(
 
     if to is not None:
         outputs = {checkpoint: to / f"{checkpoint.stem}.onnx" for checkpoint in files}
+        if len(set(outputs.values())) < len(outputs):
+            raise InputError("two checkpoints have the same name; export them to different folders")
     elif files[-1].suffix != ".onnx":
         raise InputError(f"{files[-1]}: expected a name that ends in .onnx, or --to FOLDER")
     elif len(files) != 2:

@@ -20,7 +20,8 @@ from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
 
 TrafficLike = str | Mapping[str, float] | Traffic
-"""A traffic, the name of a traffic or of an agent, or shares of agents."""
+"""A traffic, the name of a traffic or of an agent, or shares of agents. The path of an ONNX file is
+the name of an agent."""
 
 
 class EgoEnv(gymnasium.Env[Observations, np.int64]):

@@ -128,6 +128,17 @@ def test_the_file_says_what_it_is_and_where_it_is_from(tmp_path: Path) -> None:
     assert says["source_sha256"] == made["sha256"]
 
 
+def test_several_checkpoints_are_exported_to_a_folder_under_their_own_names(tmp_path: Path) -> None:
+    _, first = saved(tmp_path)
+    second = first.rename(tmp_path / "second.zip")
+    saved(tmp_path)
+    done = charms_bench("export", first, second, "--to", tmp_path / "nets", "--json")
+    assert [made["sizes"] for made in json.loads(done.stdout)] == [[35, 16, 8, 5]] * 2
+    assert {path.name for path in (tmp_path / "nets").iterdir()} == {"model.onnx", "second.onnx"}
+    twice = charms_bench("export", first, tmp_path / "other" / "model.zip", "--to", tmp_path)
+    assert (twice.returncode, "have the same name" in twice.stderr) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("settings", "sizes", "activation"),
     [
