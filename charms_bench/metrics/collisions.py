@@ -35,8 +35,12 @@ TRAFFIC_CRASHES_PER_1000KM = Metric(
     name="traffic_crashes_per_1000km",
     unit="1/1,000 km",
     description="other vehicles that collide or leave the road, per 1,000 km driven by them",
-    rests_on="episodes",
-    sums=(EPISODES, pl.first("traffic_distance_m") / 1e6, pl.first("traffic_crashed")),
+    rests_on="vehicles",
+    sums=(
+        pl.first("traffic_vehicles"),
+        pl.first("traffic_distance_m") / 1e6,
+        pl.first("traffic_crashed"),
+    ),
     interval="rate",
 )
 

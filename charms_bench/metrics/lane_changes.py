@@ -7,7 +7,7 @@ eq. 2) calls a lane change safe if the new follower has to brake by at most a li
 
 import polars as pl
 
-from charms_bench.metrics.metric import EPISODES, Metric, Sample, in_name
+from charms_bench.metrics.metric import Metric, Sample, in_name
 
 SAFE_BRAKING_MPS2 = 2.0
 
@@ -18,8 +18,8 @@ LANE_CHANGES_PER_KM = Metric(
     name="lane_changes_per_km",
     unit="1/km",
     description="lane changes, per km driven",
-    rests_on="episodes",
-    sums=(EPISODES, pl.first("distance_m") / 1e3, pl.col("lane_changed").sum()),
+    rests_on="steps",
+    sums=(pl.first("steps"), pl.first("distance_m") / 1e3, pl.col("lane_changed").sum()),
     interval="rate",
 )
 IMPOSED_BRAKING_MEAN = IMPOSING.mean(

@@ -17,9 +17,10 @@ Interval = Literal["bootstrap", "share", "rate", "wilson", "garwood"]
 """How a metric's 95 % interval is computed.
 
 bootstrap: From resampled episodes; there is no interval if the resamples do not vary.
-share: The same, except that Wilson's interval over the episodes that count is used if the value is
-    0 or 1.
-rate: The same, except that Garwood's interval is used if nothing was counted.
+share: Wilson's interval with the effective sample size, for events that are correlated within
+    episodes.
+rate: The same for events per time or distance; the first sum is the largest number of events that
+    an episode may have.
 wilson: For a share of episodes, each of which is one trial.
 garwood: For the rate of an event that happens at most once per episode and ends it.
 """

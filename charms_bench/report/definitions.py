@@ -13,8 +13,8 @@ from charms_bench.runs.metric_sets import metric_sets
 RESAMPLED = "percentiles of resampled episodes"
 INTERVALS: Mapping[Interval, str] = {
     "bootstrap": RESAMPLED,
-    "share": f"{RESAMPLED}; Wilson's interval if the share is 0 or 1",
-    "rate": f"{RESAMPLED}; Garwood's interval if nothing was counted",
+    "share": "Wilson's score interval with the effective sample size of correlated observations",
+    "rate": "score interval of a Poisson rate with the effective number of correlated events",
     "wilson": "Wilson's score interval of a share of episodes",
     "garwood": "Garwood's exact interval of a Poisson rate",
 }

@@ -1,13 +1,17 @@
 """95 % intervals of metrics.
 
-The steps of an episode depend on each other, but episodes are independent. So intervals come from
-resampled episodes (a cluster bootstrap with percentiles, Davison & Hinkley 1997, section 3.8). For
-events that happen at most once per episode, they come from Wilson (1927) and Garwood (1936).
+The steps of an episode depend on each other, but episodes are independent. So the intervals of
+means and standard deviations come from resampled episodes (a cluster bootstrap with percentiles,
+Davison & Hinkley 1997, section 3.8). Shares and rates have score intervals with an effective sample
+size (Dean & Pagano 2015, Journal of Survey Statistics and Methodology 3), because resamples of few
+events do not vary enough. For events that happen at most once per episode, intervals come from
+Wilson (1927) and Garwood (1936).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +24,9 @@ WEIGHTS_LIMIT = 2**23
 """Most weights of resamples in memory at once, unless one resample has more."""
 EPISODES_AT_ONCE = 2**16
 """Episodes that are added up at once."""
+PRIOR_EPISODES = 0.5
+"""Weight of full correlation in the design effect, in episodes with events. Chosen by the
+simulation in `tests/statistics/test_interval_coverage.py`, with other seeds."""
 
 Bounds = tuple[float, float]
 NO_BOUNDS: Bounds = (np.nan, np.nan)
@@ -36,17 +43,12 @@ class Estimate:
     """The size of the sample; `Metric.rests_on` says what it counts."""
 
 
-def wilson(successes: int, trials: int) -> Bounds:
-    """The interval of a share (Wilson 1927)."""
-    from scipy import special
-
-    share, z = successes / trials, float(special.ndtri((1 + CONFIDENCE) / 2))
-    scale = 2 * (trials + z**2)
-    centre = (2 * trials * share + z**2) / scale
-    margin = z / scale * math.sqrt(4 * trials * share * (1 - share) + z**2)
+def wilson(successes: float, trials: float, z: float | None = None) -> Bounds:
+    """The score interval of a share (Wilson 1927), at 95 % unless a normal quantile is given."""
+    low, high = _score(successes, trials, z or _normal_quantile())
     return (
-        centre - margin if successes else 0.0,
-        centre + margin if successes < trials else 1.0,
+        low / trials if successes else 0.0,
+        high / trials if successes < trials else 1.0,
     )
 
 
@@ -57,6 +59,58 @@ def garwood(events: int) -> Bounds:
     tail = (1 - CONFIDENCE) / 2
     low = special.gammaincinv(events, tail) if events else 0.0
     return float(low), float(special.gammainccinv(events + 1, tail))
+
+
+def clustered(sums: Floats, per: Literal["share", "rate"]) -> Bounds:
+    """The score interval of a share or a rate of events that depend on each other in an episode.
+
+    The events and trials are divided by the design effect: the variance of the ratio, linearised
+    (Korn & Graubard 1998, Survey Methodology 24), over its variance if all events were independent.
+    Few episodes with events tell little about it. So it is averaged with the design effect of full
+    correlation, which weighs as much as `PRIOR_EPISODES` of them, and the quantile is that of
+    Student's t with two degrees of freedom per episode with events and two more. If fewer episodes
+    have occasions without events, these are counted instead.
+
+    Args:
+        sums: [E, k] with the occasions, each of which may bring one event, in the first column, and
+            exposure and events in the last two. The occasions of a share are its exposure.
+        per: "share" for events per occasion, "rate" for events per exposure of another unit.
+    """
+    from scipy import special
+
+    sums = sums[sums[:, 0] > 0]
+    occasions, exposure, events = sums[:, 0], sums[:, -2], sums[:, -1]
+    count, whole = float(events.sum()), float(exposure.sum())
+    trials = whole if per == "share" else math.inf
+    fully_correlated = float((occasions**2).sum() / occasions.sum())
+    informative = int((events > 0).sum())
+    if per == "share":
+        informative = min(informative, int((events < occasions).sum()))
+    if not informative or len(sums) < 2:
+        effect, z = fully_correlated, _normal_quantile()
+    else:
+        squares = float(((events - count / whole * exposure) ** 2).sum())
+        found = squares / (count * (1 - count / trials)) * len(sums) / (len(sums) - 1)
+        prior = PRIOR_EPISODES * fully_correlated
+        effect = (informative * found + prior) / (informative + PRIOR_EPISODES)
+        z = float(special.stdtrit(2 * informative + 2, (1 + CONFIDENCE) / 2))
+    if per == "share":
+        return wilson(count / effect, trials / effect, z)
+    low, high = _score(count / effect, math.inf, z)
+    return low * effect / whole if count else 0.0, high * effect / whole
+
+
+def _score(count: float, trials: float, z: float) -> Bounds:
+    """The score interval of an expected count; that of Poisson for an infinity of trials."""
+    margin = z * math.sqrt(count * (1 - count / trials) + z**2 / 4)
+    centre, scale = count + z**2 / 2, 1 + z**2 / trials
+    return (centre - margin) / scale, (centre + margin) / scale
+
+
+def _normal_quantile() -> float:
+    from scipy import special
+
+    return float(special.ndtri((1 + CONFIDENCE) / 2))
 
 
 def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES) -> Floats:
@@ -86,17 +140,23 @@ def resampled_totals(sums: Sequence[Floats | Ints], rng: np.random.Generator) ->
 def estimate(
     metrics: Sequence[Metric], sums: Sequence[Floats], rng: np.random.Generator
 ) -> list[Estimate]:
-    """The value and the interval of each metric; all metrics share one set of resamples.
+    """The value and the interval of each metric; all bootstraps share one set of resamples.
 
     `sums` are the metrics' sums [E, k], one row per episode (`metrics.sums_by_episode`).
     """
-    resampled = resampled_totals(sums, rng)
-    ends = np.cumsum([each.shape[1] for each in sums])[:-1]
-    totals = np.split(resampled, ends, axis=1)
-    return list(map(_estimate, metrics, sums, totals))
+    places = [i for i, metric in enumerate(metrics) if metric.interval == "bootstrap"]
+    resampled: dict[int, Floats] = {}
+    if places:
+        ends = np.cumsum([sums[i].shape[1] for i in places])[:-1]
+        totals = resampled_totals([sums[i] for i in places], rng)
+        resampled = dict(zip(places, np.split(totals, ends, axis=1), strict=True))
+    return [
+        _estimate(metric, each, resampled.get(i))
+        for i, (metric, each) in enumerate(zip(metrics, sums, strict=True))
+    ]
 
 
-def _estimate(metric: Metric, sums: Floats, resampled: Floats) -> Estimate:
+def _estimate(metric: Metric, sums: Floats, resampled: Floats | None) -> Estimate:
     totals = sums.sum(axis=0)
     n, events = round(totals[0]), round(totals[-1])
     value = float(metric.value(totals))
@@ -104,12 +164,11 @@ def _estimate(metric: Metric, sums: Floats, resampled: Floats) -> Estimate:
         bounds = NO_BOUNDS
     elif metric.interval == "wilson":
         bounds = wilson(events, n)
-    elif metric.interval == "garwood" or (metric.interval == "rate" and not events):
+    elif metric.interval == "garwood":
         low, high = garwood(events)
         bounds = low / float(totals[-2]), high / float(totals[-2])
-    elif metric.interval == "share" and events in (0, n):
-        counted = int((sums[:, 0] > 0).sum())
-        bounds = wilson(counted if events else 0, counted)
+    elif resampled is None:
+        bounds = clustered(sums, metric.interval)
     else:
         bounds = _percentiles(metric.value(resampled))
     return Estimate(value, bounds[0], bounds[1], n)

@@ -114,17 +114,61 @@ def test_the_same_generator_gives_the_same_interval_whatever_is_beside_it() -> N
     assert pair[0].high == pytest.approx(alone.high, rel=1e-12)
 
 
-def test_a_share_that_never_happens_is_bounded_by_the_episodes_it_could_have() -> None:
+def test_a_share_that_never_happens_is_bounded_as_if_steps_of_an_episode_were_alike() -> None:
+    # 60 and 30 alike steps weigh as much as 90² / (60² + 30²) = 1.8 independent ones.
     never = [[60, 0], [30, 0], [0, 0]]
     always = [[60, 60], [30, 30]]
-    assert interval_of(never, "share") == wilson(0, 2)
-    assert interval_of(always, "share") == wilson(2, 2)
+    assert interval_of(never, "share") == pytest.approx(wilson(0, 1.8))
+    assert interval_of(always, "share") == pytest.approx(wilson(1.8, 1.8))
 
 
-def test_a_rate_that_never_happens_is_bounded_by_garwood() -> None:
-    never = [[1, 0.5, 0], [1, 1.5, 0]]  # 2 km
-    assert interval_of(never, "rate") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
-    assert interval_of(never, "garwood") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
+def test_a_rate_that_never_happens_is_bounded_as_if_events_of_an_episode_were_alike() -> None:
+    # z² = 3.8415 events of independent vehicles, 20 alike vehicles each, in 2 km.
+    never = [[20, 0.5, 0], [20, 1.5, 0]]
+    assert interval_of(never, "rate") == pytest.approx((0.0, 3.8415 * 20 / 2), rel=1e-4)
+    one_each = [[1, 0.5, 0], [1, 1.5, 0]]
+    assert interval_of(one_each, "garwood") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
+
+
+def test_a_single_event_does_not_make_a_share_certain() -> None:
+    sums = [[60, 0]] * 599 + [[60, 1]]
+    low, high = interval_of(sums, "share")
+    # Not much less than if it never happened, 3.8415 / 603.8.
+    assert 0 < low < 1 / 36_000
+    assert 0.5 * 0.00636 < high < 0.00636
+    low, high = interval_of([[60, 60 - x] for _, x in sums], "share")
+    assert 1 - 0.00636 < low < 1 - 0.5 * 0.00636
+    assert 1 - 1 / 36_000 < high < 1
+
+
+def test_events_of_many_episodes_have_korn_and_graubards_effective_sample_size() -> None:
+    rng = np.random.default_rng(7)
+    shares = rng.binomial(50, rng.beta(2.0, 8.0, 2000)) / 50
+    sums = np.stack([np.full(2000, 50), 50 * shares], axis=1)
+    size = shares.mean() * (1 - shares.mean()) / (shares.var(ddof=1) / 2000)
+    expected = stats.binomtest(round(size * shares.mean()), round(size)).proportion_ci(
+        method="wilson"
+    )
+    assert interval_of(sums.tolist(), "share") == pytest.approx(tuple(expected), rel=2e-3)
+
+
+def test_a_rate_of_independent_events_has_almost_garwoods_interval() -> None:
+    rng = np.random.default_rng(8)
+    events = rng.poisson(0.5, 2000)
+    sums = np.stack([np.full(2000, 20), np.full(2000, 0.5), events], axis=1)
+    low, high = np.array(garwood(int(events.sum()))) / 1000
+    assert interval_of(sums.tolist(), "rate") == pytest.approx((low, high), rel=0.01)
+
+
+def test_steps_that_are_all_alike_count_as_one_per_episode() -> None:
+    sums = [[60, 60]] * 81 + [[60, 0]] * 182
+    low, high = interval_of(sums, "share")
+    expected = wilson(81, 263)
+    assert (low, high) == pytest.approx(expected, rel=0.01)
+
+
+def test_the_interval_of_a_single_episode_treats_its_steps_as_one() -> None:
+    assert interval_of([[60, 30]], "share") == pytest.approx(wilson(0.5, 1))
 
 
 def test_a_share_of_episodes_has_wilsons_interval() -> None:

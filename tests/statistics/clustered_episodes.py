@@ -1,0 +1,37 @@
+"""Made-up episodes whose events are correlated, with a known share."""
+
+import numpy as np
+
+from charms_bench.world.scene import Floats
+
+STEPS = 60
+
+
+def beta_binomial(
+    share: float, occasions: int, correlation: float, episodes: int, rng: np.random.Generator
+) -> Floats:
+    """[E, 2] occasions and events; each two occasions of an episode have this correlation."""
+    within = np.full(episodes, share)
+    if correlation:
+        scale = (1 - correlation) / correlation
+        within = rng.beta(share * scale, (1 - share) * scale, episodes)
+    events = rng.binomial(occasions, within)
+    return np.stack([np.full(episodes, occasions), events], axis=1).astype(np.float64)
+
+
+def bursts(share: float, mean_steps: float, episodes: int, rng: np.random.Generator) -> Floats:
+    """[E, 2] steps, 0 to 60 of which are logged, and events in runs of this mean length.
+
+    A stationary Markov chain: a run ends with probability 1 / mean_steps in each step. Steps at a
+    lag of k have the correlation (1 - 1 / mean_steps - share / (1 - share) / mean_steps)^k.
+    """
+    logged = rng.integers(0, STEPS + 1, episodes)
+    starts, ends = share / (1 - share) / mean_steps, 1 / mean_steps
+    draws = rng.random((STEPS, episodes))
+    happens = draws[0] < share
+    events = happens & (logged > 0)
+    counted = events.astype(np.int64)
+    for step in range(1, STEPS):
+        happens = np.where(happens, draws[step] >= ends, draws[step] < starts)
+        counted += happens & (step < logged)
+    return np.stack([logged, counted], axis=1).astype(np.float64)
