@@ -11,11 +11,10 @@ Wilson (1927) and Garwood (1936).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from charms_bench.metrics.metric import Metric
+from charms_bench.metrics.metric import Interval, Metric
 from charms_bench.world.scene import Floats, Ints
 
 CONFIDENCE = 0.95
@@ -61,7 +60,7 @@ def garwood(events: int) -> Bounds:
     return float(low), float(special.gammainccinv(events + 1, tail))
 
 
-def clustered(sums: Floats, per: Literal["share", "rate"]) -> Bounds:
+def clustered(sums: Floats, kind: Interval) -> Bounds:
     """The score interval of a share or a rate of events that depend on each other in an episode.
 
     The events and trials are divided by the design effect: the variance of the ratio, linearised
@@ -72,29 +71,29 @@ def clustered(sums: Floats, per: Literal["share", "rate"]) -> Bounds:
     have occasions without events, these are counted instead.
 
     Args:
-        sums: [E, k] with the occasions, each of which may bring one event, in the first column, and
-            exposure and events in the last two. The occasions of a share are its exposure.
-        per: "share" for events per occasion, "rate" for events per exposure of another unit.
+        sums: [E, k] with exposure and events in the last two columns. The first has the largest
+            possible number of events; for a share, that is the exposure.
+        kind: "share" or "rate".
     """
     from scipy import special
 
-    sums = sums[sums[:, 0] > 0]
-    occasions, exposure, events = sums[:, 0], sums[:, -2], sums[:, -1]
+    first = -2 if kind == "share" else 0
+    occasions, exposure, events = sums[sums[:, first] > 0][:, [first, -2, -1]].T
     count, whole = float(events.sum()), float(exposure.sum())
-    trials = whole if per == "share" else math.inf
+    trials = whole if kind == "share" else math.inf
     fully_correlated = float((occasions**2).sum() / occasions.sum())
     informative = int((events > 0).sum())
-    if per == "share":
+    if kind == "share":
         informative = min(informative, int((events < occasions).sum()))
-    if not informative or len(sums) < 2:
+    if not informative or len(events) < 2:
         effect, z = fully_correlated, _normal_quantile()
     else:
         squares = float(((events - count / whole * exposure) ** 2).sum())
-        found = squares / (count * (1 - count / trials)) * len(sums) / (len(sums) - 1)
+        found = squares / (count * (1 - count / trials)) * len(events) / (len(events) - 1)
         prior = PRIOR_EPISODES * fully_correlated
         effect = (informative * found + prior) / (informative + PRIOR_EPISODES)
         z = float(special.stdtrit(2 * informative + 2, (1 + CONFIDENCE) / 2))
-    if per == "share":
+    if kind == "share":
         return wilson(count / effect, trials / effect, z)
     low, high = _score(count / effect, math.inf, z)
     return low * effect / whole if count else 0.0, high * effect / whole

@@ -7,17 +7,18 @@ over episodes. The standard error of its difference follows from the sums by lin
 Resampled episodes give the tails of the difference divided by its standard error (the symmetric
 bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are described by Student's t with the
 degrees of freedom at which its 95 % point equals that of the resamples; the interval and the
-p-value both use it.
+p-value both use it. If too few episodes differ for that, the interval of a share or a rate follows
+from those of the two agents (Zou & Donner 2008, Statistics in Medicine 27).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, stats
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, Bounds
+from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, Bounds, clustered
 from charms_bench.world.scene import Floats
 
 POWER = 0.8
@@ -52,11 +53,34 @@ def differences(
     (`metrics.sums_by_episode`); `weights` [R, E] are resampled episodes (`intervals.resample`).
     """
     return [
-        _of_shares(ours, theirs)
-        if metric.interval == "wilson"
-        else _of_sums(metric.value, ours, theirs, weights)
+        _difference(metric, ours, theirs, weights)
         for metric, ours, theirs in zip(metrics, first, second, strict=True)
     ]
+
+
+def _difference(metric: Metric, ours: Floats, theirs: Floats, weights: Floats) -> Difference:
+    if metric.interval == "wilson":
+        return _of_shares(ours, theirs)
+    found = _of_sums(metric.value, ours, theirs, weights)
+    if metric.interval not in ("share", "rate") or np.isnan(found.value):
+        return found
+    # Agents that never differ although something happens are the same agent.
+    unknown = np.isnan(found.low) and ((ours != theirs).any() or not ours[:, -1].any())
+    bounds = [clustered(each, metric.interval) for each in (ours, theirs)]
+    values = [float(metric.value(each.sum(axis=0))) for each in (ours, theirs)]
+    low, high = combined(values, bounds) if unknown else (found.low, found.high)
+    return replace(found, low=low, high=high)
+
+
+def combined(values: Sequence[float], bounds: Sequence[Bounds]) -> Bounds:
+    """The interval of a difference of two values, from theirs (Zou & Donner 2008, eqs. 5 and 6).
+
+    It is too wide if the values are positively correlated.
+    """
+    (first, second), ((low, high), (other_low, other_high)) = values, bounds
+    below = np.hypot(first - low, other_high - second)
+    above = np.hypot(high - first, second - other_low)
+    return float(first - second - below), float(first - second + above)
 
 
 def _of_shares(ours: Floats, theirs: Floats) -> Difference:

@@ -6,8 +6,15 @@ import pytest
 from scipy import stats
 
 from charms_bench.metrics.metric import Interval, Metric, ratio, standard_deviation
-from charms_bench.statistics.intervals import resample
-from charms_bench.statistics.paired import Difference, differences, holm, mcnemar, tango
+from charms_bench.statistics.intervals import resample, wilson
+from charms_bench.statistics.paired import (
+    Difference,
+    combined,
+    differences,
+    holm,
+    mcnemar,
+    tango,
+)
 
 
 def metric_of(interval: Interval = "bootstrap", value=ratio) -> Metric:
@@ -144,6 +151,34 @@ def test_what_a_single_episode_did_has_no_interval() -> None:
     assert found.value == pytest.approx(0.01)
     assert np.isnan([found.low, found.high]).all()
     assert found.p == 1.0
+
+
+def steps_with(*events: int) -> np.ndarray:
+    """100 episodes of 60 steps, the first of which have these events."""
+    sums = np.zeros((100, 2))
+    sums[:, 0] = 60
+    sums[: len(events), 1] = events
+    return sums
+
+
+@pytest.mark.parametrize("events", [(), (1,), (5, 60)])
+def test_a_share_of_few_events_has_an_interval_around_no_difference(
+    events: tuple[int, ...],
+) -> None:
+    found = difference(steps_with(*events), steps_with(), "share")
+    assert found.low < 0 < found.high
+    assert found.low < found.value < found.high
+
+
+def test_agents_that_share_all_events_are_not_apart() -> None:
+    found = difference(steps_with(5, 60), steps_with(5, 60), "share")
+    assert np.isnan([found.low, found.high]).all()
+
+
+def test_combined_intervals_are_newcombes_of_independent_shares() -> None:
+    # Newcombe 1998, Statistics in Medicine 17, 873-890, table II (a), method 10: 56/70 - 48/80.
+    found = combined([56 / 70, 48 / 80], [wilson(56, 70), wilson(48, 80)])
+    assert found == pytest.approx((0.0524, 0.3339), abs=5e-5)
 
 
 def test_what_is_0_in_all_episodes_has_no_spread_to_differ_in() -> None:
