@@ -18,7 +18,7 @@ from charms_bench.people.reference import (
     SPEED,
     Reference,
     from_recordings,
-    histogram,
+    histograms,
 )
 from charms_bench.people.situations import nearest_to_decisions
 
@@ -50,7 +50,8 @@ def i24(data: Path) -> Reference:
     frame = (pl.col("t_s") * RATE_HZ).round().cast(pl.Int64)
     decided = nearest_to_decisions(rows.select(frame)["t_s"].to_numpy(), RATE_HZ / DECISION_HZ)
     follows = pl.col("gap_m").cast(pl.Float64) + CAR_LENGTH_M <= FOLLOWING_RANGE_M
-    speed = rows.filter(decided).filter(follows)["speed_mps"].to_numpy()
+    following = rows.filter(decided).filter(follows)
+    speed = following["speed_mps"].to_numpy()
     return Reference(
         name="i24",
         origin="CIRCLES, I-24, Nashville: one instrumented car in 60 runs, mostly in free flow "
@@ -60,8 +61,9 @@ def i24(data: Path) -> Reference:
         dhw_is="not recorded",
         vehicles=1,
         lane_changes=None,
-        speed=histogram(speed),
-        dhw=None,
+        unit="run",
+        speed=histograms(speed, following["run"].to_numpy()),
+        dhw=(),
     )
 
 
@@ -71,26 +73,28 @@ def i75(data: Path) -> Reference:
     frame = (rows["frame"] - rows["frame"].min()) // I75_FRAMES_A_ROW
     decided = nearest_to_decisions(frame.to_numpy(), RATE_HZ / DECISION_HZ)
     fast, follows = pl.col("lane").is_in(I75_LANES), pl.col("dhw") <= FOLLOWING_RANGE_M
-    headways = _i75_lane_changes(rows)
-    dhw = headways.filter(headways <= FOLLOWING_RANGE_M)
+    following = rows.filter(decided).filter(fast, follows)
+    changes = _i75_lane_changes(rows)
+    behind = changes.filter(follows)
     return Reference(
         name="i75",
         origin="HIGH-SIM, I-75, Florida: 88 vehicles over 1 to 2 km. Only lanes 1 and 2 are used, "
         "which are in free flow. Not every vehicle was tracked, so a leader may have been nearer. "
-        f"{dhw.len()} lane changes with a leader are too few for a distribution.",
+        f"{behind.height} lane changes with a leader are too few for a distribution.",
         terms="FHWA: HIGH-SIM; CC BY-SA 4.0 according to its README, which links to CC BY-NC 4.0",
         speed_is=f"{SPEED}; in lanes 1 and 2",
         dhw_is=f"{DHW} from or to lanes 1 and 2; the recording has no lateral position, so the "
         f"start is taken as {I75_START_S:g} s before the vehicle is in the new lane",
         vehicles=rows.filter(fast)["vehicle"].n_unique(),
-        lane_changes=headways.len(),
-        speed=histogram(rows.filter(decided).filter(fast, follows)["v"].to_numpy()),
-        dhw=histogram(dhw.to_numpy()),
+        lane_changes=changes.height,
+        unit="vehicle",
+        speed=histograms(following["v"].to_numpy(), following["vehicle"].to_numpy()),
+        dhw=histograms(behind["dhw"].to_numpy(), behind["vehicle"].to_numpy()),
     )
 
 
-def _i75_lane_changes(rows: pl.DataFrame) -> pl.Series:
-    """The headway at the start of each lane change from or to a fast lane; null without a leader.
+def _i75_lane_changes(rows: pl.DataFrame) -> pl.DataFrame:
+    """The vehicle and the headway, null without a leader, of lane changes from or to a fast lane.
 
     As in `Recording.lane_changes`, the vehicle stays in both lanes for `STAY_S`.
     """
@@ -106,7 +110,7 @@ def _i75_lane_changes(rows: pl.DataFrame) -> pl.Series:
         .filter(pl.any_horizontal(pl.col("lane", "next_lane").is_in(I75_LANES)))
         .with_columns(row=pl.col("next_row") - round(I75_START_S * RATE_HZ))
     )
-    return changes.join(rows, on=["vehicle", "row", "lane"])["dhw"]
+    return changes.join(rows, on=["vehicle", "row", "lane"]).select("vehicle", "dhw")
 
 
 def main(data: Path, output: Path) -> None:

@@ -14,12 +14,14 @@ from charms_bench.engine.following import FOLLOWING_RANGE_M
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
 from charms_bench.people.situations import at_decisions
 from charms_bench.world.lanes import NEIGHBOUR_MARGIN_M
-from charms_bench.world.scene import Floats
+from charms_bench.world.scene import Floats, Ints
 
 DECISION_HZ = 3
 """The rate at which the simulation counts."""
 LANE_CHANGE_SPEED_MPS = 0.07
 """A vehicle that moves sideways faster than this moves towards another lane."""
+FEWEST_RECORDINGS = 10
+"""With as many recordings, they are the independent units; with fewer, vehicles are."""
 _ON_LANE_M = LANE_WIDTH_M / 2 + NEIGHBOUR_MARGIN_M
 """A vehicle is on a lane while its centre is this close to the lane's; see `Scene.leader`."""
 
@@ -32,6 +34,11 @@ class Followers:
     """Speed along the road of each driver at each decision, m/s."""
     dhw: Floats
     """Distance headway to the leader at each start of a lane change, m."""
+    speed_units: Ints
+    dhw_units: Ints
+    """The number of the independent unit of each value."""
+    unit: str
+    """What a unit is: a recording or a vehicle."""
     vehicles: int
     """Number of recorded vehicles, with or without a leader."""
     lane_changes: int
@@ -45,16 +52,26 @@ def followers(recordings: Iterable[Recording]) -> Followers:
         DataError: The frame rate is below the decision rate.
     """
     speeds, headways, vehicles, lane_changes = [], [], 0, 0
-    for recording in recordings:
+    for number, recording in enumerate(recordings):
+        in_recording = pl.lit(number).alias("recording")
         decided = recording.tracks.filter(at_decisions(recording, DECISION_HZ))
-        speeds.append(_following(decided)["speed"].to_numpy())
+        speeds.append(_following(decided).select(in_recording, "vehicle", value="speed"))
         starts = lane_change_starts(recording)
         at_starts = recording.tracks.join(starts.select("frame").unique(), on="frame", how="semi")
         found = _following(at_starts).join(starts, on=["vehicle", "frame"], how="semi")
-        headways.append(found["leader_distance"].to_numpy())
+        headways.append(found.select(in_recording, "vehicle", value="leader_distance"))
         vehicles += recording.tracks["vehicle"].n_unique()
         lane_changes += recording.lane_changes.height
-    return Followers(np.concatenate(speeds), np.concatenate(headways), vehicles, lane_changes)
+    unit = "recording" if len(speeds) >= FEWEST_RECORDINGS else "vehicle"
+    speed, dhw = (_by_unit(pl.concat(each), unit) for each in (speeds, headways))
+    return Followers(speed[0], dhw[0], speed[1], dhw[1], unit, vehicles, lane_changes)
+
+
+def _by_unit(values: pl.DataFrame, unit: str) -> tuple[Floats, Ints]:
+    """The values and the numbers of their units."""
+    keys = ["recording", "vehicle"] if unit == "vehicle" else ["recording"]
+    numbers = pl.struct(keys).rank("dense")
+    return values["value"].to_numpy(), values.select(numbers).to_series().to_numpy()
 
 
 def lane_change_starts(recording: Recording) -> pl.DataFrame:

@@ -13,7 +13,7 @@ from charms_bench.errors import suggestion
 from charms_bench.people.following import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
 from charms_bench.people.highd import read_folder
 from charms_bench.world.fields import FilePath, FrozenModel, Name
-from charms_bench.world.scene import Floats
+from charms_bench.world.scene import Floats, Ints
 
 LEADER = f"leader within {FOLLOWING_RANGE_M:g} m in the same lane, centre to centre"
 SPEED = f"speed along the road with a {LEADER}, at {DECISION_HZ} Hz"
@@ -75,16 +75,24 @@ class Reference(FrozenModel):
     """Number of recorded vehicles, with or without a leader."""
     lane_changes: int | None
     """Number of recorded lane changes, with or without a leader; None if lanes are unknown."""
-    speed: Counts | None
-    """Speeds of drivers at decisions, in the bins of `charms_bench.engine.following`; None if the
-    quantity was not recorded."""
-    dhw: Counts | None
+    unit: str
+    """What is taken to be independent of each other: vehicles, recordings or runs."""
+    speed: tuple[Counts, ...]
+    """Speeds of drivers at decisions, in the bins of `charms_bench.engine.following`, by unit; empty
+    if the quantity was not recorded."""
+    dhw: tuple[Counts, ...]
     """Distance headways at starts of lane changes, likewise."""
 
+    def units(self, quantity: str) -> Floats:
+        """[U, BINS] counts of a quantity of `following.QUANTITIES`, by unit with any."""
+        counts = np.array({"speed": self.speed, "dhw": self.dhw}[quantity], dtype=np.float64)
+        counts = counts.reshape(-1, BINS)
+        return counts[counts.any(axis=1)]
+
     def counts(self, quantity: str) -> Floats | None:
-        """(BINS,) counts of a quantity of `following.QUANTITIES`; None if nothing was recorded."""
-        counts = {"speed": self.speed, "dhw": self.dhw}[quantity]
-        return np.array(counts, dtype=np.float64) if counts and any(counts) else None
+        """(BINS,) counts of all units; None if nothing was recorded."""
+        units = self.units(quantity)
+        return units.sum(axis=0) if len(units) else None
 
     def to_json(self) -> str:
         """The reference as JSON, one field per line, as in the package."""
@@ -93,9 +101,12 @@ class Reference(FrozenModel):
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def histogram(values: Floats) -> tuple[int, ...]:
-    """(BINS,) number of values in each bin."""
-    return tuple(np.bincount(bins_of(values), minlength=BINS).tolist())
+def histograms(values: Floats, units: Ints) -> tuple[tuple[int, ...], ...]:
+    """(BINS,) number of values in each bin, for each unit; `units` has that of each value."""
+    return tuple(
+        tuple(np.bincount(bins_of(values[units == unit]), minlength=BINS).tolist())
+        for unit in np.unique(units)
+    )
 
 
 def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:
@@ -134,6 +145,7 @@ def from_recordings(folder: Path, **fields: str) -> Reference:
         **described,
         vehicles=found.vehicles,
         lane_changes=found.lane_changes,
-        speed=histogram(found.speed),
-        dhw=histogram(found.dhw),
+        unit=found.unit,
+        speed=histograms(found.speed, found.speed_units),
+        dhw=histograms(found.dhw, found.dhw_units),
     )

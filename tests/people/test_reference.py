@@ -12,7 +12,7 @@ from charms_bench.people.reference import (
     REFERENCES,
     Reference,
     ReferenceSpec,
-    histogram,
+    histograms,
     read_references,
 )
 
@@ -27,9 +27,27 @@ def read(folder: Path = Path(), **spec: object) -> Reference:
 
 
 def test_values_are_counted_in_bins_of_a_half_and_the_last_takes_the_rest() -> None:
-    counts = np.array(histogram(np.array([0.0, 0.49, 0.5, 49.9, 50.0, 80.0])))
+    (counts,) = np.array(histograms(np.array([0.0, 0.49, 0.5, 49.9, 50.0, 80.0]), np.full(6, 3)))
     assert counts.size == 100
     assert {int(k): int(counts[k]) for k in counts.nonzero()[0]} == {0: 2, 1: 1, 99: 3}
+
+
+def test_values_are_counted_unit_by_unit() -> None:
+    counts = np.array(histograms(np.array([1.0, 2.0, 1.0]), np.array([7, 4, 7])))
+    assert [row.nonzero()[0].tolist() for row in counts] == [[4], [2]]
+    assert counts[1, 2] == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "speeds", "headways"), [("i24", 60, 63765, 0), ("us101", 32, 15542, 49)]
+)
+def test_shipped_references_know_their_independent_units(
+    name: str, unit: int, speeds: int, headways: int
+) -> None:
+    reference = read(name=name)
+    assert len(reference.units("speed")) == unit
+    assert reference.units("speed").sum() == speeds
+    assert reference.units("dhw").sum() == headways
 
 
 @pytest.mark.parametrize("name", SHIPPED)
