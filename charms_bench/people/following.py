@@ -7,7 +7,6 @@ last moment before the vehicle leaves its lane at which it does not yet move tow
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
 import polars as pl
 
 from charms_bench.engine.following import FOLLOWING_RANGE_M

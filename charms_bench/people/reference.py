@@ -78,8 +78,8 @@ class Reference(FrozenModel):
     unit: str
     """What is taken to be independent of each other: vehicles, recordings or runs."""
     speed: tuple[Counts, ...]
-    """Speeds of drivers at decisions, in the bins of `charms_bench.engine.following`, by unit; empty
-    if the quantity was not recorded."""
+    """Speeds of drivers at decisions in each unit, in the bins of `charms_bench.engine.following`;
+    empty if the quantity was not recorded."""
     dhw: tuple[Counts, ...]
     """Distance headways at starts of lane changes, likewise."""
 

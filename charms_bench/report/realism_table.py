@@ -2,20 +2,21 @@
 
 Two quantities of all vehicles (`engine.following`), each with three distances
 (`statistics.divergence`). The paper reports KL from the human data, on bins it does not state;
-here they are 1 m/s and 5 m. Jensen-Shannon uses the same bins, Wasserstein those of the rows.
+here they are 1 m/s and 5 m. Jensen-Shannon uses the same bins, Wasserstein those of the rows. Two
+more rows say which distances are possible: that of a perfect simulator, from so few recorded
+drivers, and that of the recorded drivers themselves within the profile's range of speeds.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.following import BIN, QUANTITIES
+from charms_bench.engine.following import BIN, BINS, QUANTITIES, bins_of
 from charms_bench.people.reference import Reference
-from charms_bench.report.definitions import RESAMPLED
 from charms_bench.report.suite_table import DIGITS
-from charms_bench.report.table import Column, Table, long_schema
+from charms_bench.report.table import Column, Number, Table, long_schema
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.divergence import (
@@ -24,7 +25,8 @@ from charms_bench.statistics.divergence import (
     kl_divergence,
     wasserstein,
 )
-from charms_bench.statistics.intervals import CONFIDENCE, resampled_totals
+from charms_bench.statistics.human_sample import around, perfect_samples
+from charms_bench.statistics.intervals import resampled_totals
 from charms_bench.world.scene import Floats
 
 KEYS = ("traffic",)
@@ -50,11 +52,23 @@ DISTANCES = {
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
 """What each distance is."""
-COUNTED = (
-    "simulated vehicles, each at a decision. The interval is that of the simulation alone; the "
-    "uncertainty of the human data, which is large where few people were recorded, is not in it"
-)
+COUNTED = "simulated vehicles, each at a decision"
 """What n counts."""
+RESAMPLED = (
+    "from resampled episodes and resampled human recordings, of the distance expected with as many "
+    "recordings; for a perfect simulator, the range of 95 % of its distances"
+)
+PERFECT = "(perfect simulator)"
+CLIPPED = "(people, speed clipped)"
+NOTE = (
+    f"The row {PERFECT} has the median distance of a simulator that drives exactly like people, "
+    "which is not 0 because few people were recorded, and the range of 95 % of such distances. The "
+    f"row {CLIPPED} has the distance of the recorded people from themselves if their speeds were "
+    "kept within the range of the profile; no simulator of this profile can be expected to be "
+    "nearer. A traffic is marked as the nearest to human driving if its interval lies below that "
+    "of every other traffic, and the distance of the next nearest lies above that range of a "
+    "perfect simulator."
+)
 
 
 def coarse(counts: Floats, quantity: str) -> Floats:
@@ -64,7 +78,7 @@ def coarse(counts: Floats, quantity: str) -> Floats:
 
 
 def distances(human: Floats, simulated: Floats, quantity: str) -> dict[str, Floats]:
-    """Each distance [...] of simulated counts [..., BINS] from human ones [BINS], by metric."""
+    """Each distance [...] of simulated counts from human ones, both [..., BINS], by metric."""
     of_human, of_simulated = coarse(human, quantity), coarse(simulated, quantity)
     return {
         f"kl_{quantity}": kl_divergence(of_human, of_simulated),
@@ -81,20 +95,41 @@ def realism_table(
     The suite's seed is that of the resamples, which are the same for traffics with the same number
     of episodes.
     """
+    profile = suite.scene.profile
+    limits = [int(bins_of(each)) for each in (profile.speed_min_mps, profile.speed_max_mps)]
     records = []
     for quantity in QUANTITIES:
-        for traffic in traffics:
-            counts = traffic.of_quantity(quantity)
-            totals = counts.sum(axis=0)
-            resampled = resampled_totals([counts], np.random.default_rng(suite.seed))
-            for reference in references:
-                human = reference.counts(quantity)
-                if human is None:
-                    continue
-                spread = distances(human, resampled, quantity)
+        counts = {each.traffic: each.of_quantity(quantity) for each in traffics}
+        simulated = {
+            name: (
+                each.sum(axis=0).astype(np.float64),
+                resampled_totals([each], np.random.default_rng(suite.seed)),
+            )
+            for name, each in counts.items()
+        }
+        n = round(float(np.median([totals.sum() for totals, _ in simulated.values()])))
+        for reference in references:
+            units = reference.units(quantity)
+            if not len(units):
+                continue
+            human = units.sum(axis=0)
+            rng = np.random.default_rng((suite.seed, 1))
+            humans = resampled_totals([units], rng)
+            beside = dict(simulated)
+            if quantity == "speed":
+                clipped = [_as_many(_clipped(each, *limits), n) for each in (human, humans)]
+                beside[CLIPPED] = (clipped[0], clipped[1])
+            for name, (totals, resampled) in beside.items():
+                spread = distances(humans, resampled, quantity)
                 for metric, value in distances(human, totals, quantity).items():
-                    numbers = (float(value), *_interval(spread[metric]), round(totals.sum()))
-                    records.append((traffic.traffic, reference.name, metric, *numbers))
+                    interval = around(float(value), spread[metric], len(units))
+                    numbers = (float(value), *interval, round(totals.sum()))
+                    records.append((name, reference.name, metric, *numbers))
+            if len(units) > 1:
+                truth, samples = perfect_samples(units, rng)
+                for metric, found in distances(samples, n * truth, quantity).items():
+                    scores = np.quantile(found, [0.5, 0.025, 0.975]).tolist()
+                    records.append((PERFECT, reference.name, metric, *scores, n))
     places = {reference.name: place for place, reference in enumerate(references)}
     rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
     frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
@@ -102,16 +137,18 @@ def realism_table(
     return from_frame(frame.with_columns(rounded).sort(order, maintain_order=True), suite)
 
 
-def _interval(values: Floats) -> tuple[float, float]:
-    """The percentiles of resampled values; NaN if none is defined."""
-    values = values[~np.isnan(values)]
-    tail = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(values, [tail, 1 - tail]) if values.size else (np.nan, np.nan)
-    return float(low), float(high)
+def _clipped(counts: Floats, lowest: int, highest: int) -> Floats:
+    """Counts [..., BINS] with those below and above two bins added to them."""
+    return np.asarray(counts @ np.eye(BINS)[np.arange(BINS).clip(lowest, highest)])
+
+
+def _as_many(counts: Floats, n: int) -> Floats:
+    """Counts [..., BINS] scaled to a total, on which the smoothing of KL depends."""
+    return np.asarray(counts * (n / counts.sum(axis=-1, keepdims=True)))
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
-    """The table of realism from its long frame; the smallest distances are marked."""
+    """The table of realism from its long frame; the nearest traffics are marked, see `NOTE`."""
     table = Table.from_frame(
         frame,
         f"{suite.suite}-realism",
@@ -119,18 +156,35 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         KEYS,
         LONG,
         _column,
-        note="The traffic nearest to human driving is marked.",
+        note=NOTE,
     )
-    known = [[n.value for n in table.column(i)] for i in range(len(table.columns))]
-    least = [min((each for each in column if each is not None), default=None) for column in known]
+    names = [row.labels[0] for row in table.rows]
+    columns = range(len(table.columns))
+    nearest = [_nearest(dict(zip(names, table.column(i), strict=True))) for i in columns]
     rows = []
-    for row in table.rows:
+    for row, name in zip(table.rows, names, strict=True):
         cells = (
-            replace(number, marked=number.value is not None and number.value == smallest)
-            for number, smallest in zip(row.numbers, least, strict=True)
+            replace(number, marked=name == each)
+            for number, each in zip(row.numbers, nearest, strict=True)
         )
         rows.append(replace(row, cells=tuple(cells)))
     return replace(table, rows=tuple(rows))
+
+
+def _nearest(column: Mapping[str, Number]) -> str | None:
+    """The traffic that is nearest to human driving, if the data separate it; see `NOTE`."""
+    perfect = column.get(PERFECT, Number()).high
+    ranked = sorted(
+        (number.value, name)
+        for name, number in column.items()
+        if name not in (PERFECT, CLIPPED) and number.value is not None
+    )
+    if len(ranked) < 2 or perfect is None or ranked[1][0] <= perfect:
+        return None
+    nearest, *others = (name for _, name in ranked)
+    end, ends = column[nearest].high, [column[name].low for name in others]
+    separated = end is not None and all(low is not None and end < low for low in ends)
+    return nearest if separated else None
 
 
 def _column(reference: str, metric: str) -> Column:
