@@ -19,9 +19,8 @@ def markdown(table: Table, full: bool = False) -> str:
         beside = f" ({table.reference})" * (has_reference and not full)
         header.append(column.name + beside)
         header += [f"{table.reference} (difference)"] * (has_reference and full)
-    has_n = full and all(
-        len(found := {cell.n for cell in cells}) == 1 and found != {""} for cells in texts
-    )
+    counted = [{cell.n for cell in cells} for cells in texts]
+    has_n = full and all(len(each) == 1 for each in counted) and {""} != set().union(*counted)
     header += ["n"] * has_n
     lines = []
     for row, cells in zip(table.rows, texts, strict=True):

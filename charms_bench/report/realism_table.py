@@ -59,16 +59,19 @@ RESAMPLED = (
     "recordings; for a perfect simulator, the range of 95 % of its distances"
 )
 PERFECT = "(perfect simulator)"
-CLIPPED = "(people, speed clipped)"
+WITHIN_LIMITS = "(speed limits of the profile)"
+OVERSHOOT_MPS = 0.4
+"""A vehicle leaves the profile's range of speeds by as much in one step of 1/15 s, at 6 m/s²; then
+the profile pulls it back."""
 NOTE = (
     f"The row {PERFECT} has the median distance of a simulator that drives exactly like people, "
-    "which is not 0 because few people were recorded, and the range of 95 % of such distances. The "
-    f"row {CLIPPED} has the distance of the recorded people from themselves if their speeds were "
-    "kept within the range of the profile; no simulator of this profile can be expected to be "
-    "nearer. A traffic is marked as the nearest to human driving if its interval lies below that "
-    "of every other traffic, and the distance of the next nearest lies above that range of a "
-    "perfect simulator."
+    "which is not 0 because few people were recorded, and the range of 95 % of such distances. "
+    f"The row {WITHIN_LIMITS} has the smallest possible distance of speeds to which the profile "
+    "limits vehicles; no traffic can be nearer, except for the smoothing of KL. A traffic is "
+    "marked as the nearest to human driving if its interval lies below that of every other "
+    "traffic, and the distance of the next nearest lies above the range of a perfect simulator."
 )
+"""What the additional rows are, and which numbers are marked."""
 
 
 def coarse(counts: Floats, quantity: str) -> Floats:
@@ -96,7 +99,7 @@ def realism_table(
     of episodes.
     """
     profile = suite.scene.profile
-    limits = [int(bins_of(each)) for each in (profile.speed_min_mps, profile.speed_max_mps)]
+    limits = (profile.speed_min_mps - OVERSHOOT_MPS, profile.speed_max_mps + OVERSHOOT_MPS)
     records = []
     for quantity in QUANTITIES:
         counts = {each.traffic: each.of_quantity(quantity) for each in traffics}
@@ -115,20 +118,26 @@ def realism_table(
             human = units.sum(axis=0)
             rng = np.random.default_rng((suite.seed, 1))
             humans = resampled_totals([units], rng)
-            beside = dict(simulated)
+            rows = {
+                name: (
+                    distances(human, totals, quantity),
+                    distances(humans, resampled, quantity),
+                    round(totals.sum()),
+                )
+                for name, (totals, resampled) in simulated.items()
+            }
             if quantity == "speed":
-                clipped = [_as_many(_clipped(each, *limits), n) for each in (human, humans)]
-                beside[CLIPPED] = (clipped[0], clipped[1])
-            for name, (totals, resampled) in beside.items():
-                spread = distances(humans, resampled, quantity)
-                for metric, value in distances(human, totals, quantity).items():
+                nearest, spread = (smallest_distances(each, limits, n) for each in (human, humans))
+                rows[WITHIN_LIMITS] = (nearest, spread, n)
+            for name, (found, spread, count) in rows.items():
+                for metric, value in found.items():
                     interval = around(float(value), spread[metric], len(units))
-                    numbers = (float(value), *interval, round(totals.sum()))
+                    numbers = (float(value), *interval, count)
                     records.append((name, reference.name, metric, *numbers))
             if len(units) > 1:
                 truth, samples = perfect_samples(units, rng)
-                for metric, found in distances(samples, n * truth, quantity).items():
-                    scores = np.quantile(found, [0.5, 0.025, 0.975]).tolist()
+                for metric, scored in distances(samples, n * truth, quantity).items():
+                    scores = np.quantile(scored, [0.5, 0.025, 0.975]).tolist()
                     records.append((PERFECT, reference.name, metric, *scores, n))
     places = {reference.name: place for place, reference in enumerate(references)}
     rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
@@ -137,14 +146,27 @@ def realism_table(
     return from_frame(frame.with_columns(rounded).sort(order, maintain_order=True), suite)
 
 
-def _clipped(counts: Floats, lowest: int, highest: int) -> Floats:
-    """Counts [..., BINS] with those below and above two bins added to them."""
-    return np.asarray(counts @ np.eye(BINS)[np.arange(BINS).clip(lowest, highest)])
+def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> dict[str, Floats]:
+    """The smallest distances [...] of n speeds within limits from human ones [..., BINS].
+
+    KL and Jensen-Shannon are smallest for the human shares of the bins within the limits, because
+    merging these bins to one does not change them then, and never increases them (Csiszar 1967).
+    The Wasserstein distance is smallest if every speed beyond a limit moves to it.
+    """
+    width = round(COARSE_BIN["speed"] / BIN)
+    lowest, highest = (int(bins_of(limit)) for limit in limits)
+    inside = (np.arange(BINS) >= lowest // width * width) & (
+        np.arange(BINS) // width * width <= highest
+    )
+    clipped = human @ np.eye(BINS)[np.arange(BINS).clip(lowest, highest)]
+    found = distances(human, _as_many(human * inside, n), "speed")
+    return {**found, "wasserstein_speed": wasserstein(human, clipped, BIN)}
 
 
 def _as_many(counts: Floats, n: int) -> Floats:
     """Counts [..., BINS] scaled to a total, on which the smoothing of KL depends."""
-    return np.asarray(counts * (n / counts.sum(axis=-1, keepdims=True)))
+    total = counts.sum(axis=-1, keepdims=True)
+    return np.asarray(counts * (n / np.where(total > 0, total, 1.0)))
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
@@ -177,7 +199,7 @@ def _nearest(column: Mapping[str, Number]) -> str | None:
     ranked = sorted(
         (number.value, name)
         for name, number in column.items()
-        if name not in (PERFECT, CLIPPED) and number.value is not None
+        if name not in (PERFECT, WITHIN_LIMITS) and number.value is not None
     )
     if len(ranked) < 2 or perfect is None or ranked[1][0] <= perfect:
         return None
