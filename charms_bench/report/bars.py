@@ -1,5 +1,6 @@
 """Numbers drawn with characters: an interval on a scale, a curve as a line of blocks."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -22,8 +23,8 @@ class Scale:
 
     @classmethod
     def over(cls, numbers: Iterable[float | None], width: int, zero: bool = False) -> "Scale":
-        """A scale that holds all numbers, and 0 if asked to or if 0 is not far from them."""
-        known = [number for number in numbers if number is not None]
+        """A scale that holds all finite numbers, and 0 if asked to or if 0 is not far from them."""
+        known = [number for number in numbers if number is not None and math.isfinite(number)]
         low, high = min(known, default=0.0), max(known, default=0.0)
         if zero or 0 <= low < high / 2:
             low, high = min(low, 0.0), max(high, 0.0)
@@ -32,8 +33,9 @@ class Scale:
         return cls(low, high, width)
 
     def place(self, number: float) -> int:
-        """The character, from 0, at which a number is drawn."""
-        return round((number - self.low) / (self.high - self.low) * (self.width - 1))
+        """The character, from 0, at which a number is drawn; infinity is drawn at the end."""
+        within = min(max(number, self.low), self.high)
+        return round((within - self.low) / (self.high - self.low) * (self.width - 1))
 
 
 def bar(scale: Scale, number: Number) -> Text:

@@ -67,13 +67,16 @@ def _written(number: Number, form: str) -> Written:
 
 
 def _text(number: float | None, form: str) -> str:
-    return "" if number is None else f"{number:{form}}".replace("%", " %")
+    if number is None or math.isnan(number):
+        return ""
+    return f"{number:{form}}".replace("%", " %").replace("inf", "∞")
 
 
 def _four_digits(numbers: Iterable[Number]) -> str:
     """The form for a column: four digits of its largest number, three of one below 1."""
     found = [each for number in numbers for each in (number.value, number.high, number.reference)]
-    largest = max((abs(each) for each in found if each is not None), default=0.0)
+    known = [abs(each) for each in found if each is not None and math.isfinite(each)]
+    largest = max(known, default=0.0)
     magnitude = math.floor(math.log10(largest)) if largest else 0
     decimals = min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
     return f"{',' * (largest >= 10_000)}.{decimals}f"
@@ -81,12 +84,13 @@ def _four_digits(numbers: Iterable[Number]) -> str:
 
 def _two_digits_of_margin(number: Number) -> str:
     """The form for a number: two digits of the half-width of its interval, which limits it."""
-    if number.value is None or number.high is None or number.high <= number.value:
-        return _three_digits(number.value or 0.0)
-    return f".{max(0, 1 - math.floor(math.log10(number.high - number.value)))}f"
+    value, high = number.value, number.high
+    if value is None or high is None or high <= value or not math.isfinite(high - value):
+        return _three_digits(value or 0.0)
+    return f".{max(0, 1 - math.floor(math.log10(high - value)))}f"
 
 
 def _three_digits(value: float) -> str:
     """The form for a number without an interval."""
-    magnitude = math.floor(math.log10(abs(value))) if value else 2
+    magnitude = math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 2
     return f".{min(5, max(0, 2 - magnitude))}f"

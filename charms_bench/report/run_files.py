@@ -75,10 +75,11 @@ def _described(reference: Reference) -> str:
     """Where a reference comes from, and what it measures."""
     lines = [f"**{reference.name}**: {reference.origin} Data: {reference.terms}."]
     for quantity, what in (("speed", reference.speed_is), ("dhw", reference.dhw_is)):
-        human = reference.counts(quantity)
-        if human is not None:
+        units = reference.units(quantity)
+        if len(units):
             lines.append(
-                f"- {TITLE[quantity]}: {what}. Human driving: n = {human.sum():,.0f}; vehicles: "
-                f"{reference.vehicles:,}."
+                f"- {TITLE[quantity]}: {what}. Human driving: n = {units.sum():,.0f}; vehicles: "
+                f"{reference.vehicles:,}. Independent of each other: {len(units):,} "
+                f"{reference.unit}{'s' * (len(units) > 1)}."
             )
     return "\n".join(lines)

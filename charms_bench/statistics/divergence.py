@@ -1,6 +1,6 @@
 """Divergences between two distributions, both given as counts in the same bins.
 
-Every function takes reference counts [K] and other counts [..., K]. It returns [...], with NaN
+Every function takes reference counts and other counts, both [..., K]. It returns [...], with NaN
 where nothing was counted.
 """
 

@@ -28,6 +28,12 @@ def test_a_value_stands_in_its_interval_beside_the_papers(
     assert bar(TENTHS, number).plain == drawn
 
 
+def test_an_infinite_interval_reaches_the_end() -> None:
+    scale = Scale.over([1.0, 0.0, float("inf")], 10)
+    assert (scale.low, scale.high) == (0.0, 1.0)
+    assert bar(scale, Number(0.5, 0.0, float("inf"))).plain == "━━━━●━━━━━"
+
+
 def test_differences_are_drawn_around_zero() -> None:
     assert bar(Scale(-1.0, 1.0, 11), Number(0.6, 0.4, 0.8)).plain == "     ┊ ━●━ "
 

@@ -1,5 +1,6 @@
 """The table model: what a table holds, and how its numbers are written."""
 
+import math
 from dataclasses import replace
 
 import polars as pl
@@ -104,6 +105,26 @@ def test_a_number_is_written_with_the_digits_of_its_column(
 ) -> None:
     (written,) = write_column(Column("x", form=form, signed=signed), [number])
     assert (written.value, written.low, written.high) == expected
+
+
+@pytest.mark.parametrize(
+    ("form", "expected"),
+    [
+        ("", "∞ 2.000 ∞ -∞"),
+        (".1%", "∞ % 200.0 ∞ -∞ %"),
+        ("margin", "∞ 2 ∞ -∞"),
+        (".2f", "∞ 2.00 ∞ -∞"),
+    ],
+)
+def test_infinity_is_written_as_its_symbol(form: str, expected: str) -> None:
+    numbers = [Number(math.inf, 2.0, math.inf), Number(-math.inf), Number(2.0)]
+    first, second, _ = write_column(Column("ratio", form=form), numbers)
+    assert " ".join((first.value, first.low, first.high, second.value)) == expected
+
+
+def test_nan_is_written_as_nothing() -> None:
+    (cell,) = write_column(Column("ratio"), [Number(math.nan, math.nan, math.nan)])
+    assert (cell.value, cell.low, cell.high) == ("–", "", "")
 
 
 def test_a_reference_has_its_difference_beside_it() -> None:
