@@ -1,4 +1,4 @@
-"""Made-up episodes whose events are correlated, with a known share."""
+"""Made-up episodes whose events are correlated, with a known share or rate."""
 
 import numpy as np
 
@@ -35,3 +35,19 @@ def bursts(share: float, mean_steps: float, episodes: int, rng: np.random.Genera
         happens = np.where(happens, draws[step] >= ends, draws[step] < starts)
         counted += happens & (step < logged)
     return np.stack([logged, counted], axis=1).astype(np.float64)
+
+
+def pile_ups(rate: float, largest: int, episodes: int, rng: np.random.Generator) -> Floats:
+    """[E, 3] vehicles, distance and events, which come in pile-ups of 1 to `largest` vehicles."""
+    distance = rng.uniform(0.2, 1.8, episodes)
+    starts = rng.poisson(rate * distance / ((1 + largest) / 2))
+    sizes = rng.integers(1, largest + 1, starts.sum())
+    events = np.bincount(np.repeat(np.arange(episodes), starts), sizes, minlength=episodes)
+    return np.stack([np.full(episodes, 20.0), distance, events], axis=1)
+
+
+def over_dispersed(rate: float, shape: float, episodes: int, rng: np.random.Generator) -> Floats:
+    """[E, 3] vehicles, distance and events, at rates that have a gamma distribution."""
+    distance = rng.uniform(0.2, 1.8, episodes)
+    events = rng.poisson(rate * distance * rng.gamma(shape, 1 / shape, episodes))
+    return np.stack([np.full(episodes, 20.0), distance, events], axis=1)

@@ -10,12 +10,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from clustered_episodes import beta_binomial, bursts
+from clustered_episodes import beta_binomial, bursts, over_dispersed, pile_ups
 
+from charms_bench.metrics.metric import Interval
 from charms_bench.statistics.intervals import clustered
 from charms_bench.world.scene import Floats
 
-LOWEST, HIGHEST = 0.001, 0.5
+SHARES = (0.001, 0.5)
+RATES = (0.002, 5.0)
 BINS = (0.002, 0.004, 0.008, 0.02, 0.05, 0.15)
 Design = Callable[[float, int, np.random.Generator], Floats]
 
@@ -38,13 +40,28 @@ DESIGNS = {
 }
 
 
-def held(design: Design, episodes: int, repetitions: int, seed: int) -> tuple[Floats, Floats]:
-    """The true shares, and whether their intervals are below (-1), hold (0) or above (1) them."""
+RATE_DESIGNS: dict[str, Design] = {
+    "independent events": lambda rate, episodes, rng: pile_ups(rate, 1, episodes, rng),
+    "pile-ups of 1 to 20": lambda rate, episodes, rng: pile_ups(rate, 20, episodes, rng),
+    "gamma, shape 1": lambda rate, episodes, rng: over_dispersed(rate, 1.0, episodes, rng),
+    "gamma, shape 0.2": lambda rate, episodes, rng: over_dispersed(rate, 0.2, episodes, rng),
+}
+
+
+def held(
+    design: Design,
+    episodes: int,
+    repetitions: int,
+    seed: int,
+    between: tuple[float, float] = SHARES,
+    kind: Interval = "share",
+) -> tuple[Floats, Floats]:
+    """True values, and whether their intervals are below (-1), hold (0) or above (1) them."""
     rng = np.random.default_rng(seed)
-    shares = np.exp(rng.uniform(np.log(LOWEST), np.log(HIGHEST), repetitions))
-    found = np.array([clustered(design(share, episodes, rng), "share") for share in shares])
+    truths = np.exp(rng.uniform(*np.log(between), repetitions))
+    found = np.array([clustered(design(truth, episodes, rng), kind) for truth in truths])
     low, high = found.T
-    return shares, np.where(high < shares, -1.0, np.where(low > shares, 1.0, 0.0))
+    return truths, np.where(high < truths, -1.0, np.where(low > truths, 1.0, 0.0))
 
 
 def by_share(shares: Floats, sides: Floats) -> Floats:
@@ -78,3 +95,19 @@ def test_intervals_of_shares_hold_the_share_in_94_to_96_percent_on_average() -> 
     print(f"mean {np.mean(means):.4f}, lowest bin {np.min(worst):.3f}", file=sys.stderr)
     assert 0.94 <= np.mean(means) <= 0.96
     assert np.min(worst) >= 0.90
+
+
+@pytest.mark.slow
+def test_intervals_of_rates_hold_the_rate_and_are_wide_at_few_events() -> None:
+    for episodes in (600, 1800):
+        for seed, (name, design) in enumerate(RATE_DESIGNS.items()):
+            rates, sides = held(design, episodes, 5000, seed, RATES, "rate")
+            tenths = np.array_split((sides == 0)[np.argsort(rates)], 10)
+            bins = np.array([tenth.mean() for tenth in tenths])
+            print(
+                f"{episodes:5} {name:20} held {(sides == 0).mean():.3f}; by rate "
+                f"{' '.join(f'{b:.3f}' for b in bins)}",
+                file=sys.stderr,
+            )
+            assert (sides == 0).mean() >= 0.94
+            assert bins.min() >= 0.90
