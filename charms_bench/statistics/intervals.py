@@ -157,20 +157,26 @@ def estimate(
 
 def _estimate(metric: Metric, sums: Floats, resampled: Floats | None) -> Estimate:
     totals = sums.sum(axis=0)
-    n, events = round(totals[0]), round(totals[-1])
     value = float(metric.value(totals))
     if np.isnan(value):
         bounds = NO_BOUNDS
-    elif metric.interval == "wilson":
-        bounds = wilson(events, n)
-    elif metric.interval == "garwood":
-        low, high = garwood(events)
-        bounds = low / float(totals[-2]), high / float(totals[-2])
     elif resampled is None:
-        bounds = clustered(sums, metric.interval)
+        bounds = of_events(metric.interval, sums)
     else:
         bounds = _percentiles(metric.value(resampled))
-    return Estimate(value, bounds[0], bounds[1], n)
+    return Estimate(value, bounds[0], bounds[1], round(totals[0]))
+
+
+def of_events(kind: Interval, sums: Floats) -> Bounds:
+    """The interval of a share or a rate of any kind but "bootstrap", from sums [E, k]."""
+    totals = sums.sum(axis=0)
+    events = round(totals[-1])
+    if kind == "wilson":
+        return wilson(events, round(totals[0]))
+    if kind == "garwood":
+        low, high = garwood(events)
+        return low / float(totals[-2]), high / float(totals[-2])
+    return clustered(sums, kind)
 
 
 def _percentiles(values: Floats) -> Bounds:

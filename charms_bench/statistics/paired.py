@@ -18,7 +18,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, Bounds, clustered
+from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, Bounds, of_events
 from charms_bench.world.scene import Floats
 
 POWER = 0.8
@@ -62,13 +62,14 @@ def _difference(metric: Metric, ours: Floats, theirs: Floats, weights: Floats) -
     if metric.interval == "wilson":
         return _of_shares(ours, theirs)
     found = _of_sums(metric.value, ours, theirs, weights)
-    if metric.interval not in ("share", "rate") or np.isnan(found.value):
-        return found
+    has_interval = np.isnan(found.value) or not np.isnan(found.low)
     # Agents that never differ although something happens are the same agent.
-    unknown = np.isnan(found.low) and ((ours != theirs).any() or not ours[:, -1].any())
-    bounds = [clustered(each, metric.interval) for each in (ours, theirs)]
+    same = ours[:, -1].any() and np.array_equal(ours, theirs)
+    if metric.interval == "bootstrap" or has_interval or same:
+        return found
+    bounds = [of_events(metric.interval, each) for each in (ours, theirs)]
     values = [float(metric.value(each.sum(axis=0))) for each in (ours, theirs)]
-    low, high = combined(values, bounds) if unknown else (found.low, found.high)
+    low, high = combined(values, bounds)
     return replace(found, low=low, high=high)
 
 

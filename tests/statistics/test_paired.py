@@ -170,6 +170,13 @@ def test_a_share_of_few_events_has_an_interval_around_no_difference(
     assert found.low < found.value < found.high
 
 
+def test_a_rate_that_neither_agent_has_is_bounded_on_both_sides() -> None:
+    # Garwood 1936: at most 3.689 events in the 100 km of each.
+    none = np.stack([np.ones(100), np.ones(100), np.zeros(100)], axis=1)
+    found = difference(none, none.copy(), "garwood")
+    assert (found.low, found.high) == pytest.approx((-0.03689, 0.03689), rel=1e-3)
+
+
 def test_agents_that_share_all_events_are_not_apart() -> None:
     found = difference(steps_with(5, 60), steps_with(5, 60), "share")
     assert np.isnan([found.low, found.high]).all()
