@@ -69,11 +69,14 @@ def conflict_episodes(threshold_s: float) -> Metric:
 
 def time_exposed(threshold_s: float) -> Metric:
     """TET, the time per episode with a TTC below a threshold (Minderhoud & Bovy 2001)."""
-    return per_episode(
-        "tet",
-        "s",
-        total(pl.col("interval_s"), TTC.lt(threshold_s)),
-        f"time exposed TTC: time in an episode with a TTC below {threshold_s:g} s, mean",
+    return Metric(
+        name="tet",
+        unit="s",
+        description=f"time exposed TTC: mean time in an episode with a TTC below {threshold_s:g} s",
+        rests_on="steps",
+        # Steps, episodes per second of a step, and exposed steps: a rate of correlated events.
+        sums=(DRIVING.where.sum(), 1 / pl.first("interval_s"), TTC.lt(threshold_s).sum()),
+        interval="rate",
     )
 
 

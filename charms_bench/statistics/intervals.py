@@ -78,18 +78,19 @@ def clustered(sums: Floats, kind: Interval) -> Bounds:
     from scipy import special
 
     first = -2 if kind == "share" else 0
-    occasions, exposure, events = sums[sums[:, first] > 0][:, [first, -2, -1]].T
+    occasions, exposure, events = sums[:, [first, -2, -1]].T
     count, whole = float(events.sum()), float(exposure.sum())
     trials = whole if kind == "share" else math.inf
-    fully_correlated = float((occasions**2).sum() / occasions.sum())
+    episodes = int((occasions > 0).sum())
+    fully_correlated = float((occasions**2).sum() / max(occasions.sum(), 1.0)) or 1.0
     informative = int((events > 0).sum())
     if kind == "share":
         informative = min(informative, int((events < occasions).sum()))
-    if not informative or len(events) < 2:
+    if not informative or episodes < 2:
         effect, z = fully_correlated, _normal_quantile()
     else:
         squares = float(((events - count / whole * exposure) ** 2).sum())
-        found = squares / (count * (1 - count / trials)) * len(events) / (len(events) - 1)
+        found = squares / (count * (1 - count / trials)) * episodes / (episodes - 1)
         prior = PRIOR_EPISODES * fully_correlated
         effect = (informative * found + prior) / (informative + PRIOR_EPISODES)
         z = float(special.stdtrit(2 * informative + 2, (1 + CONFIDENCE) / 2))

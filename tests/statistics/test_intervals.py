@@ -130,6 +130,15 @@ def test_a_rate_that_never_happens_is_bounded_as_if_events_of_an_episode_were_al
     assert interval_of(one_each, "garwood") == pytest.approx((0.0, 3.689 / 2), rel=1e-3)
 
 
+def test_a_rate_without_any_occasion_has_the_interval_of_independent_events() -> None:
+    assert interval_of([[0, 1.0, 0]] * 2, "rate") == pytest.approx((0.0, 3.8415 / 2), rel=1e-4)
+
+
+def test_episodes_without_occasions_do_not_change_the_interval_of_a_share() -> None:
+    sums = [[60, 3], [50, 0], [60, 10]]
+    assert interval_of([*sums, [0, 0]], "share") == interval_of(sums, "share")
+
+
 def test_a_single_event_does_not_make_a_share_certain() -> None:
     sums = [[60, 0]] * 599 + [[60, 1]]
     low, high = interval_of(sums, "share")
