@@ -74,7 +74,7 @@ def _difference(metric: Metric, ours: Floats, theirs: Floats, weights: Floats) -
 
 
 def combined(values: Sequence[float], bounds: Sequence[Bounds]) -> Bounds:
-    """The interval of a difference of two values, from theirs (Zou & Donner 2008, eqs. 5 and 6).
+    """The interval of a difference of two values, from theirs (Zou & Donner 2008).
 
     It is too wide if the values are positively correlated.
     """
