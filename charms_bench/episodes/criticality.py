@@ -18,10 +18,10 @@ from typing import Literal
 
 import polars as pl
 
+from charms_bench.metrics.conflicts import CONFLICT_TTC_S
 from charms_bench.metrics.lane_changes import SAFE_BRAKING_MPS2
 from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2
 from charms_bench.metrics.rows import join_rows
-from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
 from charms_bench.world.scene import SceneSettings
 
 Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]

@@ -15,7 +15,7 @@ from charms_bench.statistics.intervals import estimate
 
 KEYS = ("agent", "traffic")
 LONG = {
-    "metric_set": "group",  # with its version, such as paper-1
+    "metric_set": "group",  # with its version, such as paper-2
     "metric": "name",
     "value": "value",
     "low": "low",

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from charms_bench.episodes.ego_view import EgoView
 from charms_bench.episodes.palette import SERIES
 from charms_bench.episodes.replay import Replay
-from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
+from charms_bench.metrics.conflicts import CONFLICT_TTC_S
 from charms_bench.report.figures.drawing import panels
 from charms_bench.world.scene import Floats, Ints
 
