@@ -22,13 +22,22 @@ def number(low: float, high: float) -> st.SearchStrategy[float]:
 def step_rows() -> st.SearchStrategy[dict[str, Any]]:
     ego = {
         "speed": number(0, 40),
+        "heading": number(-0.1, 0.1),
         "acceleration": number(-8, 8),
         "steering": number(-1, 1),
         "lane": st.integers(0, 2),
         "vehicles_near": st.integers(1, 6),
     }
-    leader = {"leader_distance": number(0, 100), "leader_speed": number(0, 40)}
-    follower = {"follower_acceleration": number(-8, 8)}
+    leader = {
+        "leader": st.integers(1, 3),
+        "leader_distance": number(0, 100),
+        "leader_speed": number(0, 40),
+    }
+    follower = {
+        "follower_distance": number(0, 100),
+        "follower_speed": number(0, 40),
+        "follower_acceleration": number(-8, 8),
+    }
     return st.builds(
         lambda *parts: {key: value for part in parts for key, value in part.items()},
         st.fixed_dictionaries(ego),
@@ -42,6 +51,7 @@ def runs() -> st.SearchStrategy[tuple[Any, ...]]:
         {
             "ending": st.sampled_from(["time", "rear_end", "side", "off_road"]),
             "distance_m": number(1, 700),
+            "struck": st.none() | st.booleans(),
             "traffic_crashed": st.integers(0, 20),
         }
     )
@@ -98,6 +108,7 @@ def test_the_paper_set_has_the_names_of_the_papers_tables() -> None:
         "acc_std",
         "yaw_std",
         "harsh_acc_rate",
+        "harsh_acc_rate_all_steps",
         "dhw_mean",
         "dhw_std",
         "interaction_density",
