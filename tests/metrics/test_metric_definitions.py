@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, standard, sums_by_episode
 from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
-METRICS = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+METRICS = [*PAPER.metrics, *standard(warm_up_s=0.5).metrics]
+"""With a warm-up of one decision; the episodes here are short."""
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:
@@ -22,7 +23,7 @@ def number(low: float, high: float) -> st.SearchStrategy[float]:
 def step_rows() -> st.SearchStrategy[dict[str, Any]]:
     ego = {
         "speed": number(0, 40),
-        "heading": number(-0.1, 0.1),
+        "heading": number(-0.125, 0.125),
         "acceleration": number(-8, 8),
         "steering": number(-1, 1),
         "lane": st.integers(0, 2),
