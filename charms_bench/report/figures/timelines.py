@@ -18,7 +18,7 @@ LEFT, RIGHT = 0.085, 0.99
 
 def draw_timelines(replay: Replay, view: EgoView) -> Figure:
     """The ego's timelines, one above the other."""
-    figure, axes = panels(4, 5.6, 1.0, stacked=True)
+    figure, axes = panels(4, 5.6, 1.0, side_by_side=1)
     # Fixed margins: the cursor of the page has to know where the axes are.
     figure.set_layout_engine(None)
     figure.subplots_adjust(LEFT, 0.09, RIGHT, 0.955, hspace=0.28)
