@@ -11,7 +11,8 @@ limit that the literature gives, always below 1.
     number of abandoned lane changes                  1
 
 Criticality is the sum of the four scaled measures, plus 4 if the ego collided or left the road.
-Every collision therefore ranks above every episode without one.
+Every collision therefore ranks above every episode without one. Unlike the metrics of the set
+`standard`, the measures have no warm-up: a near miss at the start of an episode is worth a look.
 """
 
 from typing import Literal
