@@ -22,6 +22,8 @@ DRIFT_MPS = 0.1
 """A vehicle whose lateral speed is no larger than this keeps its place in the lane."""
 EGO, ANOTHER = 1, 2
 """Whose lane change gave the ego its leader; values of the column `changer`."""
+IS_LATER = pl.col("step") > 1
+"""Whether the row before is of the same episode."""
 
 
 def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings) -> pl.DataFrame:
@@ -76,10 +78,6 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     )
 
 
-IS_LATER = pl.col("step") > 1
-"""Whether the row before is of the same episode."""
-
-
 def _previous(column: str) -> pl.Expr:
     return pl.when(IS_LATER).then(pl.col(column).shift())
 
@@ -127,12 +125,12 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
         .when(pl.col("leader_changed"))
         .then(ANOTHER)
     )
+    # A movement ends in the episode in which it begins, so these may run on across episodes.
     count = changed.cast(pl.Int64).cum_sum()
     begins = drifting & ~_previous("drifting").fill_null(False)
-    ends = pl.col("driving") & ~drifting & _previous("drifting")
-    changes = count - pl.when(begins).then(count - changed).forward_fill()
-    ended = ends & (changes > 0)
     began_s = pl.when(begins).then(pl.col("time_s")).forward_fill()
+    changes = count - pl.when(begins).then(count - changed).forward_fill()
+    ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
     return {
         "changer": changer.forward_fill(window - 1).fill_null(0),
         "lead_gap_m": pl.when(changed).then((pl.col("leader_distance") - length).clip(0.0)),

@@ -91,7 +91,7 @@ def coverage(rows: list[list[dict[str, Any]]], truths: list[float]) -> np.ndarra
     pooled = np.nansum(held) / told.sum()
     print(f"{rows[0][0]['second']}: {pooled:.4f} of all intervals held the truth", file=sys.stderr)
     assert 0.93 <= pooled <= 0.97
-    # 200 of 95 %: standard deviation 1.5 %; four of them below, among 35 metrics.
+    # 200 of 95 %: standard deviation 1.5 %; four of them below, among about 50 metrics.
     assert np.nanmin(shares) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / REPETITIONS)
     return shares
 
