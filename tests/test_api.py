@@ -14,7 +14,7 @@ SUITE = """\
 suite: small
 title: A small suite
 episodes: 6
-scene: {duration_s: 3.0, traffic_vehicles: 5}
+scene: {duration_s: 5.0, traffic_vehicles: 5}
 egos:
   - {agent: idm_mobil, label: IDM, paper: {speed_mean: 23.67}}
   - {agent: stackelberg, label: Stackelberg}
@@ -66,8 +66,9 @@ def test_a_run_opened_from_its_folder_has_the_same_tables(run: charms_bench.Run)
 
 def test_the_mean_speed_of_a_table_is_that_of_the_rows(run: charms_bench.Run) -> None:
     frame = run.table.select("speed_mean").frame()
-    value = frame.filter(agent="IDM", metric_set="standard-1")["value"].item()
-    driving = run.steps.filter(pl.col("agent") == "IDM")
+    value = frame.filter(agent="IDM", metric_set="standard-2")["value"].item()
+    after_warm_up = pl.col("step") > 9  # 3 s
+    driving = run.steps.filter((pl.col("agent") == "IDM") & after_warm_up)
     assert run.episodes["ending"].unique().to_list() == ["time"]
     assert value == pytest.approx(driving["speed"].cast(pl.Float64).mean(), rel=1e-5)
 
@@ -82,7 +83,7 @@ def test_two_agents_are_compared_metric_by_metric(run: charms_bench.Run) -> None
 def test_other_thresholds_need_no_simulation(suite_file: Path, tmp_path: Path) -> None:
     made = charms_bench.run(suite_file, tmp_path / "run", episodes=2, seed=9, workers=1)
     table = made.rescore("standard:ttc_s=2")
-    assert {column.group for column in table.columns} == {"standard-1(ttc_s=2)"}
+    assert {column.group for column in table.columns} == {"standard-2(ttc_s=2)"}
     assert made.episodes["episode"].unique().sort().to_list() == [9, 10]
     assert made.tables["small"].frame().equals(table.frame())
 

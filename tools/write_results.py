@@ -37,7 +37,11 @@ EGO = {
     "TTC < 3 s": ("ttc_below_3s", ".3f"),
     "speed, m/s": ("speed_mean", ".2f"),
     "acceleration std, m/s²": ("acc_std", ".3f"),
+    "yaw std": ("yaw_std", ".4f"),
     "harsh": ("harsh_acc_rate", ".4f"),
+    "harsh, all steps": ("harsh_acc_rate_all_steps", ".4f"),
+    "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
+    "lane changes per km": ("lane_changes_per_km", ".2f"),
 }
 """The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
 STYLES = {
@@ -49,6 +53,8 @@ STYLES = {
     "headway std": ("dhw_std", ".1f"),
     "harsh": ("harsh_acc_rate", ".4f"),
     "episodes crashed": ("crashed_episodes", ".1%"),
+    "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
+    "lane changes per km": ("lane_changes_per_km", ".2f"),
 }
 TRAFFIC = {
     "vehicles crashed in 20 s": ("traffic_crashed", ".1%"),

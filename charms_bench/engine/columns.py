@@ -40,13 +40,13 @@ STEP: Mapping[str, Column] = {
     "action": Column(
         pl.Int8(), "", "Index of the last meta-action in `ACTIONS`; null under a driver model."
     ),
-    "leader_distance": Column(
-        pl.Float32(), "m", "Distance to the leader on the ego's lane, centre to centre."
+    "leader": Column(
+        pl.Int16(), "", "Leader on the ego's lane, by its place in the order of spawning."
     ),
+    "leader_distance": Column(pl.Float32(), "m", "Distance to that leader, centre to centre."),
     "leader_speed": Column(pl.Float32(), "m/s", "Speed of that leader."),
-    "follower_distance": Column(
-        pl.Float32(), "m", "Distance to the follower on the ego's lane, centre to centre."
-    ),
+    "follower": Column(pl.Int16(), "", "Follower on the ego's lane, likewise."),
+    "follower_distance": Column(pl.Float32(), "m", "Distance to that follower, centre to centre."),
     "follower_speed": Column(pl.Float32(), "m/s", "Speed of that follower."),
     "follower_acceleration": Column(
         pl.Float32(),
@@ -63,6 +63,12 @@ EPISODE: Mapping[str, Column] = {
     "episode": _SEED,
     "ending": Column(
         pl.String(), "", "How the episode ended: `time`, `rear_end`, `side` or `off_road`."
+    ),
+    "struck": Column(
+        pl.Boolean(),
+        "",
+        "In a rear-end collision, whether the ego was struck by its follower, and not its leader "
+        "by the ego; null for every other ending.",
     ),
     "steps": Column(pl.Int32(), "", "Decisions of the ego."),
     "duration_s": Column(pl.Float64(), "s", "Simulated time."),

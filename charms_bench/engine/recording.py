@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_RECORD, STEP_SCHEMA, table
 from charms_bench.engine.following import FollowingCounts
-from charms_bench.engine.simulation import ENDINGS, Simulation
+from charms_bench.engine.simulation import ENDINGS, REAR_END, Simulation
 from charms_bench.world.compiled import compiled
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
@@ -20,8 +20,8 @@ from charms_bench.world.scene import Bools, Ints, Scene
 INTERACTION_RANGE_M = 30.0
 MASKS = {
     "has_action": ["action"],
-    "has_leader": ["leader_distance", "leader_speed"],
-    "has_follower": ["follower_distance", "follower_speed"],
+    "has_leader": ["leader", "leader_distance", "leader_speed"],
+    "has_follower": ["follower", "follower_distance", "follower_speed"],
     "follower_drives": ["follower_acceleration"],
 }
 """The columns whose values may not exist, by what a step needs for them to exist."""
@@ -78,6 +78,10 @@ class Recording:
         columns = {
             "episode": simulation.seeds,
             "ending": [ENDINGS[ending] for ending in simulation.ending],
+            "struck": [
+                bool(struck) if ending == REAR_END else None
+                for struck, ending in zip(simulation.was_struck, simulation.ending, strict=True)
+            ],
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
@@ -125,11 +129,13 @@ def _note(
         leader = scene.leaders[b, ego, lane]
         if leader >= 0:
             mask.has_leader = True
+            row.leader = leader
             row.leader_distance = scene.x[b, leader] - x
             row.leader_speed = scene.speed[b, leader]
         follower = scene.followers[b, ego, lane]
         if follower >= 0:
             mask.has_follower = True
+            row.follower = follower
             row.follower_distance = x - scene.x[b, follower]
             row.follower_speed = scene.speed[b, follower]
             row.follower_acceleration = scene.acceleration[b, follower]

@@ -54,6 +54,8 @@ class Simulation:
         self.ending = np.zeros(scenes, dtype=np.int64)
         """[B] index into `ENDINGS`. A collision is noted in the simulation step of its occurrence,
         every other ending after the decision interval."""
+        self.was_struck = np.zeros(scenes, dtype=np.bool_)
+        """[B] whether the vehicle that collided with the ego was behind it."""
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
@@ -202,8 +204,10 @@ class Simulation:
         for b in crashed_egos(scene.ego, scene.crashed, scene.active):
             if self.ending[b] != RUNNING:
                 continue  # it has crashed in an earlier simulation step of this decision
-            _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
+            ego = int(scene.ego[b])
+            other, rear_end = vehicle_hit(scene.x[b], scene.y[b], ego, scene.constants)
             self.ending[b] = REAR_END if rear_end else SIDE
+            self.was_struck[b] = scene.x[b, other] < scene.x[b, ego]
 
 
 @compiled

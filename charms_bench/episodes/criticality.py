@@ -11,17 +11,18 @@ limit that the literature gives, always below 1.
     number of abandoned lane changes                  1
 
 Criticality is the sum of the four scaled measures, plus 4 if the ego collided or left the road.
-Every collision therefore ranks above every episode without one.
+Every collision therefore ranks above every episode without one. Unlike the metrics of the set
+`standard`, the measures have no warm-up: a near miss at the start of an episode is worth a look.
 """
 
 from typing import Literal
 
 import polars as pl
 
+from charms_bench.metrics.conflicts import CONFLICT_TTC_S
 from charms_bench.metrics.lane_changes import SAFE_BRAKING_MPS2
 from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2
 from charms_bench.metrics.rows import join_rows
-from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
 from charms_bench.world.scene import SceneSettings
 
 Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]

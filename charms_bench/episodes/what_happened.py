@@ -11,10 +11,12 @@ from charms_bench.engine.simulation import vehicle_hit
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.metrics.rows import IMPOSED_BRAKING_WINDOW_S, LOGGED_RANGE_M, join_rows
-
-DRIFT_MPS = 0.1
-"""A vehicle whose lateral speed is no larger than this does not steer to that side."""
+from charms_bench.metrics.rows import (
+    DRIFT_MPS,
+    LANE_CHANGE_WINDOW_S,
+    LOGGED_RANGE_M,
+    join_rows,
+)
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ def _near_miss(replay: Replay) -> str:
 def _hard_braking(replay: Replay) -> str:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     changed = int(rows["imposed_braking_mps2"].arg_max() or 0)
-    window = round(IMPOSED_BRAKING_WINDOW_S * replay.settings.decision_hz)
+    window = round(LANE_CHANGE_WINDOW_S * replay.settings.decision_hz)
     braking = rows.slice(changed, window).filter("driving")
     strongest = braking.row(int(braking["follower_acceleration"].arg_min() or 0), named=True)
     follower = ego_view(replay).follower[replay.frame_of(strongest["step"])]

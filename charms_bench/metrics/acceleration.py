@@ -2,13 +2,14 @@
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, Sample, root_mean_square
-from charms_bench.metrics.rows import DRIVING, LOGGED
+from charms_bench.metrics.metric import Metric
+from charms_bench.metrics.samples import LOGGED, STEPS, Sample
 
 HARSH_MPS2 = 2.5
 
 ACCELERATION = pl.col("acceleration")
-ACCELERATING = Sample("accelerating steps", LOGGED.where & (ACCELERATION > 0))
+HARSH = ACCELERATION.abs() > HARSH_MPS2
+ACCELERATING = LOGGED.among("accelerating steps", ACCELERATION > 0)
 JERK = pl.col("jerk_mps3")
 
 PAPER_ACC_MEAN = ACCELERATING.mean(
@@ -17,16 +18,35 @@ PAPER_ACC_MEAN = ACCELERATING.mean(
 PAPER_ACC_STD = LOGGED.deviation("acc_std", "m/s²", ACCELERATION, "acceleration in logged steps")
 PAPER_HARSH_ACC_RATE = LOGGED.share(
     "harsh_acc_rate",
-    ACCELERATION.abs() > HARSH_MPS2,
+    HARSH,
     "share of logged steps with more than 2.5 m/s², accelerating or braking",
 )
-ACC_STD = DRIVING.deviation("acc_std", "m/s²", ACCELERATION, "acceleration, up to a collision")
-JERK_RMS = Metric(
-    name="jerk_rms",
-    unit="m/s³",
-    description="root mean square of the change of acceleration between decisions over the "
-    "decision interval, up to a collision",
-    rests_on="pairs of steps",
-    sums=(JERK.count(), JERK.pow(2).sum()),
-    value=root_mean_square,
+PAPER_HARSH_ACC_RATE_ALL_STEPS = STEPS.share(
+    "harsh_acc_rate_all_steps",
+    HARSH,
+    "share of all steps with more than 2.5 m/s², accelerating or braking",
 )
+
+
+def acc_std(driving: Sample) -> Metric:
+    """The standard deviation of the acceleration."""
+    return driving.deviation("acc_std", "m/s²", ACCELERATION, "acceleration")
+
+
+def harsh_acc_rate(driving: Sample) -> Metric:
+    """The share of time in which the ego accelerates or brakes harshly."""
+    return driving.share(
+        "harsh_acc_rate",
+        HARSH,
+        "share of time with more than 2.5 m/s², accelerating or braking",
+    )
+
+
+def jerk_rms(driving: Sample) -> Metric:
+    """The root mean square of the jerk."""
+    return driving.among("pairs of steps", JERK.is_not_null()).root_mean_square(
+        "jerk_rms",
+        "m/s³",
+        JERK,
+        "change of acceleration between decisions over the decision interval",
+    )

@@ -5,6 +5,7 @@ import polars as pl
 from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDING = pl.first("ending")
+STRUCK = pl.first("struck")
 ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
 
 COLLISION_RATE = Metric(
@@ -61,6 +62,21 @@ CRASHES_PER_1000KM = _per_1000km(
 )
 REAR_END_PER_1000KM = _per_1000km(
     "rear_end", "rear-end collisions of the ego", ENDING == "rear_end"
+)
+STRIKING_PER_1000KM = _per_1000km(
+    "rear_end_striking", "rear-end collisions in which the ego struck its leader", ~STRUCK
+)
+STRUCK_PER_1000KM = _per_1000km(
+    "rear_end_struck", "rear-end collisions in which the ego was struck by its follower", STRUCK
+)
+REAR_END_STRIKING = per_episode(
+    "rear_end_striking",
+    "",
+    ~STRUCK,
+    "share of the ego's rear-end collisions in which the ego struck its leader",
+    rests_on="rear-end collisions",
+    counts=STRUCK.is_not_null(),
+    interval="wilson",
 )
 SIDE_PER_1000KM = _per_1000km("side", "side collisions of the ego", ENDING == "side")
 OFF_ROAD_PER_1000KM = _per_1000km(

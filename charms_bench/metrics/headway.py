@@ -7,26 +7,29 @@ drives freely (Vogel 2003, Accident Analysis and Prevention 35).
 
 import polars as pl
 
-from charms_bench.metrics.metric import Metric, Sample, in_name
-from charms_bench.metrics.rows import DRIVING, LOGGED
+from charms_bench.metrics.metric import Metric, in_name
+from charms_bench.metrics.samples import LOGGED, Sample
 
 FREE_HEADWAY_S = 6.0
 SHORT_HEADWAY_S = 1.0
 
 DISTANCE = pl.col("leader_distance")
 HEADWAY = pl.col("time_headway_s")
-FOLLOWING = Sample("following steps", HEADWAY <= FREE_HEADWAY_S)
 
 DHW_MEAN = LOGGED.mean("dhw_mean", "m", DISTANCE, "distance headway in logged steps")
 DHW_STD = LOGGED.deviation("dhw_std", "m", DISTANCE, "distance headway in logged steps")
-TIME_HEADWAY_MEAN = FOLLOWING.mean(
-    "time_headway_mean", "s", HEADWAY, "time headway while following, which is up to 6 s"
-)
 
 
-def time_headway_below(threshold_s: float) -> Metric:
+def time_headway_mean(driving: Sample) -> Metric:
+    """The mean time headway while the ego follows a leader."""
+    return driving.among("following steps", HEADWAY <= FREE_HEADWAY_S).mean(
+        "time_headway_mean", "s", HEADWAY, "time headway while following, which is up to 6 s"
+    )
+
+
+def time_headway_below(driving: Sample, threshold_s: float) -> Metric:
     """The share of time in which the time headway is below a threshold."""
-    return DRIVING.share(
+    return driving.share(
         f"time_headway_below_{in_name(threshold_s)}s",
         HEADWAY.lt(threshold_s),
         f"share of time with a time headway below {threshold_s:g} s",

@@ -2,7 +2,7 @@
 
 import polars as pl
 
-from charms_bench.metrics.rows import LOGGED
+from charms_bench.metrics.samples import LOGGED
 
 INTERACTION_DENSITY = LOGGED.mean(
     "interaction_density",

@@ -6,7 +6,7 @@ the totals of a run's shards add up to the totals of the run.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -66,7 +66,7 @@ class MetricSet:
 
     @property
     def label(self) -> str:
-        """The name in tables, such as `paper-1` or `standard-1(ttc_s=2)`."""
+        """The name in tables, such as `paper-2` or `standard-2(ttc_s=2)`."""
         return f"{self.name}-{self.version}" + (f"({self.options})" if self.options else "")
 
 
@@ -92,30 +92,6 @@ def standard_deviation(totals: Floats) -> Floats:
     # Of a constant, rounding leaves less than this.
     variance = np.where(variance < 1e-12 * mean_square, 0.0, variance)
     return np.asarray(np.sqrt(variance))
-
-
-class Sample(NamedTuple):
-    """The rows over which a metric is taken, such as all steps up to a collision."""
-
-    name: str
-    """`Metric.rests_on`."""
-    where: pl.Expr
-
-    def mean(self, name: str, unit: str, value: pl.Expr, description: str) -> Metric:
-        """The mean of a value."""
-        sums = (self.where.sum(), total(value, self.where))
-        return Metric(name, unit, description, self.name, sums)
-
-    def deviation(self, name: str, unit: str, value: pl.Expr, what: str) -> Metric:
-        """The standard deviation of a value."""
-        sums = (self.where.sum(), total(value, self.where), total(value.pow(2), self.where))
-        description = f"standard deviation of the {what}"
-        return Metric(name, unit, description, self.name, sums, standard_deviation)
-
-    def share(self, name: str, happens: pl.Expr, description: str) -> Metric:
-        """The share of the rows in which a condition holds."""
-        sums = (self.where.sum(), (self.where & happens).sum())
-        return Metric(name, "", description, self.name, sums, interval="share")
 
 
 def per_episode(

@@ -7,7 +7,7 @@ DRAC is the closing speed squared over twice the bumper gap (Cooper & Ferguson 1
 import polars as pl
 
 from charms_bench.metrics.metric import Metric, in_name, per_episode
-from charms_bench.metrics.rows import DRIVING
+from charms_bench.metrics.samples import Sample
 
 DRAC_LIMIT_MPS2 = 3.35
 DRAC_CAP_MPS2 = 9.81
@@ -15,19 +15,23 @@ DRAC_CAP_MPS2 = 9.81
 
 DRAC = pl.col("drac_mps2")
 
-DRAC_MAX = per_episode(
-    "drac_max",
-    "m/s²",
-    DRAC.max().clip(upper_bound=DRAC_CAP_MPS2),
-    "largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a leader",
-    rests_on="episodes with a leader",
-    counts=DRAC.is_not_null().any(),
-)
+
+def drac_max(driving: Sample) -> Metric:
+    """The largest DRAC of an episode, mean over episodes."""
+    drac = driving.only(DRAC)
+    return per_episode(
+        "drac_max",
+        "m/s²",
+        drac.max().clip(upper_bound=DRAC_CAP_MPS2),
+        "largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a leader",
+        rests_on="episodes with a leader",
+        counts=drac.is_not_null().any(),
+    )
 
 
-def drac_above(limit_mps2: float) -> Metric:
+def drac_above(driving: Sample, limit_mps2: float) -> Metric:
     """The share of time in which more braking than the limit would be required."""
-    return DRIVING.share(
+    return driving.share(
         f"drac_above_{in_name(limit_mps2)}",
         DRAC.gt(limit_mps2),
         f"share of time with a DRAC above {limit_mps2:g} m/s²",

@@ -1,8 +1,8 @@
 """The rows that metrics aggregate: a run's step rows, joined with their episodes' rows.
 
-Surrogate measures of safety describe how a vehicle follows its leader. They need a gap between
-two vehicles. So they are null without a leader, next to a leader that is changing lanes, and in the
-step in which the ego collides, because highway-env moves a wreck from then on.
+Surrogate measures of safety describe how one vehicle follows another. They need a gap between the
+two. So they are null without that vehicle, while one of the two changes lanes beside the other, and
+in the step in which the ego collides, because highway-env moves a wreck from then on.
 """
 
 from collections.abc import Sequence
@@ -11,68 +11,136 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.metrics.metric import Metric, Sample
+from charms_bench.metrics.metric import Metric
 from charms_bench.world.scene import Floats, SceneSettings
 
-LOGGED = Sample("logged steps", pl.col("logged"))
-DRIVING = Sample("steps", pl.col("driving"))
 LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""
-IMPOSED_BRAKING_WINDOW_S = 2.0
-"""For this long after a lane change, the follower's braking is attributed to it."""
+LANE_CHANGE_WINDOW_S = 2.0
+"""For this long after a lane change, a follower's braking or a conflict is attributed to it."""
+DRIFT_MPS = 0.1
+"""A vehicle whose lateral speed is no larger than this keeps its place in the lane."""
+EGO, ANOTHER = 1, 2
+"""Whose lane change gave the ego its leader; values of the column `changer`."""
+IS_LATER = pl.col("step") > 1
+"""Whether the row before is of the same episode."""
 
 
 def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings) -> pl.DataFrame:
     """The step rows, sorted by episode and step, with their episode's columns and these.
 
+    time_s: Time since the episode began.
+    interval_s: Time between two decisions.
     logged: Whether a leader is within 50 m, centre to centre.
     driving: Whether the ego has not collided by the end of the step.
-    interval_s: Time between two decisions.
-    lane_changed: Whether the lane differs from that of the previous step.
+    driven_m: Distance along the road since the previous decision.
+    jerk_mps3: Change of the commanded acceleration since the previous decision.
+    yaw_rate_radps: Change of the heading since the previous decision.
+    lane_changed: Whether the lane differs from that of the previous decision.
+    leader_changed: Whether the ego has another leader than at the previous decision.
+    changer: Whose lane change within the last 2 s gave the ego its leader, `EGO` or `ANOTHER`;
+        otherwise 0.
     gap_m: Distance from the ego's front to the leader's rear; both are `vehicle_length_m` long.
-    time_headway_s: Time from the leader's front to the ego's front at the ego's speed.
     ttc_s: Time to collision at constant speeds; null unless the ego closes in.
     drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.
-    jerk_mps3: Change of the commanded acceleration since the previous decision.
+    time_headway_s: Time from the leader's front to the ego's front at the ego's speed.
+    rear_ttc_s: Time to collision of the follower with the ego; null unless the follower closes in.
+    lead_gap_m, lag_gap_m: In the step of a lane change, the gaps to the leader and to the follower
+        on the new lane; 0 beside a vehicle.
     imposed_braking_mps2: In the step of a lane change, the strongest braking of the follower on
         the new lane within 2 s; 0 if it does not brake, null without a follower.
+    movement_s: In the step in which a lateral movement with a lane change ends, its duration.
+    movement_changes: The lane changes in that movement.
     """
-    length = settings.profile.vehicle_length_m
-    interval = 1.0 / settings.decision_hz
-    window = max(1, round(IMPOSED_BRAKING_WINDOW_S * settings.decision_hz))
-    distance, closing = pl.col("leader_distance"), pl.col("speed") - pl.col("leader_speed")
+    rate = settings.decision_hz
     collided = pl.col("ending").is_in(["rear_end", "side"]) & (pl.col("step") == pl.col("steps"))
-    follower = pl.when(pl.col("driving")).then(pl.col("follower_acceleration"))
-    strongest = pl.min_horizontal(follower.shift(-k).over("episode") for k in range(window))
+    lateral_mps = pl.col("speed") * pl.col("heading").sin()
     return (
         episodes.join(steps, on="episode", how="left")
         .sort("episode", "step")
         .with_columns(cs.float().cast(pl.Float64))
         .with_columns(
-            logged=(distance <= LOGGED_RANGE_M).fill_null(False),
+            time_s=pl.col("step") / rate,
+            interval_s=pl.lit(1.0 / rate),
+            logged=(pl.col("leader_distance") <= LOGGED_RANGE_M).fill_null(False),
             driving=(pl.col("step").is_not_null() & ~collided).fill_null(False),
-            interval_s=pl.lit(interval),
-            lane_changed=(pl.col("lane").diff().over("episode") != 0).fill_null(False),
+            driven_m=_change("x"),
+            lane_changed=_change("lane").ne(0).fill_null(False),
+            leader_changed=IS_LATER & pl.col("leader").ne_missing(pl.col("leader").shift()),
         )
         .with_columns(
-            gap_m=pl.when(pl.col("driving") & (distance > length)).then(distance - length),
-            jerk_mps3=pl.when(pl.col("driving")).then(
-                pl.col("acceleration").diff().over("episode") / interval
-            ),
-            imposed_braking_mps2=pl.when(pl.col("lane_changed") & strongest.is_not_null()).then(
-                pl.max_horizontal(-strongest, 0.0)
-            ),
+            jerk_mps3=_while_driving(_change("acceleration") * rate),
+            yaw_rate_radps=_while_driving(_change("heading") * rate),
+            drifting=(pl.col("driving") & (lateral_mps.abs() > DRIFT_MPS)).fill_null(False),
         )
-        .with_columns(
-            time_headway_s=pl.when(pl.col("gap_m").is_not_null() & (pl.col("speed") > 0)).then(
-                distance / pl.col("speed")
-            ),
-            ttc_s=pl.when(closing > 0).then(pl.col("gap_m") / closing),
-            drac_mps2=pl.when(pl.col("gap_m").is_not_null()).then(
-                pl.when(closing > 0).then(closing**2 / (2 * pl.col("gap_m"))).otherwise(0.0)
-            ),
-        )
+        .with_columns(**_following(settings.profile.vehicle_length_m))
+        .with_columns(**_lane_changes(settings))
     )
+
+
+def _previous(column: str) -> pl.Expr:
+    return pl.when(IS_LATER).then(pl.col(column).shift())
+
+
+def _change(column: str) -> pl.Expr:
+    return pl.when(IS_LATER).then(pl.col(column).diff())
+
+
+def _while_driving(value: pl.Expr) -> pl.Expr:
+    return pl.when(pl.col("driving")).then(value)
+
+
+def _following(length: float) -> dict[str, pl.Expr]:
+    """The columns on the leader and the follower, from vehicles of this length."""
+    speed, distance = pl.col("speed"), pl.col("leader_distance")
+    behind = pl.col("follower_distance")
+    gap = _while_driving(pl.when(distance > length).then(distance - length))
+    rear_gap = _while_driving(pl.when(behind > length).then(behind - length))
+    closing, rear_closing = speed - pl.col("leader_speed"), pl.col("follower_speed") - speed
+    required = pl.when(closing > 0).then(closing**2 / (2 * gap)).otherwise(0.0)
+    return {
+        "gap_m": gap,
+        "ttc_s": pl.when(closing > 0).then(gap / closing),
+        "drac_mps2": pl.when(gap.is_not_null()).then(required),
+        "time_headway_s": pl.when(gap.is_not_null() & (speed > 0)).then(distance / speed),
+        "rear_ttc_s": pl.when(rear_closing > 0).then(rear_gap / rear_closing),
+    }
+
+
+def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
+    """The columns on lane changes, which lie between two decisions with different lanes."""
+    length = settings.profile.vehicle_length_m
+    window = max(1, round(LANE_CHANGE_WINDOW_S * settings.decision_hz))
+    changed, drifting = pl.col("lane_changed"), pl.col("drifting")
+    braking = _while_driving(pl.col("follower_acceleration"))
+    strongest = pl.min_horizontal(
+        pl.when(pl.col("episode") == pl.col("episode").shift(-k)).then(braking.shift(-k))
+        for k in range(window)
+    )
+    changer = (
+        pl.when(~IS_LATER)
+        .then(0)  # an episode does not inherit from the one before
+        .when(changed)
+        .then(EGO)
+        .when(pl.col("leader_changed"))
+        .then(ANOTHER)
+    )
+    # A movement ends in the episode in which it begins, so these may run on across episodes.
+    count = changed.cast(pl.Int64).cum_sum()
+    begins = drifting & ~_previous("drifting").fill_null(False)
+    began_s = pl.when(begins).then(pl.col("time_s")).forward_fill()
+    changes = count - pl.when(begins).then(count - changed).forward_fill()
+    ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
+    return {
+        "changer": changer.forward_fill(window - 1).fill_null(0),
+        "lead_gap_m": pl.when(changed).then((pl.col("leader_distance") - length).clip(0.0)),
+        "lag_gap_m": pl.when(changed).then((pl.col("follower_distance") - length).clip(0.0)),
+        "imposed_braking_mps2": pl.when(changed & strongest.is_not_null()).then(
+            pl.max_horizontal(-strongest, 0.0)
+        ),
+        "movement_s": pl.when(ended).then(pl.col("time_s") - began_s),
+        "movement_changes": pl.when(ended).then(changes),
+    }
 
 
 def sums_by_episode(

@@ -3,14 +3,13 @@
 import polars as pl
 
 from charms_bench.metrics.metric import Metric
-from charms_bench.metrics.rows import DRIVING, LOGGED
+from charms_bench.metrics.samples import LOGGED, Sample
 
 SPEED = pl.col("speed")
 VEHICLES = pl.first("traffic_vehicles")
 
 PAPER_SPEED_MEAN = LOGGED.mean("speed_mean", "m/s", SPEED, "speed in logged steps")
 PAPER_SPEED_STD = LOGGED.deviation("speed_std", "m/s", SPEED, "speed in logged steps")
-SPEED_MEAN = DRIVING.mean("speed_mean", "m/s", SPEED, "speed of the ego, up to a collision")
 TRAFFIC_SPEED_MEAN = Metric(
     name="traffic_speed_mean",
     unit="m/s",
@@ -18,3 +17,8 @@ TRAFFIC_SPEED_MEAN = Metric(
     rests_on="vehicles",
     sums=(VEHICLES, VEHICLES * pl.first("duration_s"), pl.first("traffic_distance_m")),
 )
+
+
+def speed_mean(driving: Sample) -> Metric:
+    """The mean speed of the ego."""
+    return driving.mean("speed_mean", "m/s", SPEED, "speed of the ego")

@@ -15,7 +15,7 @@ from charms_bench.statistics.intervals import estimate
 
 KEYS = ("agent", "traffic")
 LONG = {
-    "metric_set": "group",  # with its version, such as paper-1
+    "metric_set": "group",  # with its version, such as paper-2
     "metric": "name",
     "value": "value",
     "low": "low",
@@ -28,6 +28,9 @@ DIGITS = 6
 MATRICES = {
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
     "speed_mean": ("Mean speed of egos, m/s", 1.0),
+    "conflicts_per_1000km": ("Conflicts of egos per 1,000 km", 1.0),
+    "yaw_rate_rms": ("Yaw rate of egos, root mean square, mrad/s", 1000.0),
+    "lane_changes_per_km": ("Lane changes of egos per km", 1.0),
     "traffic_crashed": ("Traffic crashed, % of vehicles per episode", 100.0),
 }
 """Metrics of the set `standard` that are shown as a matrix: title, and factor for its unit."""

@@ -12,7 +12,7 @@ from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scene import SceneSettings
 
 SHORT = SceneSettings(duration_s=4.0)
-FASTER = 3
+FASTER, SLOWER = 3, 4
 
 
 def simulation(settings: SceneSettings, scenes: int, ego: str | None = "idm_mobil") -> Simulation:
@@ -59,6 +59,10 @@ def test_leader_follower_and_vehicles_near_are_those_of_the_scene() -> None:
         on_lane = np.abs(scene.y[b] - 4.0 * row["lane"]) <= 3.0  # half a lane and 1 m
         assert row["leader_distance"] == pytest.approx(ahead[on_lane & (ahead > 0)].min())
         behind = -ahead[on_lane & (ahead < 0)]
+        leader = None if row["leader"] is None else ahead[row["leader"]]
+        assert row["leader_distance"] == (None if leader is None else pytest.approx(leader))
+        follower = None if row["follower"] is None else -ahead[row["follower"]]
+        assert row["follower_distance"] == (None if follower is None else pytest.approx(follower))
         assert row["follower_distance"] == (pytest.approx(behind.min()) if behind.size else None)
         near = (np.abs(ahead) <= 30.0) & (np.abs(scene.lane[b] - row["lane"]) <= 1)
         assert row["vehicles_near"] == near.sum()
@@ -68,7 +72,7 @@ def test_what_does_not_exist_is_null() -> None:
     steps = recorded(
         simulation(SceneSettings(duration_s=1.0, traffic_vehicles=0, ego_slots=1), 2)
     ).steps()
-    assert steps.select(pl.col("^(leader|follower)_.*$")).null_count().row(0) == (6,) * 5
+    assert steps.select(pl.col("^(leader|follower).*$")).null_count().row(0) == (6,) * 7
     assert steps["action"].null_count() == 6
     assert steps["vehicles_near"].to_list() == [1] * 6
 
@@ -82,6 +86,19 @@ def test_a_crash_ends_the_rows_and_names_its_kind() -> None:
     counts = steps.group_by("episode", maintain_order=True).len()["len"]
     assert counts.to_list() == episodes["steps"].to_list()
     assert (steps["action"] == FASTER).all()
+
+
+def test_a_rear_end_collision_says_whether_the_ego_was_struck() -> None:
+    faster = recorded(simulation(SceneSettings(), 6, ego=None), action=FASTER).episodes()
+    assert set(faster.filter(pl.col("ending") == "rear_end")["struck"]) == {False}
+    assert set(faster.filter(pl.col("ending") != "rear_end")["struck"]) <= {None}
+    made = simulation(SceneSettings(traffic_vehicles=1, ego_slots=1), 1, ego=None)
+    scene, (ego,) = made.scene, made.scene.ego
+    (follower,) = {0, 1} - {int(ego)}
+    scene.x[0, follower], scene.y[0, follower] = scene.x[0, ego] - 6.0, scene.y[0, ego]
+    scene.speed[0, follower], scene.speed[0, ego] = 33.0, 22.0
+    episodes = recorded(made, action=SLOWER).episodes()
+    assert episodes.select("ending", "struck").row(0) == ("rear_end", True)
 
 
 def test_the_vehicle_that_the_ego_hits_counts_as_crashed_traffic() -> None:

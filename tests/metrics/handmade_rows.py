@@ -6,6 +6,7 @@ import polars as pl
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.metrics import Metric, sums_by_episode
+from charms_bench.metrics.samples import driving_after
 from charms_bench.world.scene import SceneSettings
 
 Rows = list[dict[str, Any]]
@@ -13,7 +14,16 @@ Episode = tuple[dict[str, Any], Rows]
 """What is to be said of an episode, and of each of its steps."""
 
 SCENE = SceneSettings()
-QUIET_STEP = {"speed": 25.0, "acceleration": 0.0, "steering": 0.0, "lane": 1, "vehicles_near": 1}
+QUIET_STEP = {
+    "speed": 25.0,
+    "heading": 0.0,
+    "acceleration": 0.0,
+    "steering": 0.0,
+    "lane": 1,
+    "vehicles_near": 1,
+}
+DRIVING = driving_after(0.0)
+"""All steps before a collision."""
 QUIET_EPISODE = {
     "ending": "time",
     "distance_m": 500.0,
@@ -31,7 +41,7 @@ def frames(*episodes: Episode) -> tuple[pl.DataFrame, pl.DataFrame]:
         count = {"steps": len(steps), "duration_s": len(steps) / 3}
         heads.append({"episode": number, **count, **QUIET_EPISODE, **episode})
         rows += [
-            {"episode": number, "step": step, **QUIET_STEP, **row}
+            {"episode": number, "step": step, "x": 25.0 / 3 * step, **QUIET_STEP, **row}
             for step, row in enumerate(steps, start=1)
         ]
     return pl.DataFrame(heads, schema=EPISODE_SCHEMA), pl.DataFrame(rows, schema=STEP_SCHEMA)

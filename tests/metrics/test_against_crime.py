@@ -10,7 +10,7 @@ import math
 import numpy as np
 import polars as pl
 import pytest
-from handmade_rows import frames
+from handmade_rows import DRIVING, frames
 
 from charms_bench.metrics import sums_by_episode
 from charms_bench.metrics.rows import join_rows
@@ -120,11 +120,38 @@ def test_ttc_drac_and_headway_are_those_of_commonroad_crime(
 
 
 @pytest.mark.parametrize("approach", APPROACHES)
+def test_the_followers_ttc_is_that_of_commonroad_crime(
+    approach: tuple[float, float, float],
+) -> None:
+    # The same approach, seen from the vehicle in front.
+    ttc = TTC(theirs(*approach))
+    episodes, steps = ours(*approach)
+    seen = steps.with_columns(
+        speed="leader_speed",
+        follower_speed="speed",
+        follower_distance="leader_distance",
+        leader_distance=None,
+        leader_speed=None,
+    ).cast(steps.schema)
+    for step, row in enumerate(join_rows(episodes, seen, SCENE).iter_rows(named=True)):
+        gap = row["follower_distance"] - LENGTH_M
+        if gap <= 0:
+            assert row["rear_ttc_s"] is None
+            continue
+        found = ttc.compute(LEADER, step, verbose=False)
+        if row["rear_ttc_s"] is None:
+            assert found > NEVER_S
+        else:
+            closing = gap / row["rear_ttc_s"]
+            assert row["rear_ttc_s"] == pytest.approx(found, abs=ROUNDING + GAP_ERROR_M / closing)
+
+
+@pytest.mark.parametrize("approach", APPROACHES)
 def test_exposed_and_integrated_ttc_are_those_of_commonroad_crime(
     approach: tuple[float, float, float],
 ) -> None:
     episodes, steps = ours(*approach)
-    metrics = (time_exposed(TTC_THRESHOLD_S), time_integrated(TTC_THRESHOLD_S))
+    metrics = [kind(DRIVING, TTC_THRESHOLD_S) for kind in (time_exposed, time_integrated)]
     values = [
         float(metric.value(sums[0]))
         for metric, sums in zip(

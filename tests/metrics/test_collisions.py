@@ -9,13 +9,16 @@ from charms_bench.metrics.collisions import (
     CRASHES_PER_1000KM,
     OFF_ROAD_PER_1000KM,
     REAR_END_PER_1000KM,
+    REAR_END_STRIKING,
     SIDE_PER_1000KM,
+    STRIKING_PER_1000KM,
+    STRUCK_PER_1000KM,
     TRAFFIC_CRASHED,
     TRAFFIC_CRASHES_PER_1000KM,
 )
 
 QUIET = ({"distance_m": 700.0}, [{}] * 6)
-REAR_END = ({"ending": "rear_end", "distance_m": 100.0}, [{}] * 2)
+REAR_END = ({"ending": "rear_end", "struck": False, "distance_m": 100.0}, [{}] * 2)
 OFF_ROAD = ({"ending": "off_road", "distance_m": 200.0}, [{}] * 4)
 
 
@@ -44,3 +47,12 @@ def test_traffic_crashes_are_counted_by_vehicle() -> None:
 def test_without_traffic_its_share_of_crashes_is_undefined() -> None:
     alone = ({"traffic_vehicles": 0, "traffic_distance_m": 0.0}, [{}])
     assert math.isnan(measure(TRAFFIC_CRASHED, alone))
+
+
+def test_rear_ends_are_split_by_who_struck() -> None:
+    struck = ({"ending": "rear_end", "struck": True, "distance_m": 100.0}, [{}])
+    run = (REAR_END, REAR_END, struck, QUIET)  # 1 km
+    assert measure(STRIKING_PER_1000KM, *run) == pytest.approx(2000.0)
+    assert measure(STRUCK_PER_1000KM, *run) == pytest.approx(1000.0)
+    assert measure(REAR_END_STRIKING, *run) == pytest.approx(2 / 3)
+    assert math.isnan(measure(REAR_END_STRIKING, QUIET, OFF_ROAD))

@@ -1,13 +1,19 @@
 import math
+from typing import Any
 
+import numpy as np
 import pytest
-from handmade_rows import measure
+from handmade_rows import DRIVING, measure
 
 from charms_bench.metrics.lane_changes import (
-    IMPOSED_BRAKING_MEAN,
-    LANE_CHANGES_PER_KM,
     imposed_braking_above,
+    imposed_braking_mean,
+    lag_gap_mean,
+    lane_change_duration_mean,
+    lane_changes_per_km,
+    lead_gap_mean,
 )
+from charms_bench.metrics.samples import driving_after
 from charms_bench.world.scene import SceneSettings
 
 
@@ -16,25 +22,79 @@ def step(lane: int, follower: float | None = None) -> dict[str, float | None]:
 
 
 def test_lane_changes_are_changes_between_steps_of_an_episode() -> None:
-    one = ({"distance_m": 400.0}, [step(0), step(1), step(1), step(0)])
-    two = ({"distance_m": 600.0}, [step(2), step(2)])  # starting elsewhere is no change
-    assert measure(LANE_CHANGES_PER_KM, one, two) == pytest.approx(2.0)
+    # 100 m between two decisions.
+    one = ({}, [{"x": 100.0 * k, **step(lane)} for k, lane in enumerate((0, 1, 1, 0))])
+    two = ({}, [{"x": 0.0, **step(2)}, {"x": 100.0, **step(2)}])  # starting elsewhere is no change
+    assert measure(lane_changes_per_km(DRIVING), one, two) == pytest.approx(2 / 0.4)
+
+
+def test_lane_changes_of_a_warm_up_and_of_a_wreck_do_not_count() -> None:
+    lanes = (0, 1, 1, 0, 0, 1)
+    rows = [{"x": 100.0 * k, **step(lane)} for k, lane in enumerate(lanes)]
+    after_1_s = lane_changes_per_km(driving_after(1.0))
+    assert measure(after_1_s, ({}, rows)) == pytest.approx(2 / 0.3)
+    assert measure(after_1_s, ({"ending": "side"}, rows)) == pytest.approx(1 / 0.2)
+
+
+def test_accepted_gaps_are_those_between_bumpers_on_the_new_lane() -> None:
+    near = {"leader_distance": 25.0, "follower_distance": 15.0}
+    steps = [
+        {"lane": 0, "leader_distance": 90.0, "follower_distance": 90.0},
+        {"lane": 1, **near},  # gaps of 20 and 10 m
+        {"lane": 1, "leader_distance": 70.0, "follower_distance": 70.0},
+        {"lane": 2, "leader_distance": 45.0},  # a gap of 40 m, and no follower
+    ]
+    beside = ({}, [{"lane": 2}, {"lane": 1, "follower_distance": 4.0}])  # bumpers overlap
+    assert measure(lead_gap_mean(DRIVING), ({}, steps), beside) == pytest.approx(30.0)
+    assert measure(lag_gap_mean(DRIVING), ({}, steps), beside) == pytest.approx(5.0)
+    assert math.isnan(measure(lag_gap_mean(DRIVING), ({}, [{"lane": 1}] * 3)))
+
+
+def drifting(lateral_mps: list[float], lanes: str) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """An episode at 25 m/s with these lateral speeds and lanes."""
+    headings = np.arcsin(np.array(lateral_mps) / 25.0)
+    return {}, [
+        {"heading": float(h), "lane": int(lane)} for h, lane in zip(headings, lanes, strict=True)
+    ]
+
+
+def test_a_lane_change_lasts_from_the_start_to_the_end_of_lateral_movement() -> None:
+    # Faster than 0.1 m/s across the road at the 2nd to the 7th decision: 6 / 3 s.
+    one = drifting([0.0, 0.2, 1.0, 1.5, 1.0, 0.5, 0.2, 0.05, 0.0], "000111111")
+    other = drifting([0.0, -0.5, -1.0, -1.0, 0.0], "22111")  # 1 s, to the left
+    assert measure(lane_change_duration_mean(DRIVING), one, other) == pytest.approx(1.5)
+
+
+def test_two_lane_changes_in_one_movement_take_half_of_it_each() -> None:
+    both = drifting([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0], "00011222")  # 2 s
+    assert measure(lane_change_duration_mean(DRIVING), both) == pytest.approx(1.0)
+
+
+def test_movements_without_a_lane_change_or_without_an_end_have_no_duration() -> None:
+    abandoned = drifting([0.0, 0.5, 0.3, -0.3, -0.5, 0.0], "111111")
+    unfinished = drifting([0.0, 0.5, 1.0, 1.0], "0011")
+    crashed = drifting([0.0, 0.5, 1.0, 0.0], "0011")
+    metric = lane_change_duration_mean(DRIVING)
+    assert math.isnan(measure(metric, abandoned, unfinished, ({"ending": "side"}, crashed[1])))
 
 
 def test_imposed_braking_is_the_new_followers_strongest_within_2_s() -> None:
     braking = [0.0, -1.0, -3.0, -1.0, 0.0, 0.0]  # 2 s at 3 Hz
     steps = [step(0, -5.0), *(step(1, a) for a in braking), step(1, -6.0)]
     harmless = ({}, [step(0), step(1, 1.0), step(1, 0.5)])
-    assert measure(IMPOSED_BRAKING_MEAN, ({}, steps), harmless) == pytest.approx(3.0 / 2)
-    assert measure(imposed_braking_above(2.0), ({}, steps), harmless) == pytest.approx(1 / 2)
+    next_episode = ({}, [step(1, -6.0)])  # does not belong to the one before
+    run = (({}, steps), harmless, next_episode)
+    assert measure(imposed_braking_mean(DRIVING), *run) == pytest.approx(3.0 / 2)
+    assert measure(imposed_braking_above(DRIVING, 2.0), *run) == pytest.approx(1 / 2)
 
 
 def test_the_window_is_as_long_at_another_decision_rate() -> None:
     steps = [step(0), step(1, -1.0), step(1, -1.5), step(1, -4.0)]
     slow = SceneSettings(decision_hz=1)
-    assert measure(IMPOSED_BRAKING_MEAN, ({}, steps), settings=slow) == 1.5
+    assert measure(imposed_braking_mean(DRIVING), ({}, steps), settings=slow) == 1.5
 
 
 def test_a_lane_change_before_nobody_imposes_nothing() -> None:
-    assert math.isnan(measure(IMPOSED_BRAKING_MEAN, ({}, [step(0), step(1)])))
-    assert math.isnan(measure(IMPOSED_BRAKING_MEAN, ({}, [step(0, -1.0), step(0, -1.0)])))
+    assert math.isnan(measure(imposed_braking_mean(DRIVING), ({}, [step(0), step(1)])))
+    stays = ({}, [step(0, -1.0), step(0, -1.0)])
+    assert math.isnan(measure(imposed_braking_mean(DRIVING), stays))

@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet, standard, sums_by_episode
 from charms_bench.world.scene import SceneSettings
 
 SCENE = SceneSettings()
-METRICS = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+METRICS = [*PAPER.metrics, *standard(warm_up_s=0.5).metrics]
+"""With a warm-up of one decision; the episodes here are short."""
 
 
 def number(low: float, high: float) -> st.SearchStrategy[float]:
@@ -22,13 +23,22 @@ def number(low: float, high: float) -> st.SearchStrategy[float]:
 def step_rows() -> st.SearchStrategy[dict[str, Any]]:
     ego = {
         "speed": number(0, 40),
+        "heading": number(-0.125, 0.125),
         "acceleration": number(-8, 8),
         "steering": number(-1, 1),
         "lane": st.integers(0, 2),
         "vehicles_near": st.integers(1, 6),
     }
-    leader = {"leader_distance": number(0, 100), "leader_speed": number(0, 40)}
-    follower = {"follower_acceleration": number(-8, 8)}
+    leader = {
+        "leader": st.integers(1, 3),
+        "leader_distance": number(0, 100),
+        "leader_speed": number(0, 40),
+    }
+    follower = {
+        "follower_distance": number(0, 100),
+        "follower_speed": number(0, 40),
+        "follower_acceleration": number(-8, 8),
+    }
     return st.builds(
         lambda *parts: {key: value for part in parts for key, value in part.items()},
         st.fixed_dictionaries(ego),
@@ -42,6 +52,7 @@ def runs() -> st.SearchStrategy[tuple[Any, ...]]:
         {
             "ending": st.sampled_from(["time", "rear_end", "side", "off_road"]),
             "distance_m": number(1, 700),
+            "struck": st.none() | st.booleans(),
             "traffic_crashed": st.integers(0, 20),
         }
     )
@@ -98,6 +109,7 @@ def test_the_paper_set_has_the_names_of_the_papers_tables() -> None:
         "acc_std",
         "yaw_std",
         "harsh_acc_rate",
+        "harsh_acc_rate_all_steps",
         "dhw_mean",
         "dhw_std",
         "interaction_density",

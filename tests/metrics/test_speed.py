@@ -1,11 +1,11 @@
 import pytest
-from handmade_rows import measure
+from handmade_rows import DRIVING, measure
 
 from charms_bench.metrics.speed import (
     PAPER_SPEED_MEAN,
     PAPER_SPEED_STD,
-    SPEED_MEAN,
     TRAFFIC_SPEED_MEAN,
+    speed_mean,
 )
 
 NEAR = {"leader_distance": 30.0, "leader_speed": 25.0}
@@ -15,7 +15,7 @@ def test_the_paper_takes_speed_only_behind_a_leader() -> None:
     steps = [{"speed": 22.0, **NEAR}, {"speed": 26.0, **NEAR}, {"speed": 33.0}]
     assert measure(PAPER_SPEED_MEAN, ({}, steps)) == 24.0
     assert measure(PAPER_SPEED_STD, ({}, steps)) == 2.0
-    assert measure(SPEED_MEAN, ({}, steps)) == 27.0
+    assert measure(speed_mean(DRIVING), ({}, steps)) == 27.0
 
 
 def test_a_constant_speed_has_no_deviation() -> None:
@@ -24,8 +24,8 @@ def test_a_constant_speed_has_no_deviation() -> None:
 
 def test_a_wreck_has_no_speed() -> None:
     steps = [{"speed": 30.0}, {"speed": 10.0}]
-    assert measure(SPEED_MEAN, ({"ending": "side"}, steps)) == 30.0
-    assert measure(SPEED_MEAN, ({"ending": "off_road"}, steps)) == 20.0
+    assert measure(speed_mean(DRIVING), ({"ending": "side"}, steps)) == 30.0
+    assert measure(speed_mean(DRIVING), ({"ending": "off_road"}, steps)) == 20.0
 
 
 def test_the_traffics_speed_is_distance_over_time() -> None:

@@ -23,14 +23,14 @@ EPISODES = 80
 
 
 def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> CellRows:
-    """Episodes of 5 steps at about that speed, without a leader; the first ones end in a crash."""
+    """Episodes of 15 steps at about that speed, without a leader; the first ones end in a crash."""
     rng = np.random.default_rng(len(agent))
     heads = [
         {
             "episode": e,
             "ending": "side" if e < crashes else "time",
-            "steps": 5,
-            "duration_s": 5 / 3,
+            "steps": 15,
+            "duration_s": 5.0,
             "distance_m": 40.0,
         }
         for e in range(EPISODES)
@@ -38,7 +38,7 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
     steps = [
         {"episode": e, "step": k, "speed": speed + rng.normal(), "acceleration": 0.0, "lane": 0}
         for e in range(EPISODES)
-        for k in range(1, 6)
+        for k in range(1, 16)
     ]
     return CellRows(
         agent=agent,
@@ -108,7 +108,7 @@ def test_the_terminal_marks_what_is_separated_and_says_what_that_means() -> None
         for part in by_pair(compared((SAFE, WILD))):
             console.print(grid(part, 100, stacked=False))
     lines = capture.get().splitlines()
-    assert lines[0].startswith("safe minus wilder, in idm: paper-1")
+    assert lines[0].startswith("safe minus wilder, in idm: paper-2")
     assert max(map(len, lines)) <= 100
     assert "…" not in capture.get()
     (speed,) = (line for line in lines if line.lstrip().startswith("speed_mean ") and "* " in line)

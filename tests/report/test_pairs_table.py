@@ -26,7 +26,7 @@ STYLES = Suite.model_validate(
     }
 )
 EPISODES = 60
-STEPS = 5
+STEPS = 15
 DIFFICULTY = np.random.default_rng(0).normal(0.0, 2.0, EPISODES)
 """What an episode adds to everybody's speed."""
 
@@ -38,6 +38,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
         {
             "episode": e,
             "step": k + 1,
+            "x": 8.0 * k,
             "speed": 25.0 + DIFFICULTY[e] + faster + rng.normal(0.0, 0.2),
             "acceleration": rng.normal(0.0, 0.5),
             "lane": 0,
@@ -47,7 +48,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
         for e in range(EPISODES)
         for k in range(STEPS)
     ]
-    head = {"ending": "time", "steps": STEPS, "duration_s": STEPS / 3, "distance_m": 40.0}
+    head = {"ending": "time", "steps": STEPS, "duration_s": STEPS / 3, "distance_m": 120.0}
     heads = [{"episode": e, **head} for e in range(EPISODES)]
     return CellRows(
         agent=agent,

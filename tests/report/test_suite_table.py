@@ -68,7 +68,7 @@ def test_the_long_table_has_a_row_for_every_metric_of_every_cell() -> None:
     frame = table.frame()
     assert frame.columns == header
     assert len(frame) == 2 * (len(PAPER.metrics) + len(STANDARD.metrics))
-    assert frame["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
+    assert frame["metric_set"].unique(maintain_order=True).to_list() == ["paper-2", "standard-2"]
 
 
 def test_a_row_has_value_interval_number_and_the_papers_figure() -> None:
@@ -76,7 +76,7 @@ def test_a_row_has_value_interval_number_and_the_papers_figure() -> None:
     assert row(table, "speed_mean") == {
         "agent": "IDM+MOBIL",
         "traffic": "mixed",
-        "metric_set": "paper-1",
+        "metric_set": "paper-2",
         "metric": "speed_mean",
         "value": 25.0,
         "low": 24.0,  # a quarter of the resamples has one episode twice

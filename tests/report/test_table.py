@@ -10,8 +10,8 @@ from charms_bench.errors import InputError
 from charms_bench.report.formatting import write_column
 from charms_bench.report.table import Column, Number, Row, Table
 
-SPEED = Column("speed_mean", "m/s", "speed in logged steps", "logged steps", group="paper-1")
-CRASHED = Column("crashed_episodes", group="standard-1")
+SPEED = Column("speed_mean", "m/s", "speed in logged steps", "logged steps", group="paper-2")
+CRASHED = Column("crashed_episodes", group="standard-2")
 TABLE = Table(
     name="ego",
     title="Egos",
@@ -29,7 +29,7 @@ def test_the_frame_has_one_number_per_row() -> None:
     frame = TABLE.frame()
     assert frame.columns[:4] == ["agent", "traffic", "group", "name"]
     assert frame.row(0) == (
-        "IDM", "mixed", "paper-1", "speed_mean", 23.676, 23.5, 23.8, 100, 23.67, None, False
+        "IDM", "mixed", "paper-2", "speed_mean", 23.676, 23.5, 23.8, 100, 23.67, None, False
     )  # fmt: skip
     assert frame["value"].to_list() == [23.676, 0.0, None, 0.5]
 
@@ -51,7 +51,7 @@ def test_a_frame_lists_quantity_by_quantity() -> None:
 
 
 def test_metrics_are_selected_in_the_order_asked_for_within_their_groups() -> None:
-    both = Table("t", "", (), (CRASHED, SPEED, Column("acc_std", group="paper-1")), ())
+    both = Table("t", "", (), (CRASHED, SPEED, Column("acc_std", group="paper-2")), ())
     chosen = both.select("acc_std", "speed_mean", "crashed_episodes")
     assert [each.name for each in chosen.columns] == ["crashed_episodes", "acc_std", "speed_mean"]
     with pytest.raises(InputError, match=r"no metric named 'speed'\..*Did you mean 'speed_mean'"):
@@ -59,7 +59,7 @@ def test_metrics_are_selected_in_the_order_asked_for_within_their_groups() -> No
 
 
 def test_each_group_is_a_part_with_its_name_as_title() -> None:
-    assert [part.title for part in TABLE.parts()] == ["paper-1", "standard-1"]
+    assert [part.title for part in TABLE.parts()] == ["paper-2", "standard-2"]
     assert [len(part.columns) for part in TABLE.parts()] == [1, 1]
 
 

@@ -15,12 +15,12 @@ from charms_bench.runs.suite import Suite
 
 EGO = """\
 agent,traffic,metric_set,metric,value,low,high,n,paper
-IDM,mixed,paper-1,speed_mean,24.0,23.5,24.5,100,24.2
-CHARMS,mixed,paper-1,speed_mean,30.0,29.0,31.0,100,
-IDM,mixed,paper-1,dhw_mean,40.0,39.0,41.0,100,
-CHARMS,mixed,paper-1,dhw_mean,,,,0,
-IDM,mixed,standard-1(ttc_s=2),speed_mean,25.0,24.0,26.0,100,
-CHARMS,mixed,standard-1(ttc_s=2),speed_mean,31.0,30.0,32.0,100,
+IDM,mixed,paper-2,speed_mean,24.0,23.5,24.5,100,24.2
+CHARMS,mixed,paper-2,speed_mean,30.0,29.0,31.0,100,
+IDM,mixed,paper-2,dhw_mean,40.0,39.0,41.0,100,
+CHARMS,mixed,paper-2,dhw_mean,,,,0,
+IDM,mixed,standard-2(ttc_s=2),speed_mean,25.0,24.0,26.0,100,
+CHARMS,mixed,standard-2(ttc_s=2),speed_mean,31.0,30.0,32.0,100,
 """
 SUITE = Suite.model_validate(
     {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
@@ -38,7 +38,7 @@ def lines(shown: RenderableType, width: int = 80) -> list[str]:
 def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
     shown = lines(drawn(TABLE.select("speed_mean"), 60), width=60)
     assert shown[1:5] == [
-        "paper-1",
+        "paper-2",
         "speed_mean                 m/s  23.5               31  paper",
         "  IDM       24.00  23.50–24.50  ━●◇━                    24.2",
         "  CHARMS    30.00  29.00–31.00                 ━━●━━━",
@@ -47,7 +47,7 @@ def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
 
 def test_units_are_those_of_the_set_whatever_its_thresholds() -> None:
     shown = lines(drawn(TABLE))
-    place = shown.index("standard-1(ttc_s=2)")
+    place = shown.index("standard-2(ttc_s=2)")
     assert shown[place + 1].split()[:2] == ["speed_mean", "m/s"]
 
 

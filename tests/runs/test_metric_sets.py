@@ -29,11 +29,20 @@ def test_without_names_there_are_the_usual_sets() -> None:
 
 def test_other_thresholds_show_in_the_label_and_in_names() -> None:
     (found,) = metric_sets(["standard:ttc_s=2,drac_mps2=3.4"])
-    assert found.label == "standard-1(ttc_s=2,drac_mps2=3.4)"
+    assert found.label == "standard-2(ttc_s=2,drac_mps2=3.4)"
     names = [metric.name for metric in found.metrics]
     assert {"ttc_below_2s", "drac_above_3_4"} < set(names)
     assert not {"ttc_below_3s", "drac_above_3_35"} & set(names)
     assert len(names) == len(STANDARD.metrics)
+
+
+def test_another_warm_up_shows_in_the_label_and_in_what_is_counted() -> None:
+    (found,) = metric_sets(["standard:warm_up_s=0"])
+    assert found.label == "standard-2(warm_up_s=0)"
+    counted = {metric.name: metric.rests_on for metric in found.metrics}
+    assert counted["speed_mean"] == "steps"
+    usual = {metric.name: metric.rests_on for metric in STANDARD.metrics}
+    assert usual["speed_mean"] == "steps after 3 s"
 
 
 def test_a_plugins_set_has_its_own_version() -> None:
@@ -49,7 +58,7 @@ def test_a_plugins_set_has_its_own_version() -> None:
         (["standard:ttc_s=[1"], "ttc_s: cannot be read: expected ',' or"),
         (["standard:ttc=2"], r"cannot be made \(options: ttc\): TypeError: .*'ttc'"),
         (["paper:ttc_s=2"], "metric set 'paper' takes no options; given: ttc_s"),
-        (["paper", "paper"], "metric set 'paper-1': given twice"),
+        (["paper", "paper"], "metric set 'paper-2': given twice"),
         (["outside_no_metrics"], "is a NoAgent, not a MetricSet"),
         (["outside_broken_metrics"], "'broken': fuel: ColumnNotFoundError: .*\"fuel\""),
     ],
@@ -75,7 +84,7 @@ def test_a_run_is_measured_again_from_its_rows_alone(finished: Path, tmp_path: P
     result = rescore(folder)
     assert result.returncode == 0, result.stderr
     table = pl.read_csv(folder / "tables" / "small.csv")
-    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-1", "standard-1"]
+    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-2", "standard-2"]
     rows = sorted(path.name for path in folder.rglob("*.parquet"))
     assert rows == sorted(path.name for path in finished.rglob("*.parquet"))
 

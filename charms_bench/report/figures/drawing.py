@@ -29,16 +29,19 @@ def check_figure(path: Path) -> None:
 
 
 def panels(
-    count: int, width: float, height: float, stacked: bool = False
+    count: int, width: float, height: float, side_by_side: int | None = None
 ) -> tuple[Figure, Sequence[Any]]:
-    """A figure of axes side by side, or one above the other, each of this size in inches."""
-    rows, columns = (count, 1) if stacked else (1, count)
+    """A figure of `count` axes, each of this size in inches, all `side_by_side` by default."""
+    columns = min(count, side_by_side or count)
+    rows = -(-count // columns)
     figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     FigureCanvasAgg(figure)
     every = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes in every:
         axes.spines[["top", "right"]].set_visible(False)
-    return figure, every
+    for axes in every[count:]:
+        axes.remove()
+    return figure, every[:count]
 
 
 def crosses(axes: Any, x: Sequence[Number], y: Sequence[Number], **look: Any) -> None:

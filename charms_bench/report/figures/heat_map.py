@@ -1,4 +1,4 @@
-"""Every ego in every traffic, as heat maps side by side."""
+"""Every ego in every traffic, as heat maps."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,9 @@ from charms_bench.report.figures.drawing import heat_map, panels
 from charms_bench.report.formatting import write_cells
 from charms_bench.report.table import Table
 
-COLOURS = ("Reds", "Blues", "Oranges")
+COLOURS = ("Reds", "Blues", "Oranges", "Purples", "Greens", "Greys")
 """Of the matrices of `suite_table.MATRICES`."""
+SIDE_BY_SIDE = 3
 
 
 def draw_matrices(matrices: Sequence[Table], first: int = 0) -> Figure:
@@ -22,13 +23,14 @@ def draw_matrices(matrices: Sequence[Table], first: int = 0) -> Figure:
     """
     egos = [row.labels[0] for row in matrices[0].rows]
     traffics = [column.name for column in matrices[0].columns]
-    figure, row = panels(len(matrices), 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos))
-    for k, (axes, matrix) in enumerate(zip(row, matrices, strict=True)):
+    width, height = 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos)
+    figure, every = panels(len(matrices), width, height, SIDE_BY_SIDE)
+    for k, (axes, matrix) in enumerate(zip(every, matrices, strict=True)):
         values = np.array(
             [[n.value for n in each.numbers] for each in matrix.rows], dtype=np.float64
         )
         texts = [[cell.value for cell in cells] for cells in write_cells(matrix)]
-        names = egos if k == 0 else [""] * len(egos)
+        names = egos if k % SIDE_BY_SIDE == 0 else [""] * len(egos)
         heat_map(axes, values, texts, names, traffics, cmap=COLOURS[(first + k) % len(COLOURS)])
         axes.set_title(matrix.title, fontsize=9)
     return figure

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from charms_bench.episodes.ego_view import EgoView
 from charms_bench.episodes.palette import SERIES
 from charms_bench.episodes.replay import Replay
-from charms_bench.metrics.time_to_collision import CONFLICT_TTC_S
+from charms_bench.metrics.conflicts import CONFLICT_TTC_S
 from charms_bench.report.figures.drawing import panels
 from charms_bench.world.scene import Floats, Ints
 
@@ -18,7 +18,7 @@ LEFT, RIGHT = 0.085, 0.99
 
 def draw_timelines(replay: Replay, view: EgoView) -> Figure:
     """The ego's timelines, one above the other."""
-    figure, axes = panels(4, 5.6, 1.0, stacked=True)
+    figure, axes = panels(4, 5.6, 1.0, side_by_side=1)
     # Fixed margins: the cursor of the page has to know where the axes are.
     figure.set_layout_engine(None)
     figure.subplots_adjust(LEFT, 0.09, RIGHT, 0.955, hspace=0.28)
