@@ -109,9 +109,7 @@ DRIVER: Mapping[str, Column] = {
     "side": Column(pl.Int32(), "", "Vehicles that crashed in a side collision."),
     "distance_m": Column(pl.Float64(), "m", "Distance driven before the vehicles crashed."),
     "time_s": Column(pl.Float64(), "s", "Time driven before the vehicles crashed."),
-    "harsh_s": Column(
-        pl.Float64(), "s", "Time with more than 2.5 m/s², accelerating or braking."
-    ),
+    "harsh_s": Column(pl.Float64(), "s", "Time with more than 2.5 m/s², accelerating or braking."),
     "lane_changes": Column(pl.Int32(), "", "Changes of the nearest lane."),
     "abandoned": Column(
         pl.Int32(), "", "Lane changes given up before the new lane was the nearest lane."
@@ -137,9 +135,7 @@ DRIVER: Mapping[str, Column] = {
         "that the vehicles began.",
     ),
     "near_misses_to": Column(pl.Int32(), "", "Near misses that the other vehicle began."),
-    "pet_by": Column(
-        pl.Int32(), "", "Encroachments of at most 5 s in which the vehicles cut in."
-    ),
+    "pet_by": Column(pl.Int32(), "", "Encroachments of at most 5 s in which the vehicles cut in."),
     "pet_by_sum_s": Column(pl.Float64(), "s", "Sum of their post-encroachment times (PET)."),
     "pet_below_2s_by": Column(pl.Int32(), "", "Of these, those with a PET below 2 s."),
     "pet_to": Column(
@@ -173,6 +169,8 @@ SCHEMAS = {
     "episodes": EPISODE_SCHEMA,
 }
 """The kinds of rows that a shard has."""
+NO_DRIVERS = DRIVER_SCHEMA.to_frame()
+"""No driver rows."""
 DRIVER_KEYS = ("episode", "agent", "is_ego")
 DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
 

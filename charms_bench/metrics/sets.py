@@ -8,6 +8,7 @@ steps up to a collision.
 from charms_bench.metrics import (
     acceleration,
     collisions,
+    conduct,
     headway,
     interaction,
     lane_changes,
@@ -81,6 +82,8 @@ def standard(
             collisions.TRAFFIC_CRASHED,
             collisions.TRAFFIC_CRASHES_PER_1000KM,
             speed.TRAFFIC_SPEED_MEAN,
+            *conduct.EGO_CONDUCT,
+            *conduct.TRAFFIC_CONDUCT,
         ),
     )
 

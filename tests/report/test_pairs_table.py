@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from command_line import charms_bench
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.errors import SuiteError
 from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
 from charms_bench.report.run_files import write_run
@@ -57,6 +57,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
             (
                 pl.DataFrame(heads, schema=EPISODE_SCHEMA),
                 pl.DataFrame(steps, schema=STEP_SCHEMA),
+                NO_DRIVERS,
             )
         ],
     )
