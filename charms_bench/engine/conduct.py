@@ -22,7 +22,7 @@ from charms_bench.engine.encroachment import note_encroachments
 from charms_bench.engine.lane_changes import note_lane_changes
 from charms_bench.engine.rss import note_rss
 from charms_bench.engine.simulation import Simulation, vehicle_hit
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, index
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
@@ -32,24 +32,26 @@ LONG_AGO = -1_000_000
 STATE = np.dtype(
     [
         ("x", np.float64),
-        ("lane", np.int64),
-        ("target_lane", np.int64),
+        ("place", np.float64),
+        ("driver", np.int32),
+        ("lane", np.int32),
+        ("target_lane", np.int32),
+        ("changed", np.int32),
+        ("began", np.int32),
+        ("imposes_until", np.int32),
+        ("near", np.int32),
+        ("cutter", np.int32),
+        ("cut_in", np.int32),
         ("lost", np.bool_),
-        ("changed", np.int64),
-        ("began", np.int64),
-        ("imposes_until", np.int64),
-        ("near", np.int64),
         ("leader_began", np.bool_),
         ("in_conflict", np.bool_),
-        ("cutter", np.int64),
-        ("place", np.float64),
-        ("cut_in", np.int64),
         ("is_pressed", np.bool_),
     ],
     align=True,
 )
 """What is remembered of a vehicle. Times are numbers of decisions; -1 stands for no vehicle.
 
+driver: Its column in the sums: 0 for the ego, otherwise 1 more than the agent's index.
 x, lane, target_lane: At the last decision.
 lost: Whether the vehicle has collided or left the road.
 changed, began: When the nearest lane and the target lane last changed.
@@ -67,9 +69,13 @@ class Conduct:
         scene = simulation.scene
         self._simulation = simulation
         self._interval_s = 1.0 / simulation.settings.decision_hz
-        self._sums = np.zeros(scene.x.shape, dtype=DRIVER_RECORD)
-        self._sums["vehicles"] = 1
+        self._sums = np.zeros((scene.ego.size, len(simulation.agents) + 1), dtype=DRIVER_RECORD)
         self._state = np.zeros(scene.x.shape, dtype=STATE)
+        self._state["driver"] = simulation.engine.drivers + 1
+        self._state["driver"][simulation.ego_vehicles] = 0
+        for driver in range(self._sums.shape[1]):
+            vehicles = (self._state["driver"] == driver).sum(axis=1)
+            self._sums["vehicles"][:, driver] = vehicles
         for name in ("x", "lane", "target_lane"):
             self._state[name] = getattr(scene, name)
         self._state["changed"] = LONG_AGO
@@ -92,19 +98,17 @@ class Conduct:
         remember(scene, scenes, state)
 
     def table(self) -> pl.DataFrame:
-        """Returns the sums by driver (`columns.DRIVER`), sorted by episode, ego last."""
-        simulation = self._simulation
-        is_ego = np.zeros(self._sums.shape, dtype=np.bool_)
-        is_ego[simulation.ego_vehicles] = True
+        """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""
+        scene, driver = np.nonzero(self._sums["vehicles"])
+        names = np.array((self._simulation.agents[0], *self._simulation.agents))
+        sums = self._sums[scene, driver]
         columns = {
-            "episode": np.repeat(simulation.seeds, is_ego.shape[1]),
-            "agent": simulation.drivers.ravel(),
-            "is_ego": is_ego.ravel(),
-            **{name: self._sums[name].ravel() for name in DRIVER_SUMS},
+            "episode": self._simulation.seeds[scene],
+            "agent": names[driver],
+            "is_ego": driver == 0,
+            **{name: sums[name] for name in DRIVER_SUMS},
         }
-        keys = list(DRIVER_KEYS)
-        sums = pl.DataFrame(columns).group_by(keys).agg(pl.col(DRIVER_SUMS).sum()).sort(keys)
-        return table(sums.to_dict(), DRIVER_SCHEMA)
+        return table(columns, DRIVER_SCHEMA).sort(DRIVER_KEYS)
 
 
 @compiled
@@ -112,29 +116,33 @@ def note_driving(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums
     """Adds distance and time, and the crashes of a decision interval."""
     c, x, y, lanes = scene.constants, scene.x, scene.y, scene.lane
     crashed, acceleration = scene.crashed, scene.acceleration
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         for i in range(x.shape[1]):
-            if state[b, i].lost:
+            own = state[b, i]
+            if own.lost:
                 continue
+            mine = sums[b, own.driver]
             if crashed[b, i]:
                 j, is_rear_end = vehicle_hit(x[b], y[b], i, c)
-                sums[b, i].rear_end_striking += is_rear_end and x[b, i] < x[b, j]
-                sums[b, i].rear_end_struck += is_rear_end and x[b, i] >= x[b, j]
-                sums[b, i].side += not is_rear_end
+                mine.rear_end_striking += is_rear_end and x[b, i] < x[b, j]
+                mine.rear_end_struck += is_rear_end and x[b, i] >= x[b, j]
+                mine.side += not is_rear_end
             if crashed[b, i] or not is_on_lane(x[b, i], y[b, i], lanes[b, i], c, 0.0):
-                state[b, i].lost = True
-                sums[b, i].crashed += 1
+                own.lost = True
+                mine.crashed += 1
                 continue
-            sums[b, i].distance_m += x[b, i] - state[b, i].x
-            sums[b, i].time_s += interval_s
-            sums[b, i].harsh_s += interval_s if abs(acceleration[b, i]) > HARSH_MPS2 else 0.0
+            mine.distance_m += x[b, i] - own.x
+            mine.time_s += interval_s
+            mine.harsh_s += interval_s * (abs(acceleration[b, i]) > HARSH_MPS2)
 
 
 @compiled
 def remember(scene: Scene, scenes: Ints, state: Any) -> None:
     """Keeps what the next decision interval is compared with."""
     x, lane, target_lane = scene.x, scene.lane, scene.target_lane
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         for i in range(x.shape[1]):
             own = state[b, i]
             own.x, own.lane, own.target_lane = x[b, i], lane[b, i], target_lane[b, i]

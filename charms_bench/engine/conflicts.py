@@ -12,7 +12,7 @@ in.
 from typing import Any
 
 from charms_bench.engine.lane_changes import HARD_BRAKING_MPS2
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 CONFLICT_TTC_S = 1.5
@@ -31,44 +31,46 @@ def note_conflicts(
     leaders, lanes, target_lane = scene.leaders, scene.lane, scene.target_lane
     acceleration, active = scene.acceleration, scene.active
     window = round(MANOEUVRE_S / interval_s)
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         step = steps[b]
         for i in range(x.shape[1]):
             own = state[b, i]
             if own.lost:
                 continue
-            leader = leaders[b, i, lanes[b, i]]
-            is_conflict = is_near_miss = False
-            if leader >= 0:
-                gap = x[b, leader] - x[b, i] - length
-                closing = speed[b, i] - speed[b, leader]
-                if gap > 0 and closing > 0:
-                    is_conflict = gap < CONFLICT_TTC_S * closing
-                    required = closing**2 / (2 * gap)
-                    is_near_miss = is_conflict or required > NEAR_MISS_DRAC_MPS2
-            before = own.near
-            if before >= 0 and not (is_near_miss and leader == before):
-                count_near_miss(b, i, before, own.leader_began, sums)
+            found = leaders[b, i, lanes[b, i]]
+            leader = max(found, 0)
+            gap = x[b, leader] - x[b, i] - length
+            closing = speed[b, i] - speed[b, leader]
+            is_closing = (found >= 0) & (gap > 0) & (closing > 0)
+            is_conflict = is_closing & (gap < CONFLICT_TTC_S * closing)
+            brakes_hard = is_closing & (closing**2 > 2 * NEAR_MISS_DRAC_MPS2 * gap)
+            is_near_miss = is_conflict | brakes_hard
+            if not is_near_miss and own.near < 0:
+                continue
+            if own.near >= 0 and not (is_near_miss and leader == own.near):
+                count_near_miss(b, own, state[b, own.near].driver, sums)
                 own.near = NOBODY
             if is_near_miss and own.near < 0:
-                changed, leader_changed = own.changed, state[b, leader].changed
+                leader_changed = state[b, leader].changed
                 if lanes[b, leader] != lanes[b, i] and target_lane[b, leader] == lanes[b, i]:
                     leader_changed = step  # it is on both lanes, and is entering this one
-                if max(changed, leader_changed) >= step - window:
-                    own.leader_began = leader_changed > changed
+                if max(own.changed, leader_changed) >= step - window:
+                    own.leader_began = leader_changed > own.changed
                 else:
                     own.leader_began = acceleration[b, leader] < -HARD_BRAKING_MPS2
                 own.near, own.in_conflict = leader, False
             if is_conflict and not own.in_conflict:
                 own.in_conflict = True
-                sums[b, leader if own.leader_began else i].conflicts_by += 1
-                sums[b, i if own.leader_began else leader].conflicts_to += 1
+                other = state[b, leader].driver
+                sums[b, other if own.leader_began else own.driver].conflicts_by += 1
+                sums[b, own.driver if own.leader_began else other].conflicts_to += 1
             if own.near >= 0 and not active[b]:
-                count_near_miss(b, i, own.near, own.leader_began, sums)
+                count_near_miss(b, own, state[b, own.near].driver, sums)
 
 
 @compiled
-def count_near_miss(b: int, i: int, leader: int, leader_began: bool, sums: Any) -> None:
-    """Adds a near miss of two vehicles."""
-    sums[b, leader if leader_began else i].near_misses_by += 1
-    sums[b, i if leader_began else leader].near_misses_to += 1
+def count_near_miss(b: int, own: Any, leader: int, sums: Any) -> None:
+    """Adds a near miss of a vehicle with a vehicle of the driver `leader`."""
+    sums[b, leader if own.leader_began else own.driver].near_misses_by += 1
+    sums[b, own.driver if own.leader_began else leader].near_misses_to += 1

@@ -9,7 +9,7 @@ in between, or after 5 s.
 
 from typing import Any
 
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 PET_LIMIT_S = 5.0
@@ -25,7 +25,8 @@ def note_encroachments(
 ) -> None:
     """Adds the PETs of vehicles that reach the place, then notes the vehicles that cut in."""
     x, lanes, followers, length = scene.x, scene.lane, scene.followers, scene.constants.length
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         step = steps[b]
         for i in range(x.shape[1]):
             own = state[b, i]
@@ -37,7 +38,7 @@ def note_encroachments(
             elif x[b, i] >= own.place:
                 pet = driven + (own.place - own.x) / (x[b, i] - own.x) * interval_s
                 if pet <= PET_LIMIT_S:
-                    first, second = sums[b, own.cutter], sums[b, i]
+                    first, second = sums[b, state[b, own.cutter].driver], sums[b, own.driver]
                     first.pet_by += 1
                     first.pet_by_sum_s += pet
                     first.pet_below_2s_by += pet < SHORT_PET_S

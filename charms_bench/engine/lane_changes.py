@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 TAKEN_RANGE_M = 50.0
@@ -28,7 +28,8 @@ def note_lane_changes(
     lanes, target_lane, crashed = scene.lane, scene.target_lane, scene.crashed
     followers, acceleration, vehicles = scene.followers, scene.acceleration, scene.x.shape[1]
     window = max(1, round(IMPOSED_S / interval_s))
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         step = steps[b]
         for i in range(vehicles):
             if lanes[b, i] != state[b, i].lane:
@@ -37,20 +38,21 @@ def note_lane_changes(
             own = state[b, i]
             lane, target, wanted = lanes[b, i], target_lane[b, i], own.target_lane
             if not own.lost:
+                mine = sums[b, own.driver]
                 if own.changed == step:
-                    sums[b, i].lane_changes += 1
+                    mine.lane_changes += 1
                     own.imposes_until = step + window - 1
-                elif wanted not in (own.lane, target):
-                    sums[b, i].abandoned += 1
+                elif wanted != own.lane and wanted != target:
+                    mine.abandoned += 1
                     taker = taker_of(b, i, scene, state)
                     if taker >= 0:
-                        sums[b, i].gaps_lost += 1
-                        sums[b, taker].gaps_taken += 1
+                        mine.gaps_lost += 1
+                        sums[b, state[b, taker].driver].gaps_taken += 1
                 if step <= own.imposes_until:
                     j = followers[b, i, lane]
                     if j >= 0 and not crashed[b, j] and acceleration[b, j] < -HARD_BRAKING_MPS2:
-                        sums[b, i].hard_braking_by += 1
-                        sums[b, j].hard_braking_to += 1
+                        mine.hard_braking_by += 1
+                        sums[b, state[b, j].driver].hard_braking_to += 1
                         own.imposes_until = 0
             if target != wanted:
                 own.began = step
@@ -60,7 +62,7 @@ def note_lane_changes(
 def taker_of(b: int, i: int, scene: Scene, state: Any) -> int:
     """The vehicle that took the gap to which a vehicle wanted to change, or -1."""
     x, lanes, target_lane = scene.x, scene.lane, scene.target_lane
-    wanted, began = state[b, i].target_lane, state[b, i].began
+    wanted, began = np.int64(state[b, i].target_lane), state[b, i].began
     ahead = behind = -1
     least_ahead = least_behind = np.inf
     for j in range(x.shape[1]):

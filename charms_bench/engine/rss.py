@@ -8,7 +8,7 @@ under control, because each is judged as one driver among others.
 
 from typing import Any
 
-from charms_bench.world.compiled import compiled, inlined
+from charms_bench.world.compiled import compiled, index, inlined
 from charms_bench.world.scene import Ints, Scene
 
 # ad-rss-lib, Appendix-ParameterDiscussion.md.
@@ -52,29 +52,31 @@ def note_rss(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums: An
     """Adds the time in danger from the nearest vehicles ahead on the own and adjacent lanes."""
     c, x, y, speed, lanes = scene.constants, scene.x, scene.y, scene.speed, scene.lane
     direction_x, direction_y, leaders = scene.direction_x, scene.direction_y, scene.leaders
-    for b in scenes:
+    for row in scenes:
+        b = index(row)
         for i in range(x.shape[1]):
-            if state[b, i].lost:
+            own = state[b, i]
+            if own.lost:
                 continue
-            lane = lanes[b, i]
             forward, aside = speed[b, i] * direction_x[b, i], speed[b, i] * direction_y[b, i]
             is_too_close = False
-            for on in range(max(lane - 1, 0), min(lane + 2, c.lanes)):
-                j = leaders[b, i, on]
-                if j < 0:
-                    continue
-                to_the_right = 1.0 if y[b, j] > y[b, i] else -1.0
-                other = -to_the_right * speed[b, j] * direction_y[b, j]
-                side_gap = abs(y[b, j] - y[b, i]) - c.width
-                if side_gap >= safe_side_distance(to_the_right * aside, other):
-                    continue
+            for on in range(max(lanes[b, i] - 1, 0), min(lanes[b, i] + 2, c.lanes)):
+                found = leaders[b, i, on]
+                j = max(found, 0)
                 gap = x[b, j] - x[b, i] - c.length
-                if gap < safe_distance(forward, speed[b, j] * direction_x[b, j]):
-                    is_too_close = True
-                    state[b, j].is_pressed = True
-            if is_too_close:
-                sums[b, i].rss_by_s += interval_s
+                to_the_right = 1.0 if y[b, j] > y[b, i] else -1.0
+                side_gap = abs(y[b, j] - y[b, i]) - c.width
+                approach = -to_the_right * speed[b, j] * direction_y[b, j]
+                # No branches: what is true of a pair cannot be predicted, which costs more.
+                is_dangerous = (
+                    (found >= 0)
+                    & (gap < safe_distance(forward, speed[b, j] * direction_x[b, j]))
+                    & (side_gap < safe_side_distance(to_the_right * aside, approach))
+                )
+                is_too_close |= is_dangerous
+                state[b, j].is_pressed |= is_dangerous
+            sums[b, own.driver].rss_by_s += interval_s * is_too_close
         for i in range(x.shape[1]):
-            if state[b, i].is_pressed and not state[b, i].lost:
-                sums[b, i].rss_to_s += interval_s
-            state[b, i].is_pressed = False
+            own = state[b, i]
+            sums[b, own.driver].rss_to_s += interval_s * (own.is_pressed & (not own.lost))
+            own.is_pressed = False

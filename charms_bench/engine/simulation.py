@@ -62,15 +62,16 @@ class Simulation:
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
-        self._names = (ego or "", *(name for name in traffic.agents if name != ego))
-        made = {k: agents[name] for k, name in enumerate(self._names) if name}
+        self.agents = (ego or "", *(name for name in traffic.agents if name != ego))
+        """The names of the agents that `engine.drivers` holds indices of."""
+        made = {k: agents[name] for k, name in enumerate(self.agents) if name}
         self._policies = {
-            k: _checked_policy(self._names[k], agent, settings)
+            k: _checked_policy(self.agents[k], agent, settings)
             for k, agent in made.items()
             if isinstance(agent, Policy)
         }
         models = {
-            k: _CheckedModel(self._names[k], agent, self)
+            k: _CheckedModel(self.agents[k], agent, self)
             for k, agent in made.items()
             if isinstance(agent, DriverModel)
         }
@@ -85,7 +86,7 @@ class Simulation:
     @property
     def drivers(self) -> NDArray[np.str_]:
         """[B, N] the name of each vehicle's agent; empty for an ego driven from outside."""
-        return np.asarray(np.array(self._names)[self.engine.drivers])
+        return np.asarray(np.array(self.agents)[self.engine.drivers])
 
     @property
     def failed(self) -> Bools:
@@ -112,8 +113,8 @@ class Simulation:
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
-        index = {name: k for k, name in enumerate(self._names)}
-        traffic = np.full((rows.size, others), len(self._names) - 1)
+        index = {name: k for k, name in enumerate(self.agents)}
+        traffic = np.full((rows.size, others), len(self.agents) - 1)
         for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
@@ -145,7 +146,7 @@ class Simulation:
             now = active & (self._frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
             if vehicles[0].size:
-                decisions.append((vehicles, self._decide(self._names[agent], policy, vehicles)))
+                decisions.append((vehicles, self._decide(self.agents[agent], policy, vehicles)))
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
         self.engine.advance()

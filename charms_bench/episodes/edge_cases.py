@@ -77,7 +77,7 @@ def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
     frames = [
         criticality(episodes, steps, run.suite.scene).with_columns(cell=pl.lit(cell))
         for cell in cells
-        for episodes, steps, _ in rows[cell].parts
+        for episodes, steps in rows[cell].parts
     ]
     order = ["criticality", "cell", "episode"]
     return pl.concat(frames).sort(order, descending=[True, False, False])

@@ -5,6 +5,7 @@ A mixed traffic has a row per agent, so the table shows what each driving style 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import polars as pl
@@ -17,6 +18,7 @@ from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
+from charms_bench.world.scene import Floats
 
 KEYS = ("agent", "traffic", "driver")
 LONG = {"metric": "name", "value": "value", "low": "low", "high": "high", "n": "n"}
@@ -33,22 +35,32 @@ def drivers_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """
     records = []
     for cell in cells:
-        order = ["is_ego", "agent"]
-        drivers = cell.drivers.sort(order, descending=[True, False])
-        episodes = np.unique(drivers["episode"].to_numpy())
-        for (is_ego, agent), rows in drivers.group_by(order, maintain_order=True):
-            sums = np.zeros((episodes.size, len(_SUMS)))
-            values = rows.select(each.alias(str(k)) for k, each in enumerate(_SUMS))
-            sums[np.searchsorted(episodes, rows["episode"].to_numpy())] = values.to_numpy()
-            rng = np.random.default_rng(suite.seed)
-            estimates = estimate(OF_DRIVERS, np.split(sums, _ENDS, axis=1), rng)
-            labels = (cell.agent, cell.traffic, EGO if is_ego else agent)
-            for metric, found in zip(OF_DRIVERS, estimates, strict=True):
-                numbers = (found.value, found.low, found.high, found.n)
-                records.append((*labels, metric.name, *numbers))
+        sums = _sums(cell)
+        metrics = OF_DRIVERS * len(sums)
+        every = [each for of_driver in sums.values() for each in of_driver]
+        estimates = estimate(metrics, every, np.random.default_rng(suite.seed))
+        for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
+            numbers = (found.value, found.low, found.high, found.n)
+            records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
     frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
     rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
     return from_frame(frame.with_columns(rounded), suite)
+
+
+def _sums(cell: CellRows) -> dict[str, list[Floats]]:
+    """The sums [E, k] of each metric by driver; a driver without vehicles in an episode has 0."""
+    found: dict[str, Floats] = {}
+    start = 0
+    for (drivers,) in cell.drivers:
+        ordered = drivers.sort("is_ego", "agent", descending=[True, False])
+        episodes = np.unique(drivers["episode"].to_numpy())
+        for (is_ego, agent), rows in ordered.group_by("is_ego", "agent", maintain_order=True):
+            whole = found.setdefault(EGO if is_ego else agent, np.zeros((cell.size, len(_SUMS))))
+            values = rows.select(each.alias(str(k)) for k, each in enumerate(_SUMS))
+            place = np.searchsorted(episodes, rows["episode"].to_numpy())
+            whole[start + place] = values.to_numpy()
+        start += episodes.size
+    return {driver: np.split(whole, _ENDS, axis=1) for driver, whole in found.items()}
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:

@@ -25,32 +25,29 @@ class CellRows:
     size: int
     """Number of episodes."""
     parts: Iterable[Rows]
-    """The episode, step and driver rows of some episodes at a time. They are read again each time,
+    """The episode rows and the step rows of some episodes at a time. They are read again each time,
     because all step rows of a long run do not fit into memory."""
+    drivers: Iterable[Rows]
+    """The driver rows of the same episodes at a time."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """Values that the paper reports, by metric of the set `paper`."""
 
     @cached_property
     def episodes(self) -> pl.DataFrame:
         """All episode rows."""
-        return pl.concat(episodes for episodes, _, _ in self.parts)
+        return pl.concat(episodes for episodes, _ in self.parts)
 
     @cached_property
     def steps(self) -> pl.DataFrame:
         """All step rows."""
-        return pl.concat(steps for _, steps, _ in self.parts)
-
-    @cached_property
-    def drivers(self) -> pl.DataFrame:
-        """All driver rows."""
-        return pl.concat(drivers for _, _, drivers in self.parts)
+        return pl.concat(steps for _, steps in self.parts)
 
     def sums(self, metrics: Sequence[Metric], settings: SceneSettings) -> list[Floats]:
         """Returns the sums [E, k] of each metric, by episode."""
         ends = np.cumsum([len(metric.sums) for metric in metrics])
         whole = np.empty((self.size, ends[-1]))
         start = 0
-        for episodes, steps, drivers in self.parts:
+        for (episodes, steps), (drivers,) in zip(self.parts, self.drivers, strict=True):
             end = start + len(episodes)
             sums = sums_by_episode(metrics, episodes, steps, settings, drivers)
             np.concatenate(sums, axis=1, out=whole[start:end])

@@ -31,7 +31,8 @@ class FinishedRun:
                 agent=cell.ego.title,
                 traffic=cell.traffic.title,
                 size=self.suite.episodes,
-                parts=self._parts(index, "episodes", "steps", "drivers"),
+                parts=self._parts(index, "episodes", "steps"),
+                drivers=self._parts(index, "drivers"),
                 paper=cell.paper,
             )
             for index, cell in enumerate(self.suite.cells)

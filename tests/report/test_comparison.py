@@ -48,9 +48,9 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
             (
                 pl.DataFrame(heads, schema=EPISODE_SCHEMA),
                 pl.DataFrame(steps, schema=STEP_SCHEMA),
-                NO_DRIVERS,
             )
         ],
+        drivers=[(NO_DRIVERS,)],
     )
 
 

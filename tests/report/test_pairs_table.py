@@ -57,9 +57,9 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
             (
                 pl.DataFrame(heads, schema=EPISODE_SCHEMA),
                 pl.DataFrame(steps, schema=STEP_SCHEMA),
-                NO_DRIVERS,
             )
         ],
+        drivers=[(NO_DRIVERS,)],
     )
 
 

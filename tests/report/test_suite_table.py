@@ -43,9 +43,9 @@ def cell(
             (
                 pl.DataFrame(heads, schema=EPISODE_SCHEMA),
                 pl.DataFrame(rows, schema=STEP_SCHEMA),
-                NO_DRIVERS,
             )
         ],
+        drivers=[(NO_DRIVERS,)],
         paper=paper or {},
     )
 
