@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from charms_bench.engine.collisions import SIDE_COLLISION, STRIKING, STRUCK
 from charms_bench.engine.columns import (
     DRIVER_KEYS,
     DRIVER_RECORD,
@@ -21,7 +22,7 @@ from charms_bench.engine.conflicts import note_conflicts
 from charms_bench.engine.encroachment import note_encroachments
 from charms_bench.engine.lane_changes import note_lane_changes
 from charms_bench.engine.rss import note_rss
-from charms_bench.engine.simulation import Simulation, vehicle_hit
+from charms_bench.engine.simulation import Simulation
 from charms_bench.world.compiled import compiled, index
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
@@ -88,14 +89,8 @@ class Conduct:
 
     def note(self, scenes: Ints) -> None:
         """Adds the decision interval of the scenes (S,) that has just ended."""
-        scene, steps = self._simulation.scene, self._simulation.steps
-        interval, state, sums = self._interval_s, self._state, self._sums
-        note_driving(scene, scenes, interval, state, sums)
-        note_encroachments(scene, scenes, steps, interval, state, sums)
-        note_lane_changes(scene, scenes, steps, interval, state, sums)
-        note_conflicts(scene, scenes, steps, interval, state, sums)
-        note_rss(scene, scenes, interval, state, sums)
-        remember(scene, scenes, state)
+        made, state, sums = self._simulation, self._state, self._sums
+        note_conduct(made.scene, scenes, made.steps, made.collision, self._interval_s, state, sums)
 
     def table(self) -> pl.DataFrame:
         """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""
@@ -112,7 +107,28 @@ class Conduct:
 
 
 @compiled
-def note_driving(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums: Any) -> None:
+def note_conduct(
+    scene: Scene,
+    scenes: Ints,
+    steps: Ints,
+    collision: Ints,
+    interval_s: float,
+    state: Any,
+    sums: Any,
+) -> None:
+    """Adds a decision interval to `sums`; the order matters, because each part uses `state`."""
+    note_driving(scene, scenes, collision, interval_s, state, sums)
+    note_encroachments(scene, scenes, steps, interval_s, state, sums)
+    note_lane_changes(scene, scenes, steps, interval_s, state, sums)
+    note_conflicts(scene, scenes, steps, interval_s, state, sums)
+    note_rss(scene, scenes, interval_s, state, sums)
+    remember(scene, scenes, state)
+
+
+@compiled
+def note_driving(
+    scene: Scene, scenes: Ints, collision: Ints, interval_s: float, state: Any, sums: Any
+) -> None:
     """Adds distance and time, and the crashes of a decision interval."""
     c, x, y, lanes = scene.constants, scene.x, scene.y, scene.lane
     crashed, acceleration = scene.crashed, scene.acceleration
@@ -124,10 +140,9 @@ def note_driving(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums
                 continue
             mine = sums[b, own.driver]
             if crashed[b, i]:
-                j, is_rear_end = vehicle_hit(x[b], y[b], i, c)
-                mine.rear_end_striking += is_rear_end and x[b, i] < x[b, j]
-                mine.rear_end_struck += is_rear_end and x[b, i] >= x[b, j]
-                mine.side += not is_rear_end
+                mine.rear_end_striking += collision[b, i] == STRIKING
+                mine.rear_end_struck += collision[b, i] == STRUCK
+                mine.side += collision[b, i] == SIDE_COLLISION
             if crashed[b, i] or not is_on_lane(x[b, i], y[b, i], lanes[b, i], c, 0.0):
                 own.lost = True
                 mine.crashed += 1

@@ -6,14 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
-from charms_bench.engine.kernels import crashed_egos, egos_off_road, vehicles_of
+from charms_bench.engine.collisions import (
+    NO_COLLISION,
+    SIDE_COLLISION,
+    are_noted,
+    note_collisions,
+)
+from charms_bench.engine.kernels import egos_off_road, vehicles_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.compiled import compiled
 from charms_bench.world.observations import observation_of
-from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 ENDINGS = ("running", "time", "rear_end", "side", "off_road")
@@ -58,6 +63,8 @@ class Simulation:
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
+        self.collision = np.zeros((scenes, settings.vehicles), dtype=np.int8)
+        """[B, N] index into `COLLISIONS`, noted in the simulation step of the collision."""
         self._frames = np.zeros(scenes, dtype=np.int64)
         self._everyone = np.arange(scenes)
         self._traffic = traffic
@@ -123,6 +130,7 @@ class Simulation:
         self.engine.reset(rows, seeds, traffic)
         self.steps[rows] = self._frames[rows] = 0
         self.ending[rows] = RUNNING
+        self.collision[rows] = NO_COLLISION
         self.has_action[rows] = False
 
     def step(self, ego_actions: Actions | None = None) -> None:
@@ -192,28 +200,15 @@ class Simulation:
         )
 
     def _note_collisions(self) -> None:
-        """Notes how egos have just collided, before the wrecks move on."""
+        """Notes how vehicles have just collided, before the wrecks move on."""
         scene = self.scene
-        for b in crashed_egos(scene.ego, scene.crashed, scene.active):
-            if self.ending[b] != RUNNING:
-                continue  # it has crashed in an earlier simulation step of this decision
-            _, rear_end = vehicle_hit(scene.x[b], scene.y[b], int(scene.ego[b]), scene.constants)
-            self.ending[b] = REAR_END if rear_end else SIDE
-
-
-@compiled
-def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
-    """The vehicle that the ego has hit, and whether this is a rear-end collision.
-
-    Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps the ego most. In a
-    rear-end collision, the two overlap less along the road than across it.
-    """
-    other, most, is_rear_end = 0, -np.inf, False
-    for i in range(x.size):
-        along, across = c.length - abs(x[i] - x[ego]), c.width - abs(y[i] - y[ego])
-        if i != ego and min(along, across) > most:
-            other, most, is_rear_end = i, min(along, across), along < across
-    return other, is_rear_end
+        if are_noted(scene.crashed.ravel(), self.collision.ravel()):
+            return
+        note_collisions(scene, self.collision)
+        of_egos = self.collision[self.ego_vehicles]
+        has_collided = (self.ending == RUNNING) & (of_egos != NO_COLLISION)
+        self.ending[has_collided] = REAR_END
+        self.ending[has_collided & (of_egos == SIDE_COLLISION)] = SIDE
 
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
