@@ -7,9 +7,11 @@ import polars as pl
 import pytest
 from charms_baselines.idm_mobil import IdmMobil
 from naive_conduct import NAMES, conduct
+from scenes import scene_of
 
 from charms_bench import ACTIONS, Mixture, Policy
 from charms_bench.engine import EngineName
+from charms_bench.engine.collisions import COLLISIONS, are_noted, note_collisions
 from charms_bench.engine.columns import DRIVER_SCHEMA, DRIVER_SUMS
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
@@ -138,3 +140,19 @@ def test_both_engines_record_the_same_conduct() -> None:
     assert ours.select(~pl.selectors.float()).equals(theirs.select(~pl.selectors.float()))
     for name in ours.select(pl.selectors.float()).columns:
         np.testing.assert_allclose(ours[name], theirs[name], atol=1e-5, err_msg=name)
+
+
+def test_the_vehicle_behind_strikes_and_the_one_ahead_is_struck() -> None:
+    # Two overlap by 0.2 m along the road, two by 0.3 m across it, and one is alone.
+    scene = scene_of(
+        profile="charms",
+        x=[100.0, 104.8, 300.0, 302.0, 500.0],
+        y=[4.0, 4.5, 4.0, 5.7, 4.0],
+        crashed=[True, True, True, True, False],
+    )
+    collision = np.zeros((1, 5), dtype=np.int8)
+    assert not are_noted(scene.crashed.ravel(), collision.ravel())
+    note_collisions(scene, collision)
+    names = [COLLISIONS[each] for each in collision[0]]
+    assert names == ["striking", "struck", "side", "side", "none"]
+    assert are_noted(scene.crashed.ravel(), collision.ravel())
