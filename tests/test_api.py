@@ -60,7 +60,7 @@ def test_a_run_opened_from_its_folder_has_the_same_tables(run: charms_bench.Run)
     opened = charms_bench.open_run(str(run.path))
     assert list(opened.tables) == ["small"]
     assert opened.table.frame().equals(run.table.frame())
-    assert opened.manifest["format"] == 2
+    assert opened.manifest["format"] == 3
     assert [path.name for path in opened.files] == ["small-tradeoff.png", "small.md"]
 
 

@@ -4,7 +4,7 @@ The recorder, the files of a run folder and the page on run folders follow this 
 versions add columns; they never rename a column or change its type or meaning.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,20 +100,96 @@ COUNT: Mapping[str, Column] = {
 }
 """One row per episode, quantity and bin with a count above 0."""
 
+DRIVER: Mapping[str, Column] = {
+    "episode": _SEED,
+    "agent": Column(pl.String(), "", "Agent that drives the vehicles."),
+    "is_ego": Column(
+        pl.Boolean(), "", "Whether this is the ego's row; otherwise the row is one of the traffic."
+    ),
+    "vehicles": Column(pl.Int32(), "", "Vehicles that the agent drives."),
+    "crashed": Column(pl.Int32(), "", "Vehicles that collided or left the road."),
+    "rear_end_striking": Column(
+        pl.Int32(), "", "Vehicles that crashed into the rear of another vehicle."
+    ),
+    "rear_end_struck": Column(pl.Int32(), "", "Vehicles that were hit from behind."),
+    "side": Column(pl.Int32(), "", "Vehicles that crashed in a side collision."),
+    "distance_m": Column(pl.Float64(), "m", "Distance driven before the vehicles crashed."),
+    "time_s": Column(pl.Float64(), "s", "Time driven before the vehicles crashed."),
+    "harsh_s": Column(pl.Float64(), "s", "Time with more than 2.5 m/s², accelerating or braking."),
+    "lane_changes": Column(pl.Int32(), "", "Changes of the nearest lane."),
+    "abandoned": Column(
+        pl.Int32(), "", "Lane changes given up before the new lane was the nearest lane."
+    ),
+    "gaps_lost": Column(pl.Int32(), "", "Of these, those whose gap another vehicle took."),
+    "gaps_taken": Column(
+        pl.Int32(), "", "Gaps taken from a vehicle that then gave up its lane change."
+    ),
+    "hard_braking_by": Column(
+        pl.Int32(), "", "Lane changes that made the new follower brake by more than 2 m/s²."
+    ),
+    "hard_braking_to": Column(
+        pl.Int32(), "", "Times that a vehicle braked by more than 2 m/s² for such a lane change."
+    ),
+    "conflicts_by": Column(
+        pl.Int32(), "", "Conflicts, which are TTCs below 1.5 s, that the vehicles began."
+    ),
+    "conflicts_to": Column(pl.Int32(), "", "Conflicts that the other vehicle began."),
+    "near_misses_by": Column(
+        pl.Int32(),
+        "",
+        "Near misses, which are TTCs below 1.5 s or DRACs above 3.35 m/s² without a collision, "
+        "that the vehicles began.",
+    ),
+    "near_misses_to": Column(pl.Int32(), "", "Near misses that the other vehicle began."),
+    "pet_by": Column(pl.Int32(), "", "Encroachments of at most 5 s in which the vehicles cut in."),
+    "pet_by_sum_s": Column(pl.Float64(), "s", "Sum of their post-encroachment times (PET)."),
+    "pet_below_2s_by": Column(pl.Int32(), "", "Of these, those with a PET below 2 s."),
+    "pet_to": Column(
+        pl.Int32(), "", "Encroachments of at most 5 s in which another vehicle cut in."
+    ),
+    "pet_to_sum_s": Column(pl.Float64(), "s", "Sum of their post-encroachment times."),
+    "pet_below_2s_to": Column(pl.Int32(), "", "Of these, those with a PET below 2 s."),
+    "rss_by_s": Column(
+        pl.Float64(), "s", "Time too close to a vehicle ahead by RSS, along and across the road."
+    ),
+    "rss_to_s": Column(pl.Float64(), "s", "Time in which a vehicle behind was too close by RSS."),
+}
+"""One row per episode and agent, and one more for the ego: sums over the agent's vehicles.
+
+A vehicle counts until it collides or leaves the road. Its thresholds were applied during the
+simulation, so other thresholds need a new simulation.
+"""
+
 
 def _schema(columns: Mapping[str, Column]) -> pl.Schema:
     return pl.Schema({name: column.dtype for name, column in columns.items()})
 
 
-STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA = map(_schema, (STEP, EPISODE, COUNT))
-SCHEMAS = {"steps": STEP_SCHEMA, "counts": COUNT_SCHEMA, "episodes": EPISODE_SCHEMA}
-"""The kinds of rows that a shard has."""
-
-STEP_RECORD = np.dtype(
-    [(name, pl.Series(dtype=dtype).to_numpy().dtype) for name, dtype in STEP_SCHEMA.items()],
-    align=True,
+STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA, DRIVER_SCHEMA = map(
+    _schema, (STEP, EPISODE, COUNT, DRIVER)
 )
+SCHEMAS = {
+    "steps": STEP_SCHEMA,
+    "counts": COUNT_SCHEMA,
+    "drivers": DRIVER_SCHEMA,
+    "episodes": EPISODE_SCHEMA,
+}
+"""The kinds of rows that a shard has."""
+NO_DRIVERS = DRIVER_SCHEMA.to_frame()
+"""No driver rows."""
+DRIVER_KEYS = ("episode", "agent", "is_ego")
+DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
+
+
+def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:
+    types = [(name, pl.Series(dtype=schema[name]).to_numpy().dtype) for name in names]
+    return np.dtype(types, align=True)
+
+
+STEP_RECORD = _record(STEP_SCHEMA, STEP)
 """A step row in memory."""
+DRIVER_RECORD = _record(DRIVER_SCHEMA, DRIVER_SUMS)
+"""The sums of a vehicle in memory."""
 
 
 def table(columns: Mapping[str, Any], schema: pl.Schema) -> pl.DataFrame:

@@ -528,18 +528,6 @@ def egos_off_road(scene: Scene) -> Bools:
 
 
 @compiled
-def crashed_egos(ego: Ints, crashed: Bools, running: Bools) -> Ints:
-    """The running scenes whose ego has crashed."""
-    rows = np.empty(running.size, dtype=np.int64)
-    found = 0
-    for b in range(running.size):
-        if running[b] and crashed[b, ego[b]]:
-            rows[found] = b
-            found += 1
-    return rows[:found]
-
-
-@compiled
 def obey(
     vehicles: Vehicles,
     answered: tuple[Floats, Ints],

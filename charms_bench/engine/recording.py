@@ -1,4 +1,4 @@
-"""Records episodes: one row per decision of the ego, one per episode, and counts of all vehicles.
+"""Records episodes: rows per decision of the ego, per episode and per driver, and counts.
 
 Every metric is computed from these rows, so a new metric needs no new simulation. `engine.columns`
 declares the columns. A value that does not exist, such as the speed of a missing leader, is null.
@@ -10,11 +10,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.engine.collisions import STRUCK
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_RECORD, STEP_SCHEMA, table
+from charms_bench.engine.conduct import Conduct
 from charms_bench.engine.following import FollowingCounts
 from charms_bench.engine.simulation import ENDINGS, REAR_END, Simulation
 from charms_bench.world.compiled import compiled
-from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
 INTERACTION_RANGE_M = 30.0
@@ -35,11 +36,11 @@ class Recording:
         scene, shape = simulation.scene, (simulation.seeds.size, simulation.settings.decisions)
         self._simulation = simulation
         self._start = scene.x.copy()
-        self._lost = np.zeros(self._start.shape, dtype=np.bool_)
         self._rows = np.zeros(shape, dtype=STEP_RECORD)
         self._masks = np.zeros(shape, dtype=_MASK_RECORD)
         self._was_running = scene.active.copy()
         self._following = FollowingCounts(scene)
+        self._conduct = Conduct(simulation)
 
     def note(self) -> None:
         """Adds the rows of the step that has just ended."""
@@ -47,6 +48,7 @@ class Recording:
         scenes = np.nonzero(self._was_running)[0]
         self._was_running = scene.active.copy()
         self._following.note(scene, scenes)
+        self._conduct.note(scenes)
         _note(
             scene,
             scenes,
@@ -56,7 +58,6 @@ class Recording:
             simulation.has_action,
             self._rows,
             self._masks,
-            self._lost,
         )
 
     def steps(self) -> pl.DataFrame:
@@ -79,14 +80,16 @@ class Recording:
             "episode": simulation.seeds,
             "ending": [ENDINGS[ending] for ending in simulation.ending],
             "struck": [
-                bool(struck) if ending == REAR_END else None
-                for struck, ending in zip(simulation.was_struck, simulation.ending, strict=True)
+                bool(collision == STRUCK) if ending == REAR_END else None
+                for collision, ending in zip(
+                    simulation.collision[rows, ego], simulation.ending, strict=True
+                )
             ],
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
             "traffic_vehicles": is_traffic.sum(axis=1),
-            "traffic_crashed": (self._lost & is_traffic).sum(axis=1),
+            "traffic_crashed": (self._conduct.lost & is_traffic).sum(axis=1),
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1),
         }
         return table(columns, EPISODE_SCHEMA).sort("episode")
@@ -94,6 +97,10 @@ class Recording:
     def counts(self) -> pl.DataFrame:
         """Returns what all vehicles did while they followed a leader (`rows.COUNT`)."""
         return self._following.table(self._simulation.seeds)
+
+    def drivers(self) -> pl.DataFrame:
+        """Returns what each driver does and suffers (`columns.DRIVER`), sorted by its keys."""
+        return self._conduct.table()
 
 
 @compiled
@@ -106,9 +113,8 @@ def _note(
     has_action: Bools,
     rows: Any,
     masks: Any,
-    lost: Bools,
 ) -> None:
-    """Fills `rows` and `masks` [B, T] with a step of the scenes (S,); adds wrecks to `lost`."""
+    """Fills `rows` and `masks` [B, T] with a step of the scenes (S,)."""
     for b in scenes:
         ego, step = scene.ego[b], steps[b]
         row, mask = rows[b, step - 1], masks[b, step - 1]
@@ -144,8 +150,4 @@ def _note(
         for i in range(scene.x.shape[1]):
             is_near = abs(scene.x[b, i] - x) <= INTERACTION_RANGE_M
             near += is_near and abs(scene.lane[b, i] - lane) <= 1
-            on_road = is_on_lane(
-                scene.x[b, i], scene.y[b, i], scene.lane[b, i], scene.constants, 0.0
-            )
-            lost[b, i] |= scene.crashed[b, i] or not on_road
         row.vehicles_near = near

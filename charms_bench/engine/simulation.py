@@ -6,14 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
-from charms_bench.engine.kernels import crashed_egos, egos_off_road, vehicles_of
+from charms_bench.engine.collisions import (
+    NO_COLLISION,
+    SIDE_COLLISION,
+    are_noted,
+    note_collisions,
+)
+from charms_bench.engine.kernels import egos_off_road, vehicles_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.compiled import compiled
 from charms_bench.world.observations import observation_of
-from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 ENDINGS = ("running", "time", "rear_end", "side", "off_road")
@@ -54,12 +59,12 @@ class Simulation:
         self.ending = np.zeros(scenes, dtype=np.int64)
         """[B] index into `ENDINGS`. A collision is noted in the simulation step of its occurrence,
         every other ending after the decision interval."""
-        self.was_struck = np.zeros(scenes, dtype=np.bool_)
-        """[B] whether the vehicle that collided with the ego was behind it."""
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
+        self.collision = np.zeros((scenes, settings.vehicles), dtype=np.int8)
+        """[B, N] index into `COLLISIONS`, noted in the simulation step of the collision."""
         self._frames = np.zeros(scenes, dtype=np.int64)
         self._holds_egos = settings.profile.ego_control_rate == "decision"
         self._is_decided = False
@@ -67,15 +72,16 @@ class Simulation:
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
-        self._names = (ego or "", *(name for name in traffic.agents if name != ego))
-        made = {k: agents[name] for k, name in enumerate(self._names) if name}
+        self.agents = (ego or "", *(name for name in traffic.agents if name != ego))
+        """The names of the agents that `engine.drivers` holds indices of."""
+        made = {k: agents[name] for k, name in enumerate(self.agents) if name}
         self._policies = {
-            k: _checked_policy(self._names[k], agent, settings)
+            k: _checked_policy(self.agents[k], agent, settings)
             for k, agent in made.items()
             if isinstance(agent, Policy)
         }
         models = {
-            k: _CheckedModel(self._names[k], agent, self)
+            k: _CheckedModel(self.agents[k], agent, self)
             for k, agent in made.items()
             if isinstance(agent, DriverModel)
         }
@@ -90,7 +96,7 @@ class Simulation:
     @property
     def drivers(self) -> NDArray[np.str_]:
         """[B, N] the name of each vehicle's agent; empty for an ego driven from outside."""
-        return np.asarray(np.array(self._names)[self.engine.drivers])
+        return np.asarray(np.array(self.agents)[self.engine.drivers])
 
     @property
     def failed(self) -> Bools:
@@ -117,8 +123,8 @@ class Simulation:
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
-        index = {name: k for k, name in enumerate(self._names)}
-        traffic = np.full((rows.size, others), len(self._names) - 1)
+        index = {name: k for k, name in enumerate(self.agents)}
+        traffic = np.full((rows.size, others), len(self.agents) - 1)
         for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
@@ -128,6 +134,7 @@ class Simulation:
         self.steps[rows] = self._frames[rows] = 0
         self.ending[rows] = RUNNING
         self._is_decided = False
+        self.collision[rows] = NO_COLLISION
         self.has_action[rows] = False
 
     def step(self, ego_actions: Actions | None = None) -> None:
@@ -151,7 +158,7 @@ class Simulation:
             now = active & (self._frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
             if vehicles[0].size:
-                decisions.append((vehicles, self._decide(self._names[agent], policy, vehicles)))
+                decisions.append((vehicles, self._decide(self.agents[agent], policy, vehicles)))
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
         self.engine.advance(hold_egos=self._holds_egos and self._is_decided)
@@ -199,30 +206,15 @@ class Simulation:
         )
 
     def _note_collisions(self) -> None:
-        """Notes how egos have just collided, before the wrecks move on."""
+        """Notes how vehicles have just collided, before the wrecks move on."""
         scene = self.scene
-        for b in crashed_egos(scene.ego, scene.crashed, scene.active):
-            if self.ending[b] != RUNNING:
-                continue  # it has crashed in an earlier simulation step of this decision
-            ego = int(scene.ego[b])
-            other, rear_end = vehicle_hit(scene.x[b], scene.y[b], ego, scene.constants)
-            self.ending[b] = REAR_END if rear_end else SIDE
-            self.was_struck[b] = scene.x[b, other] < scene.x[b, ego]
-
-
-@compiled
-def vehicle_hit(x: Floats, y: Floats, ego: int, c: Constants) -> tuple[int, bool]:
-    """The vehicle that the ego has hit, and whether this is a rear-end collision.
-
-    Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps the ego most. In a
-    rear-end collision, the two overlap less along the road than across it.
-    """
-    other, most, is_rear_end = 0, -np.inf, False
-    for i in range(x.size):
-        along, across = c.length - abs(x[i] - x[ego]), c.width - abs(y[i] - y[ego])
-        if i != ego and min(along, across) > most:
-            other, most, is_rear_end = i, min(along, across), along < across
-    return other, is_rear_end
+        if are_noted(scene.crashed.ravel(), self.collision.ravel()):
+            return
+        note_collisions(scene, self.collision)
+        of_egos = self.collision[self.ego_vehicles]
+        has_collided = (self.ending == RUNNING) & (of_egos != NO_COLLISION)
+        self.ending[has_collided] = REAR_END
+        self.ending[has_collided & (of_egos == SIDE_COLLISION)] = SIDE
 
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:

@@ -11,6 +11,8 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
+from charms_bench.engine.columns import NO_DRIVERS
+from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -144,13 +146,20 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
 
 
 def sums_by_episode(
-    metrics: Sequence[Metric], episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings
+    metrics: Sequence[Metric],
+    episodes: pl.DataFrame,
+    steps: pl.DataFrame,
+    settings: SceneSettings,
+    drivers: pl.DataFrame = NO_DRIVERS,
 ) -> list[Floats]:
     """The sums [E, k] of each metric, by episode.
 
-    They are those of E episode rows (`rows.EPISODE`) and their step rows (`rows.STEP`).
+    They are those of E episode rows (`columns.EPISODE`), their step rows (`columns.STEP`) and
+    their driver rows (`columns.DRIVER`); see `join_rows` and `conduct.conduct_of`.
     """
-    rows = join_rows(episodes, steps, settings)
+    rows = join_rows(episodes, steps, settings).join(
+        conduct_of(drivers), on="episode", how="left", maintain_order="left"
+    )
     aggregations = [
         expression.cast(pl.Float64).fill_null(0.0).alias(f"{i}.{j}")
         for i, metric in enumerate(metrics)

@@ -8,6 +8,7 @@ steps between a warm-up and a collision.
 from charms_bench.metrics import (
     acceleration,
     collisions,
+    conduct,
     conflicts,
     headway,
     interaction,
@@ -110,6 +111,8 @@ def standard(
             collisions.TRAFFIC_CRASHED,
             collisions.TRAFFIC_CRASHES_PER_1000KM,
             speed.TRAFFIC_SPEED_MEAN,
+            *conduct.EGO_CONDUCT,
+            *conduct.TRAFFIC_CONDUCT,
         ),
     )
 

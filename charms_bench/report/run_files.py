@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from charms_bench.people.reference import Reference
+from charms_bench.report.drivers_table import drivers_table
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -33,6 +34,7 @@ def write_run(
     """
     table, figures, name = suite_table(suite, cells), folder / "figures", suite.suite
     write_table(folder, table)
+    write_table(folder, drivers_table(suite, cells))
     if suite.pairs:
         pairs = pairs_table(suite, cells)
         summary = _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))

@@ -9,7 +9,7 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
-from charms_bench.report import pairs_table, realism_table, suite_table
+from charms_bench.report import drivers_table, pairs_table, realism_table, suite_table
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
@@ -28,10 +28,13 @@ class RunTables:
     """How far each traffic is from human driving."""
     pairs: Table | None
     """The differences between each two egos."""
+    drivers: Table | None
+    """What each driver does to others and what others do to it."""
 
     def each(self) -> list[Table]:
         """The tables that there are."""
-        return [table for table in (self.metrics, self.realism, self.pairs) if table is not None]
+        found = (self.metrics, self.realism, self.pairs, self.drivers)
+        return [table for table in found if table is not None]
 
 
 def holds(folder: Path, name: str) -> bool:
@@ -53,8 +56,13 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
         RunFolderError: The table of metrics, which every run has, is missing, or one is damaged.
     """
     start = folder / "tables" / suite.suite
-    kinds = (("", suite_table), ("-realism", realism_table), ("-pairs", pairs_table))
-    metrics, realism, pairs = (
+    kinds = (
+        ("", suite_table),
+        ("-realism", realism_table),
+        ("-pairs", pairs_table),
+        ("-drivers", drivers_table),
+    )
+    metrics, realism, pairs, drivers = (
         kind.from_frame(read_table(path, long_schema(kind.KEYS, kind.LONG)), suite)
         if (path := Path(f"{start}{ending}.csv")).exists()
         else None
@@ -65,7 +73,7 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
             f"{start}.csv: no such file; a run writes its tables when it is finished, and "
             f"`charms-bench rescore {folder}` writes them again"
         )
-    return RunTables(metrics, realism, pairs)
+    return RunTables(metrics, realism, pairs, drivers)
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:

@@ -12,8 +12,8 @@ from charms_bench.engine.following import BINS, QUANTITIES
 from charms_bench.metrics import Metric, sums_by_episode
 from charms_bench.world.scene import Floats, SceneSettings
 
-Rows = tuple[pl.DataFrame, pl.DataFrame]
-"""Rows of one kind or another; the first are those of episodes."""
+Rows = tuple[pl.DataFrame, ...]
+"""Rows of the same episodes, one frame per kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,8 @@ class CellRows:
     parts: Iterable[Rows]
     """The episode rows and the step rows of some episodes at a time. They are read again each time,
     because all step rows of a long run do not fit into memory."""
+    drivers: Iterable[Rows]
+    """The driver rows of the same episodes at a time."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """Values that the paper reports, by metric of the set `paper`."""
 
@@ -45,9 +47,9 @@ class CellRows:
         ends = np.cumsum([len(metric.sums) for metric in metrics])
         whole = np.empty((self.size, ends[-1]))
         start = 0
-        for episodes, steps in self.parts:
+        for (episodes, steps), (drivers,) in zip(self.parts, self.drivers, strict=True):
             end = start + len(episodes)
-            sums = sums_by_episode(metrics, episodes, steps, settings)
+            sums = sums_by_episode(metrics, episodes, steps, settings, drivers)
             np.concatenate(sums, axis=1, out=whole[start:end])
             start = end
         return np.split(whole, ends[:-1], axis=1)

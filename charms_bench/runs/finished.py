@@ -22,7 +22,7 @@ class FinishedRun:
     shards: tuple[Shard, ...]
 
     def cells(self) -> list[CellRows]:
-        """Returns the episode and step rows of every cell, which are read when they are needed.
+        """Returns the rows of every cell, which are read when they are needed.
 
         Reading raises a `RunFolderError` if a file is missing or has changed since it was written.
         """
@@ -31,7 +31,8 @@ class FinishedRun:
                 agent=cell.ego.title,
                 traffic=cell.traffic.title,
                 size=self.suite.episodes,
-                parts=self._parts("steps", index),
+                parts=self._parts(index, "episodes", "steps"),
+                drivers=self._parts(index, "drivers"),
                 paper=cell.paper,
             )
             for index, cell in enumerate(self.suite.cells)
@@ -44,21 +45,23 @@ class FinishedRun:
             RunFolderError: A file is missing or has changed since it was written.
         """
         return [
-            TrafficCounts.of(cell.traffic.title, self.suite.episodes, self._parts("counts", index))
+            TrafficCounts.of(
+                cell.traffic.title, self.suite.episodes, self._parts(index, "episodes", "counts")
+            )
             for index, cell in enumerate(self.suite.cells)
         ]
 
-    def _parts(self, kind: str, cell: int) -> "_Parts":
+    def _parts(self, cell: int, *kinds: str) -> "_Parts":
         shards = tuple(shard for shard in self.shards if shard.cell == cell)
-        return _Parts(self.folder, kind, shards, PART_ROWS // self.suite.scene.decisions)
+        return _Parts(self.folder, kinds, shards, PART_ROWS // self.suite.scene.decisions)
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """The episode rows of some shards and their rows of one kind, some shards at a time."""
+    """The rows of some kinds of some shards, some shards at a time."""
 
     folder: RunFolder
-    kind: str
+    kinds: tuple[str, ...]
     shards: tuple[Shard, ...]
     episodes: int
     """About how many episodes a part has."""
@@ -67,7 +70,7 @@ class _Parts:
         count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
         for start in range(0, len(self.shards), count):
             shards = self.shards[start : start + count]
-            yield self.folder.read("episodes", shards), self.folder.read(self.kind, shards)
+            yield tuple(self.folder.read(kind, shards) for kind in self.kinds)
 
 
 def open_finished(path: Path) -> FinishedRun:

@@ -30,7 +30,7 @@ from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import read_limited, write_bytes
 from charms_bench.world.scene import DECISIONS_LIMIT
 
-FORMAT = 2
+FORMAT = 3
 """Version of the format of run folders, as docs/run-folders.md describes it."""
 MANIFEST = "manifest.json"
 KINDS = tuple(SCHEMAS)

@@ -120,6 +120,7 @@ def simulate(task: ShardTask) -> ShardFiles:
     return {
         "steps": in_parquet(recording.steps()),
         "counts": in_parquet(recording.counts()),
+        "drivers": in_parquet(recording.drivers()),
         "episodes": in_parquet(recording.episodes()),
     }
 

@@ -79,7 +79,7 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "a manifest without a format": _text("{}"),
     "a manifest of a later format": _manifest(lambda manifest: manifest.update(format=3)),
     "a format that is a text": _manifest(lambda manifest: manifest.update(format="\x1b[2J")),
-    "a manifest without a suite": _text('{"format": 2}'),
+    "a manifest without a suite": _text('{"format": 3}'),
     "a manifest with a pickle": _text("cos\nmkdir\n(S'canary'\ntR."),
     "a suite that is a list": _manifest(lambda manifest: manifest.update(suite=[])),
     "a suite that is nothing": _manifest(lambda manifest: manifest.update(suite=None)),

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
 from charms_bench.report.comparison import by_pair, compare, to_dicts
@@ -50,6 +50,7 @@ def cell(agent: str, speed: float, crashes: int = 0, traffic: str = "idm") -> Ce
                 pl.DataFrame(steps, schema=STEP_SCHEMA),
             )
         ],
+        drivers=[(NO_DRIVERS,)],
     )
 
 

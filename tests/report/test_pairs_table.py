@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from command_line import charms_bench
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
 from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
 from charms_bench.report.run_files import write_run
@@ -50,6 +50,8 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
     ]
     head = {"ending": "time", "steps": STEPS, "duration_s": STEPS / 3, "distance_m": 120.0}
     heads = [{"episode": e, **head} for e in range(EPISODES)]
+    nothing = dict.fromkeys(DRIVER_SCHEMA, 0) | {"agent": agent, "is_ego": True, "vehicles": 1}
+    drivers = [nothing | {"episode": e} for e in range(EPISODES)]
     return CellRows(
         agent=agent,
         traffic="idm",
@@ -60,6 +62,7 @@ def cell(agent: str, faster: float = 0.0, closer: float = 0.0, noise: int = 0) -
                 pl.DataFrame(steps, schema=STEP_SCHEMA),
             )
         ],
+        drivers=[(pl.DataFrame(drivers, schema=DRIVER_SCHEMA),)],
     )
 
 

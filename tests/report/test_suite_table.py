@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
@@ -45,6 +45,7 @@ def cell(
                 pl.DataFrame(rows, schema=STEP_SCHEMA),
             )
         ],
+        drivers=[(NO_DRIVERS,)],
         paper=paper or {},
     )
 

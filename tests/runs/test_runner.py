@@ -53,7 +53,7 @@ def test_the_files_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> Non
     run(suite(), tmp_path / "one", workers=1)
     run(suite(), tmp_path / "two", workers=2)
     assert files(tmp_path / "one") == files(tmp_path / "two")
-    assert len(files(tmp_path / "one")) == 2 + 2 * 3 * 4  # manifest, lock; 2 cells of 3 shards
+    assert len(files(tmp_path / "one")) == 2 + 2 * 3 * 5  # manifest, lock; 2 cells of 3 shards
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -67,7 +67,7 @@ def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
     assert {path for path in before if before[path] != after[path]} <= {
         path for path in before if path.name == lost.name
     }
-    assert len(first.shards) * 3 == len(after)
+    assert len(first.shards) * len(KINDS) == len(after)
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -112,7 +112,7 @@ def test_rows_of_another_run_are_taken_whatever_their_cells_are(
     monkeypatch.setattr(runner, "in_processes", simulate)
     run(turned, tmp_path / "taken", rows=tmp_path / "one")
     assert len(expected.shards) == 4
-    for kind in ("episodes", "steps", "counts"):
+    for kind in ("episodes", "steps", "counts", "drivers"):
         assert files(tmp_path / "taken" / kind) == files(tmp_path / "simulated" / kind)
 
 
@@ -154,14 +154,14 @@ def test_a_damaged_manifest_is_said_to_be_damaged(tmp_path: Path, content: str) 
 
 
 @pytest.mark.parametrize(
-    ("change", "found"), [({}, "has no format"), ({"format": 3}, "has format 3")]
+    ("change", "found"), [({}, "has no format"), ({"format": 2}, "has format 2")]
 )
 def test_a_folder_of_another_format_is_refused_and_left_alone(
     tmp_path: Path, change: dict[str, object], found: str
 ) -> None:
     manifest = tmp_path / "manifest.json"
     manifest.write_text(json.dumps({**change, "charms_bench": "0.1.0", "suite": {}}))
-    expected = rf"manifest\.json: {found}, expected format 2; run the suite again into another"
+    expected = rf"manifest\.json: {found}, expected format 3; run the suite again into another"
     for use in (open_finished, lambda path: run(suite(), path, workers=1)):
         with pytest.raises(RunFolderError, match=expected):
             use(tmp_path)
@@ -170,7 +170,7 @@ def test_a_folder_of_another_format_is_refused_and_left_alone(
 
 def test_the_manifest_begins_with_its_format(tmp_path: Path) -> None:
     folder = run(suite(episodes=2), tmp_path, workers=1).folder
-    assert next(iter(folder.manifest().items())) == ("format", 2)
+    assert next(iter(folder.manifest().items())) == ("format", 3)
 
 
 @pytest.mark.usefixtures("small_shards")

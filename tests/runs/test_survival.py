@@ -167,7 +167,7 @@ def test_every_byte_that_flips_in_a_shard_is_noticed(folder: RunFolder) -> None:
 def test_what_was_torn_altered_or_lost_is_simulated_again(
     finished: RunFolder, folder: RunFolder
 ) -> None:
-    torn, altered, lost = (next((folder.path / kind).iterdir()) for kind in KINDS)
+    torn, altered, lost = (next((folder.path / kind).iterdir()) for kind in KINDS[:3])
     torn.write_bytes(torn.read_bytes()[:-1])
     altered.write_bytes(altered.read_bytes() + b"\0")
     lost.unlink()

@@ -66,6 +66,8 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     parts = tables.metrics.without_constant_keys().parts()
     more = [block for part in parts for block in part.blocks(COLUMNS)]
     more += [] if tables.pairs is None else [tables.pairs]
+    if tables.drivers is not None:
+        more += tables.drivers.without_constant_keys().blocks(COLUMNS)
     return Section(
         id=f"run-{source.key}",
         title=suite.title or suite.suite,

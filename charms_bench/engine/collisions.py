@@ -1,0 +1,48 @@
+"""How vehicles collide, noted before the wrecks move on."""
+
+import numpy as np
+
+from charms_bench.world.compiled import compiled
+from charms_bench.world.profile import Constants
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
+
+COLLISIONS = ("none", "striking", "struck", "side")
+"""How a vehicle has collided: with the rear of another vehicle, with the front, or at its side."""
+NO_COLLISION, STRIKING, STRUCK, SIDE_COLLISION = range(len(COLLISIONS))
+
+
+@compiled
+def vehicle_hit(x: Floats, y: Floats, vehicle: int, c: Constants) -> tuple[int, bool]:
+    """The vehicle that a vehicle has hit, and whether this is a rear-end collision.
+
+    Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps it most. In a
+    rear-end collision, the two overlap less along the road than across it.
+    """
+    other, most, is_rear_end = 0, -np.inf, False
+    for i in range(x.size):
+        along, across = c.length - abs(x[i] - x[vehicle]), c.width - abs(y[i] - y[vehicle])
+        if i != vehicle and min(along, across) > most:
+            other, most, is_rear_end = i, min(along, across), along < across
+    return other, is_rear_end
+
+
+@compiled
+def are_noted(crashed: Bools, collision: Ints) -> bool:
+    """Whether the collisions of all crashed vehicles (M,) are noted."""
+    is_missing = False
+    for i in range(crashed.size):
+        is_missing |= crashed[i] & (collision[i] == NO_COLLISION)
+    return not is_missing
+
+
+@compiled
+def note_collisions(scene: Scene, collision: Ints) -> None:
+    """Sets how vehicles [B, N] have just collided, as indices into `COLLISIONS`."""
+    x, y = scene.x, scene.y
+    for b in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            if scene.crashed[b, i] and collision[b, i] == NO_COLLISION:
+                other, is_rear_end = vehicle_hit(x[b], y[b], i, scene.constants)
+                is_behind = x[b, i] < x[b, other]
+                at_an_end = STRIKING if is_behind else STRUCK
+                collision[b, i] = at_an_end if is_rear_end else SIDE_COLLISION

@@ -1,0 +1,127 @@
+"""What drivers do to other vehicles and what other vehicles do to them: conflicts, gaps, PET, RSS.
+
+The events are counted during the simulation, for every vehicle (`columns.DRIVER`); `engine.rss`,
+`engine.conflicts`, `engine.encroachment` and `engine.lane_changes` define them. So their
+thresholds cannot be changed afterwards.
+"""
+
+from collections.abc import Callable
+
+import polars as pl
+
+from charms_bench.engine.columns import DRIVER_SUMS
+from charms_bench.metrics.metric import Metric
+
+_PER_1000KM = {
+    "gaps_lost": "lane changes given up because another vehicle took the gap",
+    "gaps_taken": "gaps taken from vehicles that gave up their lane changes",
+    "conflicts_to": "conflicts, which are TTCs below 1.5 s, that the other vehicle began",
+    "conflicts_by": "conflicts, which are TTCs below 1.5 s, begun",
+    "near_misses_to": "near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) "
+    "that the other vehicle began",
+    "near_misses_by": "near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) "
+    "begun",
+    "hard_braking_to": "times of braking by more than 2 m/s² within 2 s for a vehicle that "
+    "changed lanes",
+    "hard_braking_by": "lane changes within 2 s of which the new follower brakes by more than "
+    "2 m/s²",
+}
+"""The events of a driver, by the column that counts them."""
+Sums = Callable[[str], pl.Expr]
+"""The expression of a column of `columns.DRIVER`."""
+
+
+def conduct_of(drivers: pl.DataFrame) -> pl.DataFrame:
+    """The driver rows as one row per episode: `ego_*` of the ego, `traffic_*` of all others."""
+    return drivers.group_by("episode").agg(
+        pl.col(name).filter(is_it).sum().cast(pl.Float64).alias(f"{who}_{name}")
+        for who, is_it in (("ego", pl.col("is_ego")), ("traffic", ~pl.col("is_ego")))
+        for name in DRIVER_SUMS
+    )
+
+
+def _rate(of: Sums, name: str, what: str, who: str, prefix: str = "") -> Metric:
+    return Metric(
+        name=f"{prefix}{name}_per_1000km",
+        unit="1/1,000 km",
+        description=f"{what}, per 1,000 km driven by {who}",
+        rests_on="vehicles",
+        sums=(of("vehicles"), of("distance_m") / 1e6, of(name)),
+        interval="rate",
+    )
+
+
+def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
+    """The metrics of some vehicles, from the sums of their driver rows.
+
+    Args:
+        of: Where the sums are.
+        who: The vehicles in words, such as `the ego`.
+        prefix: The beginning of the metrics' names.
+    """
+    rates = (_rate(of, name, what, who, prefix) for name, what in _PER_1000KM.items())
+    encroachments = (
+        Metric(
+            name=f"{prefix}pet_below_2s_{side}",
+            unit="",
+            description=f"share with a post-encroachment time below 2 s, of those of at most 5 s, "
+            f"{when} {who}",
+            rests_on="encroachments",
+            sums=(of(f"pet_{side}"), of(f"pet_below_2s_{side}")),
+            interval="share",
+        )
+        for side, when in (("to", "when others cut in ahead of"), ("by", "after cutting in by"))
+    )
+    dangerous = (
+        Metric(
+            name=f"{prefix}rss_{side}",
+            unit="",
+            description=f"share of the driving time of {who} in which {what} by RSS",
+            rests_on="vehicles",
+            sums=(of("vehicles"), of("time_s"), of(f"rss_{side}_s")),
+        )
+        for side, what in (
+            ("by", "a vehicle ahead is too close"),
+            ("to", "a vehicle behind is too close"),
+        )
+    )
+    return (*rates, *encroachments, *dangerous)
+
+
+def _per_vehicle_time(name: str, unit: str, column: str, description: str) -> Metric:
+    sums = (pl.col("vehicles"), pl.col("time_s"), pl.col(column))
+    return Metric(name, unit, description, "vehicles", sums)
+
+
+EGO_CONDUCT = conduct_metrics(lambda name: pl.first(f"ego_{name}"), "the ego")
+TRAFFIC_CONDUCT = conduct_metrics(
+    lambda name: pl.first(f"traffic_{name}"), "the traffic", "traffic_"
+)
+_VEHICLES = "the driver's vehicles"
+OF_DRIVERS = (
+    Metric(
+        name="crashed",
+        unit="",
+        description=f"share of {_VEHICLES} that collide or leave the road within an episode",
+        rests_on="vehicles",
+        sums=(pl.col("vehicles"), pl.col("crashed")),
+        interval="share",
+    ),
+    _rate(pl.col, "rear_end_striking", "collisions with the rear of another vehicle", _VEHICLES),
+    _rate(pl.col, "rear_end_struck", "collisions with the front of another vehicle", _VEHICLES),
+    _rate(pl.col, "side", "side collisions", _VEHICLES),
+    *conduct_metrics(pl.col, _VEHICLES),
+    _per_vehicle_time("speed_mean", "m/s", "distance_m", f"distance over time of {_VEHICLES}"),
+    _per_vehicle_time(
+        "harsh", "", "harsh_s", "share of time with more than 2.5 m/s², accelerating or braking"
+    ),
+    Metric(
+        name="lane_changes_per_km",
+        unit="1/km",
+        description=f"lane changes, per km driven by {_VEHICLES}",
+        rests_on="vehicles",
+        sums=(pl.col("vehicles"), pl.col("distance_m") / 1e3, pl.col("lane_changes")),
+        interval="rate",
+    ),
+)
+"""The metrics of one driver in an episode, from its driver row alone."""

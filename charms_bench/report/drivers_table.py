@@ -1,0 +1,83 @@
+"""The table of drivers: what each agent of a cell does to others, and what others do to it.
+
+A mixed traffic has a row per agent, so the table shows what each driving style contributes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import polars as pl
+
+from charms_bench.metrics import MetricSet
+from charms_bench.metrics.conduct import OF_DRIVERS
+from charms_bench.report.definitions import columns_of
+from charms_bench.report.suite_table import DIGITS
+from charms_bench.report.table import Column, Table, long_schema
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import estimate
+from charms_bench.world.scene import Floats
+
+KEYS = ("agent", "traffic", "driver")
+LONG = {"metric": "name", "value": "value", "low": "low", "high": "high", "n": "n"}
+EGO = "ego"
+"""What the ego is called as a driver, because its agent can also drive vehicles of the traffic."""
+_SUMS = [each.cast(pl.Float64) for metric in OF_DRIVERS for each in metric.sums]
+_ENDS = np.cumsum([len(metric.sums) for metric in OF_DRIVERS])[:-1]
+
+
+def drivers_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
+    """The metrics of every driver of every cell with 95 % intervals, the ego first.
+
+    The suite's seed is that of the resamples.
+    """
+    records = []
+    for cell in cells:
+        sums = _sums(cell)
+        metrics = OF_DRIVERS * len(sums)
+        every = [each for of_driver in sums.values() for each in of_driver]
+        estimates = estimate(metrics, every, np.random.default_rng(suite.seed))
+        for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
+            numbers = (found.value, found.low, found.high, found.n)
+            records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
+    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
+    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
+    return from_frame(frame.with_columns(rounded), suite)
+
+
+def _sums(cell: CellRows) -> dict[str, list[Floats]]:
+    """The sums [E, k] of each metric by driver; a driver without vehicles in an episode has 0."""
+    found: dict[str, Floats] = {}
+    start = 0
+    for (drivers,) in cell.drivers:
+        ordered = drivers.sort("is_ego", "agent", descending=[True, False])
+        episodes = np.unique(drivers["episode"].to_numpy())
+        for (is_ego, agent), rows in ordered.group_by("is_ego", "agent", maintain_order=True):
+            whole = found.setdefault(EGO if is_ego else agent, np.zeros((cell.size, len(_SUMS))))
+            values = rows.select(each.alias(str(k)) for k, each in enumerate(_SUMS))
+            place = np.searchsorted(episodes, rows["episode"].to_numpy())
+            whole[start + place] = values.to_numpy()
+        start += episodes.size
+    return {driver: np.split(whole, _ENDS, axis=1) for driver, whole in found.items()}
+
+
+def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
+    """The table of drivers from its long frame."""
+    known = columns_of(MetricSet("drivers", 1, OF_DRIVERS))
+
+    def column(_: str, metric: str) -> Column:
+        unknown = Column(metric, definition="Unknown: written by another version")
+        return replace(known.get(metric, unknown), group="")
+
+    return Table.from_frame(
+        frame,
+        f"{suite.suite}-drivers",
+        "What each driver does to others, and others to it",
+        KEYS,
+        LONG,
+        column,
+        note="Sums over all vehicles of a driver, until each collides or leaves the road. The "
+        "thresholds were applied during the simulation.",
+    )

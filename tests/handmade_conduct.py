@@ -1,0 +1,63 @@
+"""Trajectories written by hand, and what each vehicle does in them."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scenes import scene_of
+
+from charms_bench.engine.columns import DRIVER_SUMS
+from charms_bench.engine.conduct import Conduct
+from charms_bench.engine.kernels import locate
+
+DT = 1 / 3
+"""Seconds between two decisions."""
+
+
+def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
+    """The sums of each vehicle; each is its own driver.
+
+    Args:
+        ends: Whether the episode ends with the last decision.
+        fields: Values that broadcast to [T + 1, N], in lanes of 4 m; `x` has that shape. What is
+            not given is: the middle lane, 25 m/s, and the nearest lane as the target lane.
+    """
+    decisions, vehicles = np.shape(fields["x"])
+    given = {"y": 4.0, "speed": 25.0, "acceleration": 0.0, "crashed": False, "collision": 0}
+    frames = {
+        name: np.broadcast_to(values, (decisions, vehicles))
+        for name, values in (given | fields).items()
+    }
+    collision = np.array(frames.pop("collision"), dtype=np.int8)
+    scene = scene_of(profile="charms", **{name: each[0] for name, each in frames.items()})
+    simulation = SimpleNamespace(
+        scene=scene,
+        steps=np.zeros(1, dtype=np.int64),
+        collision=collision[:1],
+        settings=SimpleNamespace(decision_hz=3),
+        agents=tuple(map(str, range(vehicles))),
+        engine=SimpleNamespace(drivers=np.arange(vehicles)[None]),
+        ego_vehicles=(np.array([0]), np.array([0])),
+        seeds=np.zeros(1, dtype=np.uint64),
+    )
+    recorded: Any = simulation
+    made = Conduct(recorded)
+    for t in range(1, decisions):
+        for name, each in frames.items():
+            getattr(scene, name)[0] = each[t]
+        locate(scene, np.array([0]))
+        if "target_lane" not in fields:
+            scene.target_lane[:] = scene.lane
+        simulation.collision = collision[t : t + 1]
+        simulation.steps[:] = t
+        scene.active[:] = t < decisions - 1 or not ends
+        made.note(np.array([0]))
+    rows = made.table()
+    assert len(rows) == vehicles
+    order = sorted(rows.iter_rows(named=True), key=lambda row: int(row["agent"]))
+    return [{name: row[name] for name in DRIVER_SUMS} for row in order]
+
+
+def only(sums: dict[str, float], *names: str) -> dict[str, float]:
+    """Some of the sums, for comparison."""
+    return {name: sums[name] for name in names}
