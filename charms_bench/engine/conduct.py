@@ -18,7 +18,7 @@ from charms_bench.engine.columns import (
     DRIVER_SUMS,
     table,
 )
-from charms_bench.engine.conflicts import note_conflicts
+from charms_bench.engine.conflict_onsets import note_conflicts
 from charms_bench.engine.encroachment import note_encroachments
 from charms_bench.engine.lane_changes import note_lane_changes
 from charms_bench.engine.rss import note_rss

@@ -1,7 +1,7 @@
 """What drivers do to other vehicles and what other vehicles do to them: conflicts, gaps, PET, RSS.
 
 The events are counted during the simulation, for every vehicle (`columns.DRIVER`); `engine.rss`,
-`engine.conflicts`, `engine.encroachment` and `engine.lane_changes` define them. So their
+`engine.conflict_onsets`, `engine.encroachment` and `engine.lane_changes` define them. So their
 thresholds cannot be changed afterwards.
 """
 
