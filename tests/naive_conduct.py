@@ -140,7 +140,7 @@ def _abandoned(h: History, t: int, i: int, lost: list[int], sums: Any) -> None:
             heading = h["target_lane"][t, j] == wanted
             if came and heading and lost[j] > t and abs(distance[j]) <= 50:
                 takers.append(j)
-    if takers:
+    if takers and t - began >= 2:
         sums[i]["gaps_lost"] += 1
         sums[min(takers, key=lambda j: abs(distance[j]))]["gaps_taken"] += 1
 

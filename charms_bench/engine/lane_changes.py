@@ -3,7 +3,8 @@
 A lane change is complete when the nearest lane changes. It is given up when another lane becomes
 the target lane before that. Another vehicle took the gap if it came to the wanted lane meanwhile,
 or is still steering to it, and is the next vehicle ahead or behind among those on that lane or
-steering to it, at most 50 m away. Fig. 4 of the paper shows such a case.
+steering to it, at most 50 m away. Fig. 4 of the paper shows such a case. The lane change must have
+been under way at two successive decisions, because a driver model can take one back at once.
 """
 
 from typing import Any
@@ -14,6 +15,7 @@ from charms_bench.world.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 TAKEN_RANGE_M = 50.0
+ATTEMPT_DECISIONS = 2
 HARD_BRAKING_MPS2 = 2.0
 """highway-env's limit for the braking that a lane change imposes (MOBIL)."""
 IMPOSED_S = 2.0
@@ -44,7 +46,9 @@ def note_lane_changes(
                     own.imposes_until = step + window - 1
                 elif wanted != own.lane and wanted != target:
                     mine.abandoned += 1
-                    taker = taker_of(b, i, scene, state)
+                    taker = -1
+                    if step - own.began >= ATTEMPT_DECISIONS:
+                        taker = taker_of(b, i, scene, state)
                     if taker >= 0:
                         mine.gaps_lost += 1
                         sums[b, state[b, taker].driver].gaps_taken += 1

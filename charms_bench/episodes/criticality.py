@@ -45,9 +45,9 @@ IS_OF_KIND: dict[Kind, pl.Expr] = {
     "collision": _COLLIDED,
     "near-miss": ~_COLLIDED & ((_TTC < CONFLICT_TTC_S) | (_DRAC > DRAC_LIMIT_MPS2)),
     "hard-braking": _BRAKING > SAFE_BRAKING_MPS2,
-    "abandoned-lane-change": _ABANDONED > 0,
+    "abandoned-lane-change": pl.col("gaps_lost") > 0,
 }
-"""Selects the rows of `criticality` that are of a kind; an episode may be of several kinds."""
+"""Selects rows of `edge_cases.ranked` of a kind; an episode may be of several kinds."""
 
 
 def criticality(

@@ -9,7 +9,7 @@ import polars as pl
 
 from charms_bench.episodes.criticality import IS_OF_KIND, Kind, criticality
 from charms_bench.episodes.replay import Replay, replay
-from charms_bench.episodes.what_happened import gave_way, what_happened
+from charms_bench.episodes.what_happened import what_happened
 from charms_bench.runs.finished import FinishedRun
 
 AT_ONCE = 20
@@ -34,6 +34,8 @@ class EdgeCase:
     drac_max_mps2: float | None
     imposed_braking_mps2: float | None
     abandoned_changes: int
+    gaps_lost: int
+    """Of these, how many were abandoned because another vehicle took the gap."""
     what: str
     """One sentence about what happened."""
 
@@ -47,7 +49,7 @@ def edge_cases(
         run: A finished run.
         top: The largest number of episodes to return.
         kind: Only episodes of this kind, and `what` describes that event. An abandoned lane change
-            counts if another vehicle took the gap, which takes a new simulation to find out.
+            counts if another vehicle took the gap (`engine.lane_changes`).
         cells: Indices of the cells to search.
         folder: The folder that relative paths of networks in the suite start from.
 
@@ -58,26 +60,26 @@ def edge_cases(
     if kind is not None:
         measured = measured.filter(IS_OF_KIND[kind])
     found: list[EdgeCase] = []
-    for row, replayed in _replays(run, measured, folder):
-        if kind != "abandoned-lane-change" or gave_way(replayed):
-            ego, traffic = replayed.cell.ego.title, replayed.cell.traffic.title
-            what = what_happened(replayed, kind)
-            found.append(EdgeCase(len(found) + 1, ego, traffic, what=what, **row))
-        if len(found) == top:
-            break
+    for row, replayed in _replays(run, measured.head(top), folder):
+        ego, traffic = replayed.cell.ego.title, replayed.cell.traffic.title
+        what = what_happened(replayed, kind)
+        found.append(EdgeCase(len(found) + 1, ego, traffic, what=what, **row))
     return found
 
 
 def ranked(run: FinishedRun, cells: Sequence[int]) -> pl.DataFrame:
     """Returns the rows of `criticality` of all episodes of these cells, most critical first.
 
-    The column `cell` is the index of the episode's cell.
+    The column `gaps_lost` is that of the ego's driver row, and `cell` is the index of the
+    episode's cell.
     """
     rows = run.cells()
     frames = [
-        criticality(episodes, steps, run.suite.scene).with_columns(cell=pl.lit(cell))
+        criticality(episodes, steps, run.suite.scene)
+        .join(drivers.filter("is_ego").select("episode", "gaps_lost"), on="episode")
+        .with_columns(cell=pl.lit(cell))
         for cell in cells
-        for episodes, steps in rows[cell].parts
+        for (episodes, steps), (drivers,) in zip(rows[cell].parts, rows[cell].drivers, strict=True)
     ]
     order = ["criticality", "cell", "episode"]
     return pl.concat(frames).sort(order, descending=[True, False, False])

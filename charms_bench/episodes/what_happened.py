@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from charms_bench.engine.collisions import vehicle_hit
+from charms_bench.engine.lane_changes import ATTEMPT_DECISIONS, TAKEN_RANGE_M
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import (
     DRIFT_MPS,
     LANE_CHANGE_WINDOW_S,
-    LOGGED_RANGE_M,
     join_rows,
 )
 
 
 @dataclass(frozen=True)
 class AbandonedChange:
-    """A lane change that the ego began and abandoned; frames are simulation steps."""
+    """A lane change that the ego began and abandoned; frames are those of decisions."""
 
     lane: int
     """The lane that the ego wanted to reach."""
@@ -44,56 +44,43 @@ def what_happened(replay: Replay, kind: Kind | None = None) -> str:
     }[kind](replay)
 
 
-def gave_way(replay: Replay) -> bool:
-    """Returns whether the ego abandoned a lane change because another vehicle took the gap.
-
-    The lane change must have lasted for at least one decision interval, because a driver model
-    that decides at every simulation step may take one back at once. Fig. 4 of the paper shows
-    such a case.
-    """
-    interval = replay.frame_of(1)
-    return any(
-        change.taker is not None and change.ended - change.began >= interval
-        for change in abandoned_changes(replay)
-    )
-
-
 def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
     """Returns the lane changes that the ego abandoned before the new lane was its nearest lane.
 
-    A vehicle took the gap if it was on another lane when the ego began, has the ego's wanted lane
-    as its target lane when the ego abandons the change, and is then the next vehicle ahead or
-    behind among those on that lane or heading for it, at most 50 m away.
+    The rules are those of `engine.lane_changes`, which counts them at decisions.
     """
-    lane, target = replay.lane[:, replay.ego], replay.target_lane[:, replay.ego]
-    given_up = (target[:-1] != lane[:-1]) & (target[1:] != target[:-1])
+    interval = replay.frame_of(1)
+    lane, target = (each[::interval, replay.ego] for each in (replay.lane, replay.target_lane))
+    wanted = target[:-1]
+    given_up = (wanted != lane[:-1]) & (wanted != target[1:]) & (wanted != lane[1:])
     found = []
     for ended in np.nonzero(given_up)[0] + 1:
-        wanted = int(target[ended - 1])
-        began = int(np.nonzero(target[:ended] != wanted)[0][-1]) + 1
-        taker = _taker(replay, began, int(ended), wanted)
-        found.append(AbandonedChange(wanted, began, int(ended), taker))
+        lost = int(wanted[ended - 1])
+        began = int(np.nonzero(target[:ended] != lost)[0][-1]) + 1
+        frames = (began * interval, int(ended) * interval)
+        taker = _taker(replay, *frames, lost) if ended - began >= ATTEMPT_DECISIONS else None
+        found.append(AbandonedChange(lost, *frames, taker))
     return found
 
 
 def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
     bound = (replay.target_lane[ended] == wanted) | (replay.lane[ended] == wanted)
     bound[replay.ego] = False
-    came = bound & (replay.lane[began] != wanted) & (replay.target_lane[ended] == wanted)
+    meanwhile = replay.lane[began : ended + 1 : replay.frame_of(1)]
+    came = (meanwhile != wanted).any(axis=0) & (replay.target_lane[ended] == wanted)
+    came &= ~replay.crashed[ended]
     ahead = replay.x[ended] - replay.x[ended, replay.ego]
     nearest = [
         int(np.where(side, np.abs(ahead), np.inf).argmin())
         for side in (bound & (ahead >= 0), bound & (ahead < 0))
         if side.any()
     ]
-    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= LOGGED_RANGE_M]
+    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= TAKEN_RANGE_M]
     return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
 
 
 def _abandoned_change(replay: Replay) -> str:
     changes = abandoned_changes(replay)
-    if not changes:  # rows exist at decisions only; the lane was reached between two of them
-        return _near_miss(replay)
     taken = [change for change in changes if change.taker is not None]
     change = max(taken or changes, key=lambda change: change.ended - change.began)
     lasted = replay.t_s[change.ended] - replay.t_s[change.began]

@@ -32,9 +32,9 @@ Sums = Callable[[str], pl.Expr]
 
 
 def conduct_of(drivers: pl.DataFrame) -> pl.DataFrame:
-    """The driver rows as one row per episode: `ego_*` of the ego, `traffic_*` of all others."""
+    """The driver rows as one row per episode: `*_of_ego` and `*_of_traffic`."""
     return drivers.group_by("episode").agg(
-        pl.col(name).filter(is_it).sum().cast(pl.Float64).alias(f"{who}_{name}")
+        pl.col(name).filter(is_it).sum().cast(pl.Float64).alias(f"{name}_of_{who}")
         for who, is_it in (("ego", pl.col("is_ego")), ("traffic", ~pl.col("is_ego")))
         for name in DRIVER_SUMS
     )
@@ -93,9 +93,9 @@ def _per_vehicle_time(name: str, unit: str, column: str, description: str) -> Me
     return Metric(name, unit, description, "vehicles", sums)
 
 
-EGO_CONDUCT = conduct_metrics(lambda name: pl.first(f"ego_{name}"), "the ego")
+EGO_CONDUCT = conduct_metrics(lambda name: pl.first(f"{name}_of_ego"), "the ego")
 TRAFFIC_CONDUCT = conduct_metrics(
-    lambda name: pl.first(f"traffic_{name}"), "the traffic", "traffic_"
+    lambda name: pl.first(f"{name}_of_traffic"), "the traffic", "traffic_"
 )
 _VEHICLES = "the driver's vehicles"
 OF_DRIVERS = (

@@ -49,6 +49,15 @@ def test_a_vehicle_far_away_took_no_gap() -> None:
     assert of(other) == (0, 0, 0)
 
 
+def test_a_lane_change_taken_back_at_once_loses_no_gap() -> None:
+    first, _ = conduct(
+        x=[[100.0, 110.0]] * 4,
+        y=[[0.0, 8.0]] * 3 + [[0.0, 7.0]],
+        target_lane=[[0, 2], [0, 2], [1, 1], [0, 1]],
+    )
+    assert of(first) == (1, 0, 0)
+
+
 def test_a_vehicle_behind_another_one_took_no_gap() -> None:
     first, nearer, farther = conduct(
         x=[[100.0, 110.0, 120.0]] * 4,

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import polars as pl
 import pytest
 from handmade_replay import replay_of
 
@@ -68,5 +69,6 @@ def test_an_episode_may_be_of_several_kinds() -> None:
     near = {"leader_distance": 10.0, "leader_speed": 15.0}
     replay = replay_of("time", [TO_THE_LEFT | near, STAY | near], x=[[0.0]])
     table = criticality(replay.episodes, replay.steps, replay.settings)
+    table = table.with_columns(gaps_lost=pl.lit(1))
     kinds = [kind for kind, is_of_kind in IS_OF_KIND.items() if table.filter(is_of_kind).height]
     assert kinds == ["near-miss", "abandoned-lane-change"]

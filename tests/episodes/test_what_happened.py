@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from handmade_replay import replay_of
 
-from charms_bench.episodes.what_happened import abandoned_changes, gave_way, what_happened
+from charms_bench.episodes.what_happened import abandoned_changes, what_happened
 
 
 def crash(ending: str, ego: dict[str, float], other: dict[str, float]) -> str:
@@ -91,62 +91,66 @@ def test_a_quiet_episode_says_so() -> None:
     assert what_happened(replay_of(x=np.zeros((6, 1)))) == "never closed in on a vehicle"
 
 
-def given_up(
-    other_x: float, other_lane: int, comes_at: int, frames: int = 12, gives_up_at: int = 8
-) -> Any:
-    """The ego, on lane 2, wants lane 1 from step 2 on; so does the other from `comes_at` on."""
-    target = np.tile([2, other_lane], (frames, 1))
-    target[2:gives_up_at, 0] = 1
+def frames_of(decisions: Any) -> Any:
+    """Values [T + 1, N] at decisions as those at simulation steps, of which a decision has 5."""
+    first, *others = decisions
+    return np.vstack([[first], np.repeat(others, 5, axis=0)])
+
+
+def given_up(other_x: float, other_lane: int, comes_at: int, gives_up_at: int = 3) -> Any:
+    """The ego, on lane 2, wants lane 1 from decision 1 on; so does the other from `comes_at` on."""
+    target = np.tile([2, other_lane], (6, 1))
+    target[1:gives_up_at, 0] = 1
     target[comes_at:, 1] = 1
-    lane = np.tile([2, other_lane], (frames, 1))
+    lane = frames_of(np.tile([2, other_lane], (6, 1)))
     rows = [{"lane": 2, "target_lane": t} for t in (1, 2)]
-    x = np.tile([0.0, other_x], (frames, 1))
-    return replay_of("time", rows, x=x, y=lane * 4.0, target_lane=target)
+    x = np.tile([0.0, other_x], (len(lane), 1))
+    return replay_of("time", rows, x=x, y=lane * 4.0, target_lane=frames_of(target))
 
 
 @pytest.mark.parametrize(
     ("other_x", "other_lane", "comes_at", "taker"),
     [
-        (18.0, 0, 5, 1),
-        (-18.0, 0, 5, 1),
-        (18.0, 0, 1, 1),  # it was on its way already
-        (18.0, 0, 9, None),  # after the ego gave up
+        (18.0, 0, 2, 1),
+        (-18.0, 0, 2, 1),
+        (18.0, 0, 0, 1),  # it was on its way already
+        (18.0, 0, 4, None),  # after the ego gave up
         (18.0, 1, 0, None),  # it was there all the time
-        (51.0, 0, 5, None),
+        (51.0, 0, 2, None),
     ],
 )
 def test_the_gap_is_taken_by_who_comes_into_it(
     other_x: float, other_lane: int, comes_at: int, taker: int | None
 ) -> None:
     (change,) = abandoned_changes(given_up(other_x, other_lane, comes_at))
-    assert (change.lane, change.began, change.ended) == (1, 2, 8)
+    assert (change.lane, change.began, change.ended) == (1, 5, 15)
     assert change.taker == taker
 
 
 def test_an_abandoned_lane_change_is_told() -> None:
-    replay = given_up(18.0, 0, 5)
+    replay = given_up(18.0, 0, 2)
     assert what_happened(replay) == (
-        "began a lane change to the left, abandoned it after 0.4 s when vehicle 1 took the gap, "
-        "18 m ahead, at t = 0.5 s"
+        "began a lane change to the left, abandoned it after 0.7 s when vehicle 1 took the gap, "
+        "18 m ahead, at t = 1.0 s"
     )
-    alone = given_up(51.0, 0, 5)
+    alone = given_up(51.0, 0, 2)
     assert (
         what_happened(alone)
-        == "began a lane change to the left, abandoned it after 0.4 s, at t = 0.5 s"
+        == "began a lane change to the left, abandoned it after 0.7 s, at t = 1.0 s"
     )
 
 
 def test_the_nearest_of_two_decides_whether_the_gap_was_taken() -> None:
-    x = np.tile([0.0, 30.0, 15.0], (12, 1))
-    lane = np.tile([2, 0, 1], (12, 1))  # vehicle 2 was on the lane between them all the time
+    lane = np.tile([2, 0, 1], (6, 1))  # vehicle 2 was on the lane between them all the time
     target = lane.copy()
-    target[2:8, 0] = 1
-    target[4:, 1] = 1
-    (change,) = abandoned_changes(replay_of(x=x, y=lane * 4.0, target_lane=target))
+    target[1:3, 0] = 1
+    target[2:, 1] = 1
+    x = np.tile([0.0, 30.0, 15.0], (26, 1))
+    replay = replay_of(x=x, y=frames_of(lane) * 4.0, target_lane=frames_of(target))
+    (change,) = abandoned_changes(replay)
     assert change.taker is None
 
 
-def test_a_change_taken_back_at_once_is_no_giving_way() -> None:
-    assert gave_way(given_up(18.0, 0, 3, gives_up_at=7))  # 5 steps at 15 Hz: a decision interval
-    assert not gave_way(given_up(18.0, 0, 3, gives_up_at=6))
-    assert not gave_way(given_up(51.0, 0, 3))
+def test_a_change_taken_back_at_once_loses_no_gap() -> None:
+    (change,) = abandoned_changes(given_up(18.0, 0, 1, gives_up_at=2))
+    assert change.taker is None

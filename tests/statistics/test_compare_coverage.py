@@ -51,14 +51,17 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CellRows]:
     }
     other = found["other"]
     faster = other.steps.with_columns(pl.col("speed") + FASTER_MPS)
-    return {**found, "faster": replace(other, agent="faster", parts=[(other.episodes, faster)])}
+    drivers = [(pl.concat(rows for (rows,) in other.drivers),)]
+    parts = [(other.episodes, faster)]
+    return {**found, "faster": replace(other, agent="faster", parts=parts, drivers=drivers)}
 
 
 def part(cell: CellRows, repetition: int) -> CellRows:
     """The episodes of one repetition, which no other has."""
     own = pl.col("episode") // EPISODES == repetition
     episodes, steps = cell.episodes.filter(own), cell.steps.filter(own)
-    return replace(cell, size=len(episodes), parts=[(episodes, steps)])
+    drivers = pl.concat(rows.filter(own) for (rows,) in cell.drivers)
+    return replace(cell, size=len(episodes), parts=[(episodes, steps)], drivers=[(drivers,)])
 
 
 def compared(cells: dict[str, CellRows], second: str) -> list[list[dict[str, Any]]]:
