@@ -106,7 +106,7 @@ def _lane_change(
                     sums[v][f"pet_{side}_sum_s"] += pet
                     sums[v][f"pet_below_2s_{side}"] += int(pet < 2)
             return
-        others = (j for j in range(h["x"].shape[1]) if j not in (i, f))
+        others = (j for j in range(h["x"].shape[1]) if j != f)
         if any(_cuts_in(h, s, j, f, lost, c) for j in others):
             return
 

@@ -3,8 +3,8 @@
 PET is the time between one vehicle leaving a place and another one reaching it. When the nearest
 lane of a vehicle changes, the place is its rear at that moment; the other vehicle is its follower
 on the new lane. Times between two decisions are interpolated linearly. There is no PET if the two
-overlap along the road, if the follower leaves the lane or crashes first, if another vehicle cuts
-in between, or after 5 s.
+overlap along the road, if the follower leaves the lane or crashes first, if a vehicle cuts in
+between, the same one included, or after 5 s.
 """
 
 from typing import Any
