@@ -160,10 +160,11 @@ def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_ru
     suite = tmp_path / "suite.yaml"
     head = "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\ntraffics:\n"
     suite.write_text(f"{head}  - traffic: {traffic}\n")
-    called = charms_bench("run", suite, "--output", tmp_path / "run")
-    assert called.returncode == 2
-    assert message.format(tmp_path) in called.stderr
-    assert "Traceback" not in called.stderr
+    for command in (("run", suite, "--output", tmp_path / "run"), ("verify", "--suite", suite)):
+        called = charms_bench(*command)
+        assert called.returncode == 2
+        assert message.format(tmp_path) in called.stderr
+        assert "Traceback" not in called.stderr
     assert not (tmp_path / "run").exists()
 
 
