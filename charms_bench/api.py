@@ -27,7 +27,7 @@ from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
-from charms_bench.runs.suite import Suite, suite_of
+from charms_bench.runs.suite import Suite, check_networks, suite_of
 
 if TYPE_CHECKING:
     from charms_bench.episodes.criticality import Kind
@@ -270,6 +270,7 @@ def run(
     changes = {"episodes": episodes, "seed": seed}
     document.data |= {name: value for name, value in changes.items() if value is not None}
     loaded = suite_of(document)
+    check_networks(document, loaded)
     references = read_references(loaded.references, loaded.folder)
     folder = Path(output or Path("runs") / loaded.suite)
     on_dask = None

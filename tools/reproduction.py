@@ -28,6 +28,7 @@ METRICS = {
     "dhw_mean": "headway, m",
     "dhw_std": "headway std, m",
     "harsh_acc_rate": "harsh",
+    "harsh_acc_rate_all_steps": "harsh, all decisions",
     "crashed_episodes": "episodes crashed, %",
     "traffic_crashed": "vehicles crashed in 20 s, %",
 }

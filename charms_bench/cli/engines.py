@@ -28,13 +28,17 @@ def verify(
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
     from charms_bench.report.progress import progress
-    from charms_bench.runs.suite import load_suite
+    from charms_bench.runs.document import Document
+    from charms_bench.runs.suite import check_networks, suite_of
     from charms_bench.testing import verify as verification
 
     if suite is None:
         cases, count = verification.default_cases()
     else:
-        cases, count = verification.cases_of(load_suite(suite)), 10
+        document = Document(suite)
+        loaded = suite_of(document)
+        check_networks(document, loaded)
+        cases, count = verification.cases_of(loaded), 10
     count = episodes or count
     with progress("episodes", count * len(cases)) as bar:
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))

@@ -102,7 +102,11 @@ COUNT: Mapping[str, Column] = {
 
 DRIVER: Mapping[str, Column] = {
     "episode": _SEED,
-    "agent": Column(pl.String(), "", "Agent that drives the vehicles."),
+    "agent": Column(
+        pl.String(),
+        "",
+        "Agent that drives the vehicles; for a network given by path, its copy in `networks`.",
+    ),
     "is_ego": Column(
         pl.Boolean(), "", "Whether this is the ego's row; otherwise the row is one of the traffic."
     ),

@@ -58,7 +58,7 @@ def _sums(cell: CellRows) -> dict[str, list[Floats]]:
             whole = found.setdefault(EGO if is_ego else agent, np.zeros((cell.size, len(_SUMS))))
             values = rows.select(each.alias(str(k)) for k, each in enumerate(_SUMS))
             place = np.searchsorted(episodes, rows["episode"].to_numpy())
-            whole[start + place] = values.to_numpy()
+            np.add.at(whole, start + place, values.to_numpy())  # two names may be one network
         start += episodes.size
     return {driver: np.split(whole, _ENDS, axis=1) for driver, whole in found.items()}
 

@@ -230,12 +230,16 @@ class RunFolder:
             )
 
     def read(self, kind: str, shards: Iterable[Shard]) -> pl.DataFrame:
-        """Returns the rows of one of `KINDS`, of some shards.
+        """Returns the rows of one of `KINDS`, of some shards; networks have the suite's names.
 
         Raises:
             RunFolderError: A file is missing or has changed since it was written.
         """
-        return pl.concat([self._read(kind, shard.name) for shard in shards])
+        rows = pl.concat([self._read(kind, shard.name) for shard in shards])
+        if "agent" not in rows.columns:
+            return rows
+        names = {f"{sha256}.onnx": name for name, sha256 in self.network_hashes().items()}
+        return rows.with_columns(pl.col("agent").replace(names))
 
     def _read(self, kind: str, name: str) -> pl.DataFrame:
         path, checksums, schema = self._file(kind, name), self._checksums(name), SCHEMAS[kind]

@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.engine import EngineName
+from charms_bench.engine.columns import DRIVER_KEYS
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
@@ -117,10 +118,17 @@ def simulate(task: ShardTask) -> ShardFiles:
     while simulation.scene.active.any():
         simulation.step()
         recording.note()
+    # Rows depend on the content of a network and not on its path, like the key.
+    copies = {
+        driver.key: f"{task.software.agents[driver.origin]['weights_sha256']}.onnx"
+        for driver in drivers
+        if is_network(driver.name)
+    }
+    conduct = recording.drivers().with_columns(pl.col("agent").replace(copies)).sort(DRIVER_KEYS)
     return {
         "steps": in_parquet(recording.steps()),
         "counts": in_parquet(recording.counts()),
-        "drivers": in_parquet(recording.drivers()),
+        "drivers": in_parquet(conduct),
         "episodes": in_parquet(recording.episodes()),
     }
 

@@ -142,8 +142,7 @@ def load_suite(path: Path) -> Suite:
     """Reads a suite from a YAML file.
 
     Raises:
-        SuiteError: The file is wrong, an agent or a traffic is not installed, or a network cannot
-            be used.
+        SuiteError: The file is wrong, or an agent or a traffic is not installed.
     """
     return suite_of(Document(path))
 
@@ -151,31 +150,43 @@ def load_suite(path: Path) -> Suite:
 def suite_of(document: Document) -> Suite:
     """Returns the suite of a document; see `load_suite`."""
     suite = document.validate(Suite)
-    both: dict[str, Sequence[EgoEntry | TrafficEntry]]
-    both = {"egos": suite.egos, "traffics": suite.traffics}
-    for what, entries in both.items():
+    for what, entries in _entries(suite).items():
         for index, entry in enumerate(entries):
             try:
-                names = _names(entry)
-                for name in names:
+                for name in _names(entry):
                     if not is_network(name):
                         find(AGENTS, name)
             except InputError as error:
                 raise document.error((what, index), str(error)) from error
             except ValidationError as error:  # a name in the options of a traffic
                 raise document.error((what, index), first_problem(error)[1]) from error
-            for name in filter(is_network, names):
-                try:
-                    OnnxPolicy(suite.folder / name)
-                except InputError as error:
-                    place = document.place_of(name, (what, index))
-                    raise document.error(place, str(error)) from error
         for index, entry in enumerate(entries):
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, METRIC_SETS)
     return suite
+
+
+def check_networks(document: Document, suite: Suite) -> None:
+    """Checks the networks of a document's suite.
+
+    Raises:
+        SuiteError: A network cannot be used; names its line.
+    """
+    for what, entries in _entries(suite).items():
+        for index, entry in enumerate(entries):
+            for name in filter(is_network, _names(entry)):
+                try:
+                    OnnxPolicy(suite.folder / name)
+                except InputError as error:
+                    place = document.place_of(name, (what, index))
+                    raise document.error(place, str(error)) from error
+
+
+def _entries(suite: Suite) -> dict[str, Sequence[EgoEntry | TrafficEntry]]:
+    """Returns the egos and the traffics of a suite by their keys in YAML."""
+    return {"egos": suite.egos, "traffics": suite.traffics}
 
 
 def _check_metric(

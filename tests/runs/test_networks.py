@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from charms_agents.charms import STYLES
 from command_line import charms_bench
+from polars.testing import assert_frame_equal
 
 import charms_bench as bench
 from charms_bench.errors import InputError
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import plan, run
-from charms_bench.runs.shard import simulate
+from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.suite import Suite
 
 NetworkFile = Callable[..., Path]
@@ -37,6 +39,11 @@ def suite_of(folder: Path, traffic: object, ego: object = "idm_mobil") -> Suite:
     return Suite.model_validate(
         {"suite": "small", "episodes": 3, "scene": scene, "folder": folder, **entries}
     )
+
+
+def rows_of(folder: Path, traffic: object) -> ShardFiles:
+    (task,) = plan(suite_of(folder, traffic), "batched").values()
+    return simulate(task)
 
 
 def key_of(folder: Path, traffic: object) -> str:
@@ -61,11 +68,11 @@ def key_of(folder: Path, traffic: object) -> str:
 def test_a_network_drives_by_its_path_as_it_drives_by_its_name(
     named: object, by_path: object
 ) -> None:
-    found = []
-    for traffic in (named, by_path):
-        (task,) = plan(suite_of(POLICIES, traffic), "batched").values()
-        found.append(simulate(task))
-    assert found[0] == found[1]
+    one, other = (dict(rows_of(POLICIES, traffic)) for traffic in (named, by_path))
+    drivers = [pl.read_parquet(rows.pop("drivers")) for rows in (one, other)]
+    assert one == other
+    sums = [rows.drop("agent").group_by("episode", "is_ego").sum() for rows in drivers]
+    assert_frame_equal(*sums, check_row_order=False, check_exact=False)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -77,6 +84,8 @@ def test_a_key_follows_the_content_of_a_traffics_network_and_not_its_path(
     shutil.copy(tmp_path / "one.onnx", tmp_path / "below" / "two.onnx")
     before = key_of(tmp_path, WAYS[way]("one.onnx"))
     assert key_of(tmp_path, WAYS[way]("below/two.onnx")) == before
+    rows = [rows_of(tmp_path, WAYS[way](path)) for path in ("one.onnx", "below/two.onnx")]
+    assert rows[0] == rows[1]
     assert key_of(tmp_path / "below", WAYS[way]("../one.onnx")) == before
     network_file(np.ones((35, 5)), name="one.onnx")
     assert key_of(tmp_path, WAYS[way]("one.onnx")) != before
@@ -107,6 +116,8 @@ def test_a_moved_run_folder_has_the_networks_of_its_traffic(
     moved = bench.open_run(shutil.move(tmp_path / "run", tmp_path / "moved"), tmp_path / "nowhere")
     assert len(list((moved.path / "networks").iterdir())) == 1
     assert network.name in moved.replay(1).agents
+    (drivers,) = (rows for part in moved.cells[0].drivers for rows in part)
+    assert network.name in set(drivers["agent"])
     assert len(moved.edge_cases()) == 3
     assert moved.report(tmp_path / "report.html").exists()
 
@@ -149,10 +160,11 @@ def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_ru
     suite = tmp_path / "suite.yaml"
     head = "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\ntraffics:\n"
     suite.write_text(f"{head}  - traffic: {traffic}\n")
-    called = charms_bench("run", suite, "--output", tmp_path / "run")
-    assert called.returncode == 2
-    assert message.format(tmp_path) in called.stderr
-    assert "Traceback" not in called.stderr
+    for command in (("run", suite, "--output", tmp_path / "run"), ("verify", "--suite", suite)):
+        called = charms_bench(*command)
+        assert called.returncode == 2
+        assert message.format(tmp_path) in called.stderr
+        assert "Traceback" not in called.stderr
     assert not (tmp_path / "run").exists()
 
 
