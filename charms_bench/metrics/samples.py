@@ -12,6 +12,10 @@ from charms_bench.metrics.metric import (
 )
 
 
+PERIOD_S = 5.0
+"""For intervals of rates that were never observed, an event happens at most once in this time."""
+
+
 class Sample(NamedTuple):
     """Some of the rows, and the metrics that can be taken over them."""
 
@@ -56,9 +60,9 @@ class Sample(NamedTuple):
             name=name,
             unit=f"1/{distance}",
             description=f"{what}, per {distance} driven in {self.name}",
-            rests_on=self.name,
+            rests_on=f"periods of {PERIOD_S:g} s",
             sums=(
-                self.where.sum(),
+                total(pl.col("interval_s"), self.where) / PERIOD_S,
                 total(pl.col("driven_m"), self.where) / (1000 * km),
                 (self.where & happens).sum(),
             ),
