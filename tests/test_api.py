@@ -58,10 +58,14 @@ def test_rows_of_all_cells_carry_the_labels_of_their_cell(run: charms_bench.Run)
 
 def test_a_run_opened_from_its_folder_has_the_same_tables(run: charms_bench.Run) -> None:
     opened = charms_bench.open_run(str(run.path))
-    assert list(opened.tables) == ["small"]
+    assert list(opened.tables) == ["small", "small-drivers"]
     assert opened.table.frame().equals(run.table.frame())
     assert opened.manifest["format"] == 3
-    assert [path.name for path in opened.files] == ["small-tradeoff.png", "small.md"]
+    assert [path.name for path in opened.files] == [
+        "small-tradeoff.png",
+        "small-drivers.md",
+        "small.md",
+    ]
 
 
 def test_the_mean_speed_of_a_table_is_that_of_the_rows(run: charms_bench.Run) -> None:

@@ -77,7 +77,7 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "a manifest that is a number": _text("9" * 5000),
     "a manifest nested without end": _text("[" * 100_000),
     "a manifest without a format": _text("{}"),
-    "a manifest of a later format": _manifest(lambda manifest: manifest.update(format=3)),
+    "a manifest of a later format": _manifest(lambda manifest: manifest.update(format=4)),
     "a format that is a text": _manifest(lambda manifest: manifest.update(format="\x1b[2J")),
     "a manifest without a suite": _text('{"format": 3}'),
     "a manifest with a pickle": _text("cos\nmkdir\n(S'canary'\ntR."),
