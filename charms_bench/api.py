@@ -85,7 +85,7 @@ class Run:
 
     @property
     def tables(self) -> "Mapping[str, Table]":
-        """The tables in the folder, by name: `ego`, `ego-pairs`, `ego-realism`."""
+        """The tables in the folder, by name: `ego`, `ego-drivers`, `ego-pairs`."""
         from charms_bench.report.stored import stored_tables
 
         return {table.name: table for table in stored_tables(self.path, self.suite).each()}
