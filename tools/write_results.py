@@ -64,6 +64,15 @@ TRAFFIC = {
 EGO_STD = {"ego's speed std": ("speed_std", ".2f")}
 EGO_TTC = {"ego's TTC < 3 s, closing": ("ttc_below_3s_closing", ".4f")}
 ENVIRONMENT = {**TRAFFIC, **EGO_STD, **EGO_TTC}
+EDGE_CASES = {
+    "gaps lost": ("gaps_lost_per_1000km", ",.1f"),
+    "conflicts": ("conflicts_to_per_1000km", ",.1f"),
+    "near misses": ("near_misses_to_per_1000km", ",.1f"),
+    "hard braking": ("hard_braking_to_per_1000km", ",.1f"),
+    "traffic: gaps lost": ("traffic_gaps_lost_per_1000km", ",.1f"),
+    "traffic: conflicts": ("traffic_conflicts_to_per_1000km", ",.1f"),
+    "traffic: crashes": ("traffic_crashes_per_1000km", ",.1f"),
+}
 PCH = {**TRAFFIC, "ego's speed, m/s": ("speed_mean", ".2f"), **EGO_STD}
 
 
@@ -74,6 +83,16 @@ def of_suite(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
 
 def tables_of(run: Path) -> RunTables:
     return stored_tables(run, RunFolder(run).suite())
+
+
+def rates(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
+    """The table of a suite, every value with its interval."""
+    table = tables_of(run).metrics.select(*(metric for metric, _ in columns.values()))
+    forms = [form for _, form in columns.values()]
+    described = tuple(
+        replace(each, form=form) for each, form in zip(table.columns, forms, strict=True)
+    )
+    return markdown(replace(table, columns=described).without_constant_keys().named(*columns))
 
 
 def shown(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
@@ -150,6 +169,8 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),
     "environment": ("environment", partial(of_suite, ENVIRONMENT)),
+    "environment-edge-cases": ("environment", partial(rates, EDGE_CASES)),
+    "released-edge-cases": ("released-environment", partial(rates, EDGE_CASES)),
     "realism": ("realism", realism),
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),

@@ -11,7 +11,6 @@ from charms_bench.metrics.metric import (
     total,
 )
 
-
 PERIOD_S = 5.0
 """For intervals of rates that were never observed, an event happens at most once in this time."""
 

@@ -41,7 +41,10 @@ def test_every_metric_is_explained() -> None:
     formulas = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     explained |= set(re.findall(r"\\text\{(\w+)\}", formulas))
     names = {metric.name for metric_set in METRIC_SETS for metric in metric_set.metrics}
-    assert names <= explained
+    # What drivers do to each other: a concept, after whose it is and before by or to whom.
+    conduct = re.compile(r"(?:traffic_)?(\w+?)(?:_by|_to)?(?:_per_1000km)?")
+    missing = {name for name in names - explained if conduct.fullmatch(name)[1] not in explained}
+    assert not missing
 
 
 def test_every_suite_is_described() -> None:
