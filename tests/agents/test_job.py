@@ -22,7 +22,7 @@ def job_of(shares: dict[str, float], weights_of: str = "", **options: float) -> 
     changes = {"traffic": TrafficSpec(mixture=shares), **options}
     stages = {**suite.stages, name: suite.stages[name].model_copy(update=changes)}
     drivers = {driver: make_agent(weights_of or driver) for driver in shares}
-    return reinforcement_job(Path(), name, suite.model_copy(update={"stages": stages}), drivers)
+    return reinforcement_job(Path(), "", name, suite.model_copy(update={"stages": stages}), drivers)
 
 
 def test_who_drives_the_others_decides_the_network() -> None:
