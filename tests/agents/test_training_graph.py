@@ -127,6 +127,7 @@ def test_a_suite_of_several_seeds_trains_the_networks_of_each_seed(
         )
         assert same == expected
         assert other != expected
+        assert (tmp_path / "seed-0" / "networks" / f"{name}.onnx").read_bytes() == expected
     titles = [f"{folder}/{name}" for folder in ("seed-0", "seed-1") for name in stages]
     assert pl.read_csv(tmp_path / "stages.csv")["stage"].to_list() == titles
 

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import polars as pl
 import pytest
+from handmade_conduct import conduct
 from handmade_rows import DRIVING, frames
 
 from charms_bench.metrics import sums_by_episode
@@ -19,6 +20,7 @@ from charms_bench.world.scene import SceneSettings
 
 pytest.importorskip("commonroad_crime", reason="run by tox -e crime")
 
+import shapely.geometry
 from commonroad.geometry.shape import Rectangle
 from commonroad.prediction.prediction import TrajectoryPrediction
 from commonroad.scenario.lanelet import Lanelet, LaneletNetwork
@@ -27,7 +29,7 @@ from commonroad.scenario.scenario import Scenario
 from commonroad.scenario.state import CustomState, InitialState
 from commonroad.scenario.trajectory import Trajectory
 from commonroad_crime.data_structure.configuration import CriMeConfiguration
-from commonroad_crime.measure import TET, THW, TIT, TTC, ALongReq
+from commonroad_crime.measure import PET, TET, THW, TIT, TTC, ALongReq
 
 SCENE = SceneSettings()
 INTERVAL_S = 1 / SCENE.decision_hz
@@ -39,6 +41,8 @@ LANE_SLOPE = 1e-4
 """Next to nothing; commonroad-crime takes an orientation of exactly 0 for a missing one."""
 GAP_ERROR_M = ROUNDING + LENGTH_M * LANE_SLOPE
 """It rounds gaps too, and adds half a length to both coordinates to get to a bumper."""
+SHORT_M = 0.5
+"""Length of the area at a place."""
 NEVER_S = 1e6
 """Its accelerations are gradients of speeds, and leave 1e-15 of a constant one."""
 
@@ -117,6 +121,34 @@ def test_ttc_drac_and_headway_are_those_of_commonroad_crime(
         # Theirs is the first step after; infinite where the trajectory ends before.
         if not math.isinf(found):
             assert -ROUNDING < found - rear_reached < INTERVAL_S + ROUNDING
+
+
+def test_pet_lies_within_the_steps_of_commonroad_crime() -> None:
+    """The vehicle in front cuts in at the first decision; its rear is then at the end of the area.
+
+    commonroad-crime knows PET at intersections only, but tells when a vehicle is in an area: from
+    the last step before to the first step after. Its PET is therefore up to two steps shorter.
+    """
+    compared = 0
+    for distance, speed, leader_speed in APPROACHES:
+        steps = np.arange(STEPS) * INTERVAL_S
+        x = [
+            list(pair) for pair in zip(distance + leader_speed * steps, speed * steps, strict=True)
+        ]
+        beside, inside = [1.0, 4.0], [3.0, 4.0]
+        _, second = conduct(x=x, y=[beside] + [inside] * (STEPS - 1), speed=speed)
+        place = x[1][0] - LENGTH_M / 2
+        measure = PET(theirs(distance, speed, leader_speed))
+        measure.set_other_vehicles(LEADER)
+        area = shapely.geometry.box(place - SHORT_M, -4, place, 4)
+        _, _, left = measure.get_ca_time_info(measure.other_vehicle, 0, area)
+        _, entered, _ = measure.get_ca_time_info(measure.ego_vehicle, 0, area)
+        if not (math.isfinite(left) and math.isfinite(entered) and second["pet_to"]):
+            continue  # steps may be longer than the vehicle and the area together
+        found = (entered - left) * INTERVAL_S
+        assert 0 <= second["pet_to_sum_s"] - found <= 2 * INTERVAL_S + SHORT_M / speed
+        compared += 1
+    assert compared >= 5
 
 
 @pytest.mark.parametrize("approach", APPROACHES)
