@@ -16,6 +16,7 @@ from pathlib import Path
 
 import polars as pl
 from reproduction import compared, verdicts
+from seeds import seeds_table
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.markdown import markdown
@@ -175,6 +176,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
     "fine-tuning": ("train", fine_tuning),
+    "seeds": ("seeds", seeds_table),
     "reproduction-ego": ("released-ego", reproduction),
     "reproduction-styles": ("released-styles", reproduction),
     "reproduction-environment": ("released-environment", reproduction),

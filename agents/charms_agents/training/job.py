@@ -21,6 +21,7 @@ from charms_agents.training.settings import (
 )
 from charms_agents.training.supervised import Fit
 from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.world.files import write_bytes
 
 _OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost"}
 """The settings of a stage that the paper lacks."""
@@ -71,6 +72,14 @@ class Job:
     def file(self, ending: str) -> Path:
         """The stage's network (`.onnx`), manifest (`.json`) or learning curve (`.csv`)."""
         return self.folder / f"{self.name}{ending}"
+
+    def publish(self) -> None:
+        """Copies the stage's files to paths without the hash of its inputs, for suites to name."""
+        for ending in (".onnx", ".json", ".csv"):
+            data = self.file(ending).read_bytes()
+            copy = self.output / self.seed_folder / "networks" / f"{self.name}{ending}"
+            if not copy.exists() or copy.read_bytes() != data:
+                write_bytes(copy, data)
 
     @property
     def finished(self) -> bool:

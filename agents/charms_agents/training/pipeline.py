@@ -39,8 +39,9 @@ def run(
     Args:
         suite_file: The training suite.
         output: The run folder. Each stage has a folder in it, whose name contains a hash of the
-            stage's inputs; `curves.csv`, `curves.png`, `stages.csv` and
-            `columns.json` cover all stages.
+            stage's inputs; `networks` has the networks, manifests and curves of all stages by
+            name; `curves.csv`, `curves.png`, `stages.csv` and `columns.json` cover all stages. If
+            the suite has several seeds, the stages and networks of each are in its own folder.
         workers: Most stages to train at a time; by default, the number of cores.
         only: The stage to train, with the stages that it needs; by default, all stages.
         recordings: Folder of human driving; by default, the folder that the suite names.
@@ -77,6 +78,8 @@ def run(
             workers = workers or os.cpu_count() or 1
             finished = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
         jobs = {title: finished[title] for title in needs}
+        for job in jobs.values():
+            job.publish()
         write_curves(output, suite, jobs)
         write_summary(output, jobs.values())
 
