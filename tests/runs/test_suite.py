@@ -15,6 +15,9 @@ MINIMAL = {
     "traffics": [{"traffic": "idm_mobil"}],
 }
 
+VALIDATION_SEEDS = 900_000_000
+"""Networks and settings are chosen on episodes with seeds from here on (docs/training.md)."""
+
 
 def test_a_profile_is_a_name_with_overrides() -> None:
     profile = {"name": "charms", "tau_heading_s": 0.4, "idm_mobil": {"time_headway_s": 1.2}}
@@ -121,3 +124,16 @@ def test_the_suites_of_the_project_are_valid(path: Path) -> None:
     if "pipeline:" in path.read_text():
         pytest.skip("a training; its pipeline validates it")
     assert load_suite(path).suite == path.stem
+
+
+@pytest.mark.parametrize("path", sorted(Path("suites").rglob("*.yaml")), ids=lambda path: path.stem)
+def test_no_suite_that_reports_uses_episodes_on_which_networks_were_trained_or_chosen(
+    path: Path,
+) -> None:
+    if "pipeline:" in path.read_text():
+        pytest.skip("a training; its seeds begin at 2^40")
+    suite = load_suite(path)
+    if path.stem == "pch":  # tau and beta were chosen by it; environment reports the choice
+        assert suite.seed >= VALIDATION_SEEDS
+    else:
+        assert suite.seed + suite.episodes <= VALIDATION_SEEDS
