@@ -2,7 +2,7 @@
 
 Every episode has a configuration drawn at random: 2 to 6 lanes, 5 to 60 vehicles, density 0.6 to 3,
 1, 3, 5 or 15 decisions per second, 10 to 40 s. Random meta-actions drive the ego. In every second
-episode they are IDLE and SLOWER only, so that most of these episodes last until their time is over.
+episode they are IDLE and SLOWER only, so that about half of these last until their time is over.
 An episode differs if an observation or a reward differs by more than 1e-6, or if the episodes do
 not end in the same step. The same is counted for stock highway-env under another NumPy dispatch.
 Every episode that differs is listed. FOLDER keeps the episodes, so the command continues where it

@@ -83,7 +83,8 @@ class Chunk(NamedTuple):
 
 def simulate(chunk: Chunk, engine: EngineName, path: Path) -> None:
     """Writes the events and positions of a chunk in every simulation step."""
-    settings = SceneSettings(profile=PROFILES[chunk.profile])
+    rates = {"ego_control_rate": "simulation", "sums_time": False}  # as stock; 60 decisions
+    settings = SceneSettings.model_validate({"profile": {"name": chunk.profile, **rates}})
     agents = {DRIVER: make_agent(DRIVER, {})}
     simulation = Simulation(settings, EPISODES, chunk.ego, OneAgent(DRIVER), agents, engine)
     simulation.reset(chunk.seeds)
