@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from charms_bench.api import open_training as open_training
     from charms_bench.api import run as run
     from charms_bench.api import train as train
+    from charms_bench.engine.state import SceneState as SceneState
+    from charms_bench.engine.state_file import load_state as load_state
+    from charms_bench.engine.state_file import save_state as save_state
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 _NAMES = {
     "api": "Run open_run open_training run train",
+    "engine.state": "SceneState",
+    "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",
     "plugins.agent": "DriverModel Policy",
     "plugins.traffic": "Mixture Traffic",

@@ -40,6 +40,12 @@ class Engine(Protocol):
             traffic: (R, N - 1) the agents of the other vehicles, in the order of spawning.
         """
 
+    def restore(self, rows: Ints) -> None:
+        """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).
+
+        The neighbours and all other arrays that follow from positions and headings are found.
+        """
+
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,)."""
 

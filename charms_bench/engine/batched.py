@@ -49,6 +49,12 @@ class BatchedEngine:
             speeds = self._command_rule.speeds
             kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
 
+    def restore(self, rows: Ints) -> None:
+        drivers, ego = self.drivers, self.scene.ego
+        kernels.mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
+        self._vehicles.clear()
+        kernels.locate(self.scene, rows)
+
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 

@@ -17,6 +17,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
+from charms_bench.engine.restored_vehicles import RestoredVehicles
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.profile import Profile
@@ -47,6 +48,8 @@ class HighwayEnvEngine:
         self._commanded = _with_constants(commanded, settings.profile)
         self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
         self._spawner = _with_constants(Vehicle, settings.profile)
+        self._network = _network(settings)
+        self._restored = RestoredVehicles(self._network)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         for row, seed, others in zip(rows, seeds, traffic, strict=True):
@@ -58,6 +61,12 @@ class HighwayEnvEngine:
             self.roads[row] = self._spawn(row, ego, rng)
             self._copy_state(int(row))
         kernels.locate(self.scene, rows)
+
+    def restore(self, rows: Ints) -> None:
+        kernels.locate(self.scene, rows)
+        for row in map(int, rows):
+            classes = [self._class_of(agent) for agent in self.drivers[row].tolist()]
+            self.roads[row] = self._restored.place(self.roads[row], self.scene, row, classes)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):
@@ -99,14 +108,9 @@ class HighwayEnvEngine:
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
     def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
-        """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]"""
+        """[`HighwayEnv._create_vehicles`, with the ego at its place]"""
         settings, profile = self._settings, self._settings.profile
-        network, width = RoadNetwork(), profile.lane_width_m
-        for lane in range(settings.lanes):
-            ends = np.array([[0.0, lane * width], [settings.road_length_m, lane * width]])
-            straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
-            network.add_lane("0", "1", straight)
-        road = Road(network=network, np_random=rng)
+        road = Road(network=self._network, np_random=rng)
         spacing = 1 / settings.density
         for place in range(settings.vehicles):
             is_ego = place == ego
@@ -115,7 +119,7 @@ class HighwayEnvEngine:
                 speed=profile.ego_speed_mps if is_ego else None,
                 spacing=(profile.ego_spacing or spacing) if is_ego else spacing,
             )
-            vehicle_class = self._classes.get(int(self.drivers[row, place]), self._commanded)
+            vehicle_class = self._class_of(int(self.drivers[row, place]))
             vehicle = vehicle_class(road, spawned.position, spawned.heading, spawned.speed)
             road.vehicles.append(vehicle)
             if not is_ego:
@@ -129,15 +133,18 @@ class HighwayEnvEngine:
                 vehicle.timer = float(phase)
         return road
 
+    def _class_of(self, agent: int) -> Any:
+        """highway-env's class of the vehicles that an agent drives."""
+        return self._classes.get(agent, self._commanded)
+
     def _draw_temperament(
         self, row: int, place: int, vehicle: ControlledVehicle, rng: np.random.Generator
     ) -> None:
+        """[`IDMVehicle.randomize_behavior`]"""
+        share = self.scene.temperament[row, place] = rng.random()
         if isinstance(vehicle, IDMVehicle):
-            vehicle.randomize_behavior()
             low, high = vehicle.DELTA_RANGE
-            self.scene.temperament[row, place] = (vehicle.DELTA - low) / ((high - low) or 1.0)
-        else:
-            self.scene.temperament[row, place] = rng.random()
+            vehicle.DELTA = low + (high - low) * share
 
     def _copy_state(self, row: int) -> None:
         """Copies the state of highway-env's vehicles into the arrays."""
@@ -205,6 +212,17 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     def step(self, dt: float) -> None:
         self.timer += dt
         super().step(dt)
+
+
+def _network(settings: SceneSettings) -> RoadNetwork:
+    """[`HighwayEnv._create_road`]"""
+    network, profile = RoadNetwork(), settings.profile
+    width = profile.lane_width_m
+    for lane in range(settings.lanes):
+        ends = np.array([[0.0, lane * width], [settings.road_length_m, lane * width]])
+        straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
+        network.add_lane("0", "1", straight)
+    return network
 
 
 def _reference_class(model: DriverModel, profile: Profile) -> Any:

@@ -639,8 +639,22 @@ def seat(
     for r in range(rows.size):
         b = rows[r]
         for i in range(drivers.shape[1]):
-            agent = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
-            drivers[b, i], is_ego[b, i] = agent, i == ego[b]
+            drivers[b, i] = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
+    mark_seats(rows, ego, models, drivers, is_modelled, is_ego)
+
+
+@compiled
+def mark_seats(
+    rows: Ints, ego: Ints, models: Bools, drivers: Ints, is_modelled: Bools, is_ego: Bools
+) -> None:
+    """Marks the egos of the scenes `rows`, and the vehicles that driver models drive.
+
+    Arguments are those of `seat`.
+    """
+    for b in rows:
+        for i in range(drivers.shape[1]):
+            agent = drivers[b, i]
+            is_ego[b, i] = i == ego[b]
             is_modelled[b, i] = agent < models.size and models[agent]
 
 

@@ -13,6 +13,7 @@ from charms_bench.engine.collisions import (
     note_collisions,
 )
 from charms_bench.engine.kernels import egos_off_road, vehicles_of
+from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
@@ -65,24 +66,24 @@ class Simulation:
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
         self.collision = np.zeros((scenes, settings.vehicles), dtype=np.int8)
         """[B, N] index into `COLLISIONS`, noted in the simulation step of the collision."""
-        self._frames = np.zeros(scenes, dtype=np.int64)
         self._holds_egos = settings.profile.ego_control_rate == "decision"
-        self._is_decided = False
-        """Whether a decision interval has begun; all scenes share their intervals."""
+        self.phase = 0
+        """Simulation steps of the current decision interval so far; all scenes share it."""
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
         self.agents = (ego or "", *(name for name in traffic.agents if name != ego))
         """The names of the agents that `engine.drivers` holds indices of."""
-        made = {k: agents[name] for k, name in enumerate(self.agents) if name}
+        self.made = {k: agents[name] for k, name in enumerate(self.agents) if name}
+        """The agents by their index; none for an ego driven from outside."""
         self._policies = {
             k: _checked_policy(self.agents[k], agent, settings)
-            for k, agent in made.items()
+            for k, agent in self.made.items()
             if isinstance(agent, Policy)
         }
         models = {
             k: _CheckedModel(self.agents[k], agent, self)
-            for k, agent in made.items()
+            for k, agent in self.made.items()
             if isinstance(agent, DriverModel)
         }
         self.engine = make_engine(engine, settings, scenes, models)
@@ -131,18 +132,31 @@ class Simulation:
             assigned = self._traffic.assign(rng, 1, others)[0]
             traffic[r] = [index[str(name)] for name in assigned]
         self.engine.reset(rows, seeds, traffic)
-        self.steps[rows] = self._frames[rows] = 0
+        self.steps[rows] = 0
         self.ending[rows] = RUNNING
-        self._is_decided = False
+        self.phase = 0
         self.collision[rows] = NO_COLLISION
         self.has_action[rows] = False
 
-    def step(self, ego_actions: Actions | None = None) -> None:
-        """Advances every running episode by one decision interval.
+    def state(self, rows: Ints | None = None) -> SceneState:
+        """Saves the scenes `rows`, at any simulation step; by default, all scenes."""
+        return state_of(self, self._everyone if rows is None else rows)
 
-        `ego_actions` are the (B,) meta-actions of egos driven from outside.
+    def restore(self, state: SceneState, rows: Ints | None = None) -> None:
+        """Continues the scenes of a state in the scenes `rows`; by default, in all scenes.
+
+        Raises:
+            InputError: The state does not fit; see `engine.state.restore`.
         """
-        for frame in range(self.settings.steps_per_decision):
+        restore(self, state, self._everyone if rows is None else rows)
+
+    def step(self, ego_actions: Actions | None = None) -> None:
+        """Advances every running episode to the end of its decision interval.
+
+        `ego_actions` are the (B,) meta-actions of egos driven from outside; they take effect at
+        the beginning of an interval.
+        """
+        for frame in range(self.phase, self.settings.steps_per_decision):
             self.advance(ego_actions if frame == 0 else None)
         self.finish_step()
 
@@ -152,24 +166,24 @@ class Simulation:
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
             self._command((rows, self.scene.ego[rows]), ego_actions[rows])
+        frames = self.steps * self.settings.steps_per_decision + self.phase
         decisions = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
             period = round(self.settings.simulation_hz / policy.decision_hz)
-            now = active & (self._frames % period == 0)
+            now = active & (frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
             if vehicles[0].size:
                 decisions.append((vehicles, self._decide(self.agents[agent], policy, vehicles)))
         for vehicles, actions in decisions:
             self._command(vehicles, actions)
-        self.engine.advance(hold_egos=self._holds_egos and self._is_decided)
-        self._is_decided = True
-        self._frames += active
+        self.engine.advance(hold_egos=self._holds_egos and self.phase > 0)
+        self.phase += 1
         self._note_collisions()
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
         scene = self.scene
-        self._is_decided = False
+        self.phase = 0
         self.steps += scene.active
         running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME

@@ -8,9 +8,16 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.engine.simulation import ENDINGS, Simulation
+from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
-from charms_bench.envs.vector_env import HighwayVectorEnv, Reward, spaces_of
+from charms_bench.envs.vector_env import (
+    HighwayVectorEnv,
+    Reward,
+    continue_from,
+    spaces_of,
+    state_in,
+)
 from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
@@ -63,10 +70,18 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Starts an episode; the info contains its seed."""
+        """Starts an episode; the info contains its seed.
+
+        Args:
+            seed: The episode's seed; None draws one.
+            options: `state`, a `SceneState` of one running scene, which the episode continues.
+
+        Raises:
+            InputError: There is another option, or the state does not fit.
+        """
         super().reset(seed=seed)
-        if options:
-            raise InputError(f"reset takes no options, got {', '.join(options)}")
+        if (state := state_in(options)) is not None:
+            return self.set_state(state), {"seed": int(state.seeds[0])}
         if seed is None:
             seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
         self.simulation.reset(np.array([seed], dtype=np.uint64))
@@ -90,6 +105,19 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
         info = {"ending": ENDINGS[self.simulation.ending[0]]} if failed or truncated else {}
         return self._observe(), reward, failed, truncated, info
+
+    def get_state(self) -> SceneState:
+        """The state of the episode, for `set_state`."""
+        return self.simulation.state()
+
+    def set_state(self, state: SceneState) -> Observations:
+        """Continues the episode of a state; returns the ego's observation.
+
+        Raises:
+            InputError: The state does not fit.
+        """
+        continue_from(self.simulation, state)
+        return self._observe()
 
     def _observe(self) -> Observations:
         scene, ego = self.simulation.scene, self.simulation.ego_vehicles

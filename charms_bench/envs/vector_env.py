@@ -10,6 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state import SceneState
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
@@ -31,15 +32,12 @@ class Reward(Protocol[C]):
 
 
 class EpisodesState(NamedTuple):
-    """The state of every running episode, which its seed and the ego's actions determine."""
+    """The state of every running episode, and of what the environment counts."""
 
+    scenes: SceneState
+    returns: Floats
+    """[B] sums of the rewards so far."""
     next_seed: int
-    seeds: NDArray[np.uint64]
-    """[B]"""
-    steps: Ints
-    """[B] decisions made."""
-    actions: NDArray[np.int8]
-    """[B, decisions] the ego's actions; only the first `steps` of each row are meaningful."""
 
 
 def spaces_of(
@@ -61,6 +59,39 @@ def spaces_of(
     high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
     high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
     return spaces.Box(-high, high, dtype=np.float32), actions
+
+
+def state_in(options: dict[str, Any] | None) -> SceneState | None:
+    """The option `state` of `reset`.
+
+    Raises:
+        InputError: There is another option, or it is not a state.
+    """
+    options = options or {}
+    if unknown := sorted(options.keys() - {"state"}):
+        raise InputError(f"reset takes the option 'state', got {', '.join(unknown)}")
+    state = options.get("state")
+    if state is not None and not isinstance(state, SceneState):
+        found = type(state).__name__
+        raise InputError(f"reset: expected a SceneState as the option 'state', found {found}")
+    return state
+
+
+def continue_from(simulation: Simulation, state: SceneState) -> None:
+    """Continues all scenes of a simulation whose egos are driven from outside.
+
+    Raises:
+        InputError: The state does not fit, or its scenes are not between two decisions.
+    """
+    if state.phase:
+        raise InputError(
+            f"the state was saved {state.phase} simulation steps after a decision; an environment "
+            "continues states between two decisions"
+        )
+    if not state.active.all():
+        ended = state.seeds[~state.active][0]
+        raise InputError(f"the state of episode {ended} was saved after the episode had ended")
+    simulation.restore(state.seated(state.ego, ""))
 
 
 class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
@@ -102,7 +133,6 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         self._reward = reward
         self._observation = observation
         self._next_seed = first_seed
-        self._actions = np.zeros((scenes, settings.decisions), dtype=np.int8)
         self._returns = np.zeros(scenes)
 
     def reset(
@@ -112,14 +142,19 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
 
         Args:
             seed: The first episode's seed; None continues with the next unused seed.
-            options: Not supported.
+            options: `state`, a `SceneState` of B running scenes in which the episodes start.
+
+        Raises:
+            InputError: There is another option, or the state does not fit.
         """
         super().reset(seed=seed)
-        if options:
-            raise InputError(f"reset takes no options, got {', '.join(options)}")
         if seed is not None:
             self._next_seed = seed
-        self._start(np.arange(self.num_envs))
+        if (state := state_in(options)) is None:
+            self._start(np.arange(self.num_envs))
+        else:
+            continue_from(self.simulation, state)
+            self._returns[:] = 0
         return self._observe(), {}
 
     def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
@@ -132,7 +167,6 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             `seed`.
         """
         simulation = self.simulation
-        self._actions[np.arange(self.num_envs), simulation.steps] = actions
         prepared = self._reward.prepare(simulation, actions)
         simulation.step(actions)
         rewards = self._reward(simulation, prepared)
@@ -149,32 +183,19 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             observations[rows] = self._observation(simulation.scene, started)
         return observations, rewards, terminations, truncations, infos
 
-    def state(self) -> EpisodesState:
-        """The state of every episode, for `restore`."""
-        seeds, steps = self.simulation.seeds, self.simulation.steps
-        return EpisodesState(self._next_seed, seeds.copy(), steps.copy(), self._actions.copy())
+    def get_state(self) -> EpisodesState:
+        """The state of every episode, for `set_state`."""
+        return EpisodesState(self.simulation.state(), self._returns.copy(), self._next_seed)
 
-    def restore(self, state: EpisodesState) -> Observations:
-        """Simulates every episode again up to `state`; returns the egos' observations."""
-        simulation = self.simulation
-        simulation.scene.active[:] = False
+    def set_state(self, state: EpisodesState) -> Observations:
+        """Continues as after `get_state`; returns the egos' observations.
+
+        Raises:
+            InputError: The state does not fit.
+        """
+        continue_from(self.simulation, state.scenes)
+        self._returns[:] = state.returns
         self._next_seed = state.next_seed
-        self._actions[:] = state.actions
-        self._returns[:] = 0
-        everyone = np.arange(self.num_envs)
-        # The longest episode starts first, so that all arrive together.
-        for left in range(int(state.steps.max()), -1, -1):
-            rows = np.nonzero(state.steps == left)[0]
-            if rows.size:
-                simulation.reset(state.seeds[rows], rows)
-            if left == 0:
-                break
-            step = np.maximum(state.steps - left, 0)
-            actions = state.actions[everyone, step].astype(np.int64)
-            active = simulation.scene.active.copy()
-            prepared = self._reward.prepare(simulation, actions)
-            simulation.step(actions)
-            self._returns += np.where(active, self._reward(simulation, prepared), 0.0)
         return self._observe()
 
     def _start(self, rows: Ints) -> None:

@@ -144,7 +144,7 @@ def test_a_restored_environment_goes_on_as_if_nothing_had_happened() -> None:
     random_steps(env, 0, 100)
     later = environment(SceneSettings(), scenes=6)
     later.reset(seed=99)
-    observations = later.restore(env.state())
+    observations = later.set_state(env.get_state())
     assert len(set(env.simulation.steps)) > 1  # episodes are in different steps
     expected, found = random_steps(env, 1, 70), random_steps(later, 1, 70)
     np.testing.assert_array_equal(observations[:, 0, 0], 1.0)

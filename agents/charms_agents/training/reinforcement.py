@@ -20,6 +20,7 @@ from charms_agents.training.settings import (
     TrainingSuite,
 )
 from charms_agents.training.vec_env import EpisodesVecEnv
+from charms_bench.engine.state_file import check_state
 from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
 from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations
@@ -134,8 +135,11 @@ class Reinforcement(BaseCallback):
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
         arrays = self._agent.arrays()
-        for name, value in self._episodes.state()._asdict().items():
-            arrays[f"episodes/{name}"] = np.asarray(value)
+        episodes = self._episodes.get_state()
+        arrays["episodes/next_seed"] = np.array(episodes.next_seed)
+        arrays["episodes/returns"] = episodes.returns
+        for name, array in episodes.scenes.arrays().items():
+            arrays[f"scenes/{name}"] = array
         curve = {"points": [asdict(point) for point in self.curve], "ended": self._ended}
         arrays["curve"] = np.array(json.dumps(curve))
         return arrays
@@ -145,9 +149,11 @@ class Reinforcement(BaseCallback):
         curve = json.loads(str(arrays["curve"]))
         self.curve, self._ended = [Point(**point) for point in curve["points"]], curve["ended"]
         self._agent.load_arrays(arrays)
-        next_seed, *rest = (arrays[f"episodes/{name}"] for name in EpisodesState._fields)
-        state = EpisodesState(int(next_seed), *rest)
-        self._agent._last_obs = self._episodes.restore(state)
+        own = self._episodes.get_state().scenes
+        scenes = own.with_arrays({name: arrays[f"scenes/{name}"] for name in own.arrays()})
+        check_state(scenes)
+        state = EpisodesState(scenes, arrays["episodes/returns"], int(arrays["episodes/next_seed"]))
+        self._agent._last_obs = self._episodes.set_state(state)
         self._agent._last_episode_starts = np.zeros(self._episodes.num_envs, dtype=np.bool_)
 
     def results(self, wall_s: float) -> dict[str, Any]:

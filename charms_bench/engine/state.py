@@ -1,0 +1,207 @@
+"""The state of scenes at a simulation step: everything that decides what follows.
+
+Both engines save and continue the same arrays, so a state that one engine has saved continues in
+the other. What follows from positions and headings, such as neighbours, is computed again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError, suggestion
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
+
+if TYPE_CHECKING:
+    from charms_bench.engine.simulation import Simulation
+
+OF_SCENE = (
+    "x", "y", "heading", "speed", "acceleration", "steering", "target_speed", "target_lane",
+    "crashed", "timer_s", "temperament", "impact_x", "impact_y", "impact", "ego", "active",
+)  # fmt: skip
+"""The fields that are arrays of a `Scene`."""
+OF_SIMULATION = ("seeds", "steps", "ending", "action", "has_action", "collision")
+"""The fields that are arrays of a `Simulation`."""
+OF_SCENES = ("seeds", "steps", "ending", "ego", "active")
+"""The arrays with one value per scene; all other arrays have one per vehicle."""
+ARRAYS = (*OF_SIMULATION, "drivers", *OF_SCENE)
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """S scenes of N vehicles; fields without a comment are those of `Scene` and `Simulation`."""
+
+    settings: SceneSettings
+    agents: tuple[str, ...]
+    """Names of agents, in the order in which they act; empty for an ego driven from outside."""
+    phase: int
+    """Simulation steps of the current decision interval so far; 0 between two decisions."""
+    seeds: NDArray[np.uint64]
+    """[S]"""
+    steps: Ints
+    """[S]"""
+    ending: Ints
+    """[S]"""
+    ego: Ints
+    """[S]"""
+    active: Bools
+    """[S]"""
+    drivers: Ints
+    """[S, N], as all arrays below; the index of each vehicle's agent in `agents`."""
+    action: Ints
+    has_action: Bools
+    collision: Ints
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    acceleration: Floats
+    steering: Floats
+    target_speed: Floats
+    target_lane: Ints
+    crashed: Bools
+    timer_s: Floats
+    temperament: Floats
+    impact_x: Floats
+    """0 where `impact` is false, as `impact_y`; and `action` is 0 where `has_action` is false."""
+    impact_y: Floats
+    impact: Bools
+
+    def __len__(self) -> int:
+        return self.seeds.size
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays by name."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def with_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> "SceneState":
+        """The state with some of its arrays replaced."""
+        changes: dict[str, Any] = {**arrays}
+        return replace(self, **changes)
+
+    def take(self, rows: Ints) -> "SceneState":
+        """The scenes with these indices, of which some may be repeated."""
+        return self.with_arrays({name: array[rows] for name, array in self.arrays().items()})
+
+    def seated(self, places: Ints, agent: str) -> "SceneState":
+        """The same scenes, in which an agent drives one vehicle.
+
+        Args:
+            places: (S,) the vehicle of each scene, in the order of spawning.
+            agent: Its name; empty for an ego that is driven from outside.
+        """
+        agents = self.agents if agent in self.agents else (*self.agents, agent)
+        drivers, action, has_action = (
+            self.drivers.copy(),
+            self.action.copy(),
+            self.has_action.copy(),
+        )
+        rows = np.nonzero(drivers[np.arange(len(self)), places] != agents.index(agent))[0]
+        changed = (rows, places[rows])
+        drivers[changed], action[changed], has_action[changed] = agents.index(agent), 0, False
+        return replace(self, agents=agents, drivers=drivers, action=action, has_action=has_action)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all values are the same to the last bit."""
+        if not isinstance(other, SceneState):
+            return NotImplemented
+        own = (self.settings, self.agents, self.phase)
+        return own == (other.settings, other.agents, other.phase) and all(
+            np.array_equal(array, getattr(other, name)) for name, array in self.arrays().items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # arrays have none
+
+
+def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
+    """Saves the scenes `rows` (S,) of a simulation."""
+    scene = simulation.scene
+    arrays = {name: getattr(simulation, name)[rows] for name in OF_SIMULATION}
+    arrays |= {name: getattr(scene, name)[rows] for name in OF_SCENE}
+    arrays["action"][~arrays["has_action"]] = 0
+    arrays["impact_x"][~arrays["impact"]] = 0.0
+    arrays["impact_y"][~arrays["impact"]] = 0.0
+    return SceneState(
+        simulation.settings,
+        simulation.agents,
+        simulation.phase,
+        drivers=simulation.engine.drivers[rows],
+        **arrays,
+    )
+
+
+def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
+    """Continues the scenes of a state in the scenes `rows` (S,) of a simulation.
+
+    Raises:
+        InputError: The state does not fit the simulation; the simulation is then unchanged.
+    """
+    check_settings(state.settings, simulation.settings)
+    if rows.size != len(state):
+        raise InputError(f"a state of {len(state)} scenes cannot continue in {rows.size} scenes")
+    others = simulation.scene.active.copy()
+    others[rows] = False
+    if others.any() and simulation.phase != state.phase:
+        raise InputError(
+            f"the state was saved {state.phase} simulation steps after a decision; the other "
+            f"scenes are {simulation.phase} steps after theirs, and all scenes decide together"
+        )
+    index = _agents_in(simulation, state)
+    simulation.phase = state.phase
+    simulation.engine.drivers[rows] = index[state.drivers]
+    for names, arrays in ((OF_SIMULATION, simulation), (OF_SCENE, simulation.scene)):
+        for name in names:
+            getattr(arrays, name)[rows] = getattr(state, name)
+    simulation.engine.restore(rows)
+
+
+def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
+    """Refuses a state of other scenes.
+
+    Raises:
+        InputError: The settings differ; the message names the first field that does.
+    """
+    if found is expected or found == expected:
+        return
+    field, one, other = _first_difference(found.model_dump(), expected.model_dump())
+    raise InputError(
+        f"the state is of another scene: {field} is {one}, and here it is {other}; use the scene "
+        "settings with which the state was saved"
+    )
+
+
+def _first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any]:
+    name = next(name for name in one if one[name] != other[name])
+    if not isinstance(one[name], Mapping):
+        return name, one[name], other[name]
+    field, *values = _first_difference(one[name], other[name])
+    return f"{name}.{field}", *values
+
+
+def _agents_in(simulation: "Simulation", state: SceneState) -> Ints:
+    """The index that each of the state's agents has in the simulation; -1 if it drives nobody."""
+    own = {name: k for k, name in enumerate(simulation.agents)}
+    seats = np.bincount(state.drivers.ravel(), minlength=len(state.agents))
+    index = np.full(len(state.agents), -1)
+    models = []
+    for k in np.nonzero(seats)[0]:
+        name = state.agents[k]
+        if name not in own:
+            what = f"agent '{name}' drives" if name else "nobody inside drives"
+            raise InputError(
+                f"in the state, {what} a vehicle, which is not so in this simulation. "
+                f"{suggestion(name, own)}"
+            )
+        index[k] = own[name]
+        if isinstance(simulation.made.get(own[name]), DriverModel):
+            models.append(own[name])
+    if models != sorted(models):
+        names = ", ".join(simulation.agents[k] for k in models)
+        raise InputError(
+            f"in the state, driver models act in the order {names}; here, in the order "
+            f"{', '.join(simulation.agents[k] for k in sorted(models))}"
+        )
+    return index

@@ -1,0 +1,149 @@
+"""A `SceneState` as a JSON file. Numbers keep all their bits."""
+
+import json
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from charms_bench.engine.collisions import COLLISIONS
+from charms_bench.engine.simulation import ENDINGS
+from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
+from charms_bench.errors import InputError, first_problem
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.files import read_limited, write_bytes
+from charms_bench.world.scene import SceneSettings
+
+FORMAT, VERSION = "charms-bench scene state", 1
+LIMIT_BYTES = 2**28
+_LARGEST = 1e9
+"""Within ± this number, no quantity of a simulation overflows."""
+_INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "target_lane")
+_BOOLEANS = ("active", "has_action", "crashed", "impact")
+_TYPES = (
+    (("seeds",), "ui", "integers from 0"),
+    (_INTEGERS, "i", "integers"),
+    (_BOOLEANS, "b", "true or false"),
+    (ARRAYS, "fi", "numbers"),
+)
+"""Fields, NumPy's kinds of what a file may hold in them, and these kinds in words."""
+
+
+def save_state(state: SceneState, path: str | Path) -> None:
+    """Writes a state, one line per field.
+
+    Raises:
+        RunFolderError: The folder cannot be written to.
+    """
+    fields = {
+        "format": FORMAT,
+        "version": VERSION,
+        "settings": state.settings.model_dump(mode="json"),
+        "agents": state.agents,
+        "phase": state.phase,
+        **{name: array.tolist() for name, array in state.arrays().items()},
+    }
+    lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in fields.items())
+    write_bytes(Path(path), ("{" + ",\n".join(lines) + "}\n").encode())
+
+
+def load_state(path: str | Path) -> SceneState:
+    """Reads a state.
+
+    Raises:
+        InputError: The file cannot be read or is not a state; the message names the field.
+    """
+    try:
+        found = json.loads(read_limited(Path(path), LIMIT_BYTES), parse_constant=_refuse)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: is not a complete state file: {error}; save the state again"
+        ) from error
+    try:
+        return _state_of(found)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"found the number {constant}, expected finite numbers")
+
+
+def _state_of(found: Any) -> SceneState:
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise InputError(f"is not a state file; expected the format '{FORMAT}'")
+    if found.get("version") != VERSION:
+        raise InputError(
+            f"version: found {found.get('version')!r}, expected {VERSION}; read it with the "
+            "charms-bench that wrote it"
+        )
+    known = {"format", "version", "settings", "agents", "phase", *ARRAYS}
+    for name in sorted(known ^ found.keys()):
+        raise InputError(f"{name}: {'is missing' if name in known else 'unknown field'}")
+    try:
+        settings = SceneSettings.model_validate(found["settings"])
+    except ValidationError as error:
+        location, what = first_problem(error)
+        raise InputError(f"{'.'.join(map(str, ('settings', *location)))}: {what}") from error
+    agents, phase = found["agents"], found["phase"]
+    if not isinstance(agents, list) or not all(isinstance(name, str) for name in agents):
+        raise InputError("agents: expected a list of names")
+    if len(set(agents)) < len(agents):
+        raise InputError("agents: a name occurs twice")
+    if type(phase) is not int:
+        raise InputError(f"phase: found {phase!r}, expected an integer")
+    arrays = {name: _array_of(name, found[name]) for name in ARRAYS}
+    state = SceneState(settings, tuple(agents), phase, **arrays)
+    check_state(state)
+    return state
+
+
+def _array_of(name: str, value: Any) -> NDArray[Any]:
+    """An array of the field's type; its shape is not checked yet."""
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{name}: rows have different lengths") from error
+    kinds, what = next(expected for names, *expected in _TYPES if name in names)
+    if array.size == 0 or array.dtype.kind not in kinds:
+        raise InputError(f"{name}: expected {what}")
+    if name == "seeds" and array.dtype.kind == "i" and (array < 0).any():
+        raise InputError(f"seeds: found {array.min()}, expected {what}")
+    return array.astype({"i": np.int64, "b": np.bool_, "f": np.float64, "u": np.uint64}[kinds[0]])
+
+
+def check_state(state: SceneState) -> None:
+    """Refuses values that cannot occur in a simulation.
+
+    Raises:
+        InputError: A shape is wrong or a number out of range; the message names the field.
+    """
+    settings, scenes = state.settings, state.seeds.size
+    for name, array in state.arrays().items():
+        shape = (scenes,) if name in OF_SCENES else (scenes, settings.vehicles)
+        if array.shape != shape:
+            raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
+    bounds: dict[str, tuple[float, float]] = {
+        "phase": (0, settings.steps_per_decision),
+        "steps": (0, settings.decisions),
+        "ending": (0, len(ENDINGS) - 1),
+        "ego": (0, settings.vehicles - 1),
+        "drivers": (0, len(state.agents) - 1),
+        "action": (0, len(ACTIONS) - 1),
+        "collision": (0, len(COLLISIONS) - 1),
+        "target_lane": (0, settings.lanes - 1),
+        "temperament": (0.0, 1.0),
+    }
+    for name in ("phase", *ARRAYS):
+        values = np.asarray(getattr(state, name))
+        low, high = bounds.get(name, (-_LARGEST, _LARGEST))
+        if (
+            name not in (*_BOOLEANS, "seeds")
+            and (wrong := ~((low <= values) & (values <= high))).any()
+        ):
+            found = values[np.nonzero(wrong)][0] if values.ndim else values
+            raise InputError(f"{name}: found {found}, expected {low:g} to {high:g}")
