@@ -23,7 +23,6 @@ _LARGEST = 1e9
 _INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "target_lane")
 _BOOLEANS = ("active", "has_action", "crashed", "impact")
 _TYPES = (
-    (("seeds",), "ui", "integers from 0"),
     (_INTEGERS, "i", "integers"),
     (_BOOLEANS, "b", "true or false"),
     (ARRAYS, "fi", "numbers"),
@@ -104,6 +103,10 @@ def _state_of(found: Any) -> SceneState:
 
 def _array_of(name: str, value: Any) -> NDArray[Any]:
     """An array of the field's type; its shape is not checked yet."""
+    if name == "seeds":
+        if not isinstance(value, list) or not all(_is_seed(seed) for seed in value):
+            raise InputError("seeds: expected a list of integers from 0 to 2^64 - 1")
+        return np.array(value, dtype=np.uint64)
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -111,9 +114,11 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
     kinds, what = next(expected for names, *expected in _TYPES if name in names)
     if array.size == 0 or array.dtype.kind not in kinds:
         raise InputError(f"{name}: expected {what}")
-    if name == "seeds" and array.dtype.kind == "i" and (array < 0).any():
-        raise InputError(f"seeds: found {array.min()}, expected {what}")
-    return array.astype({"i": np.int64, "b": np.bool_, "f": np.float64, "u": np.uint64}[kinds[0]])
+    return array.astype({"i": np.int64, "b": np.bool_, "f": np.float64}[kinds[0]])
+
+
+def _is_seed(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 2**64
 
 
 def check_state(state: SceneState) -> None:

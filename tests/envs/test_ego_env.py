@@ -205,6 +205,33 @@ def test_scenes_and_traffics_are_what_was_asked_for() -> None:
     assert given.simulation.settings.profile.speed_max_mps == 35
 
 
+def test_an_episode_can_be_tried_again_from_any_decision() -> None:
+    """As a planner does: several futures from one state, none of which changes the others."""
+    env = made(density=2.0).unwrapped
+    env.reset(seed=3)
+    for _ in range(7):
+        env.step(IDLE)
+    start, first = env.get_state(), [env.step(FASTER) for _ in range(5)]
+    observation = env.set_state(start)
+    np.testing.assert_array_equal(env.step(FASTER)[0], first[0][0])
+    again, info = made(density=2.0).reset(options={"state": start})
+    np.testing.assert_array_equal(again, observation)
+    assert info == {"seed": 3}
+
+
+def test_states_that_an_environment_cannot_continue_are_refused() -> None:
+    env = EgoEnv(**SHORT)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="expected a SceneState as the option 'state', found int"):
+        env.reset(options={"state": 3})
+    env.simulation.advance()
+    with pytest.raises(InputError, match="saved 1 simulation steps after a decision"):
+        env.set_state(env.get_state())
+    until_over(env, 0, whims(0))
+    with pytest.raises(InputError, match="of episode 0 was saved after the episode had ended"):
+        env.set_state(env.get_state())
+
+
 def test_another_reward_takes_the_place_of_highway_envs() -> None:
     env = made(reward=Forward(), traffic_vehicles=0, ego_slots=1)
     env.reset(seed=0)

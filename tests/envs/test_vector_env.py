@@ -153,6 +153,18 @@ def test_a_restored_environment_goes_on_as_if_nothing_had_happened() -> None:
             np.testing.assert_array_equal(value, same)
 
 
+def test_episodes_start_in_the_scenes_of_a_state() -> None:
+    env = environment(SceneSettings(), scenes=2)
+    env.reset(seed=11)
+    random_steps(env, 0, 5)
+    state = env.get_state().scenes.take(np.array([1, 1, 1, 0]))
+    many = environment(SceneSettings(), scenes=4)
+    observations, _ = many.reset(options={"state": state})
+    np.testing.assert_array_equal(observations[0], observations[2])
+    _, rewards, *_ = many.step(idle(many))
+    np.testing.assert_array_equal(rewards[[1, 3]], env.step(idle(env))[1][::-1])
+
+
 def test_gymnasiums_own_wrappers_count_the_same_returns() -> None:
     env = environment(SceneSettings())
     wrapped = DictInfoToList(RecordEpisodeStatistics(env))
@@ -168,5 +180,5 @@ def test_gymnasiums_own_wrappers_count_the_same_returns() -> None:
 
 
 def test_options_that_reset_does_not_know_are_refused() -> None:
-    with pytest.raises(InputError, match="got speed"):
+    with pytest.raises(InputError, match="takes the option 'state', got speed"):
         environment(ALONE).reset(options={"speed": 3})

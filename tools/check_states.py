@@ -1,0 +1,150 @@
+"""Checks that restored scenes continue as if never interrupted: `python tools/check_states.py`.
+
+Episodes are simulated, and their states are kept after every simulation step and every decision.
+Then scenes are restored from randomly chosen states and simulated to the end of their episodes. At
+each step, their state must be the one that was kept, to the last bit. `--batched`, `--reference`
+and `--across` set how many states are restored in the compiled engine, in highway-env, and in the
+engine that did not save them. Each traffic gets an equal share.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from charms_bench.engine import EngineName
+from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
+from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state import SceneState
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import Mixture
+from charms_bench.world.actions import Actions
+from charms_bench.world.scene import Ints, Observations, SceneSettings
+
+FIRST_SEED = 900_000_000
+
+
+class Whims(Policy):
+    """Acts as if at random, so that vehicles collide, but depends on the observation alone."""
+
+    def __init__(self, decision_hz: float) -> None:
+        self.decision_hz = decision_hz
+
+    def decide(self, observations: Observations) -> Actions:
+        sums = np.abs(observations.astype(np.float64)).sum(axis=(1, 2))
+        return (sums * 1e4).astype(np.int64) % 5
+
+
+class Case(NamedTuple):
+    """An ego in a traffic in a kind of scene."""
+
+    ego: str
+    traffic: dict[str, float]
+    settings: SceneSettings
+
+
+CASES = {
+    "rule-based": Case(
+        "stackelberg", {"idm_mobil": 0.5, "stackelberg": 0.5}, SceneSettings(density=1.5)
+    ),
+    "learned": Case(
+        "charms",
+        {"charms": 0.3, "charms-safe-egoistic": 0.3, "imitation": 0.4},
+        SceneSettings(density=1.5),
+    ),
+    "mixed, control in every step": Case(
+        "idm_mobil",
+        {"idm_mobil": 0.4, "charms": 0.3, "whims": 0.3},
+        SceneSettings.model_validate({"profile": "highway-env", "lanes": 4, "decision_hz": 5}),
+    ),
+    "wrecks": Case(
+        "level_0", {"whims": 0.3, "quick whims": 0.2, "idm_mobil": 0.5}, SceneSettings(density=2.0)
+    ),
+}
+
+
+def simulation(case: Case, scenes: int, engine: EngineName) -> Simulation:
+    """Scenes of a case that have not started."""
+    traffic = Mixture(case.traffic)
+    own = {"whims": Whims(case.settings.decision_hz), "quick whims": Whims(15.0)}
+    agents = {name: own.get(name) or make_agent(name) for name in (case.ego, *traffic.agents)}
+    return Simulation(case.settings, scenes, case.ego, traffic, agents, engine)
+
+
+def moments(running: Simulation) -> Iterator[SceneState]:
+    """Simulates until all episodes have ended; yields each state after the first."""
+    while running.scene.active.any():
+        if running.phase == running.settings.steps_per_decision:
+            running.finish_step()
+        else:
+            running.advance()
+        yield running.state()
+
+
+class Found(NamedTuple):
+    """How many states were restored, how many of them held wrecks, and the steps compared."""
+
+    states: int
+    with_wrecks: int
+    steps: int
+
+
+def check(case: Case, engines: tuple[EngineName, EngineName], states: int, first: int) -> Found:
+    """Saves in one engine and continues in the other.
+
+    Raises:
+        AssertionError: A continued scene differs from the one that was not interrupted.
+    """
+    scenes = max(2, min(100, states // 20))
+    original = simulation(case, scenes, engines[0])
+    original.reset(np.arange(first, first + scenes, dtype=np.uint64))
+    kept = [original.state(), *moments(original)]
+    running = np.argwhere([state.active for state in kept])
+    chosen = np.random.default_rng(first).choice(running, states, replace=False)
+    wrecks = steps = 0
+    for moment in np.unique(chosen[:, 0]):
+        rows: Ints = chosen[chosen[:, 0] == moment, 1]
+        start = kept[moment].take(rows)
+        wrecks += int(start.crashed.any(axis=1).sum())
+        later = simulation(case, rows.size, engines[1])
+        later.restore(start)
+        for expected, found in zip(kept[moment + 1 :], moments(later), strict=False):
+            steps += rows.size
+            assert found == expected.take(rows), (case, engines, first, moment)
+        assert not later.scene.active.any()
+    return Found(states, wrecks, steps)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
+    for name, number in (("batched", 10_000), ("reference", 500), ("across", 200)):
+        parser.add_argument(f"--{name}", type=int, default=number)
+    asked = parser.parse_args()
+    environment = worker_environment("highway-env")
+    if any(os.environ.get(name) != value for name, value in environment.items()):
+        again = [sys.executable, *sys.argv]
+        sys.exit(subprocess.run(again, env=os.environ | environment).returncode)
+    use_exact_maths("highway-env")
+    pairs: list[tuple[str, tuple[EngineName, EngineName], int]] = [
+        ("batched", ("batched", "batched"), asked.batched),
+        ("highway-env", ("highway-env", "highway-env"), asked.reference),
+        ("batched, then highway-env", ("batched", "highway-env"), asked.across // 2),
+        ("highway-env, then batched", ("highway-env", "batched"), asked.across // 2),
+    ]
+    for what, engines, states in pairs:
+        for name, case in CASES.items():
+            found = check(case, engines, states // len(CASES), FIRST_SEED)
+            print(
+                f"{what}; {name}: {found.states:,} states, {found.with_wrecks:,} with wrecks, "
+                f"{found.steps:,} simulation steps, all identical",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
