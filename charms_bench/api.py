@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from charms_bench.episodes.criticality import Kind
     from charms_bench.episodes.edge_cases import EdgeCase
     from charms_bench.episodes.replay import Replay
+    from charms_bench.episodes.what_if import WhatIf
     from charms_bench.report.table import Table
     from charms_bench.report.training_tables import Training
 
@@ -199,6 +200,36 @@ class Run:
 
         cell = find_cell(self._finished, agent, traffic)
         return replay(self._finished, cell, [episode], self._suite_folder)[0]
+
+    def what_if(
+        self,
+        episode: int,
+        step: int,
+        other: str,
+        vehicle: int | None = None,
+        agent: str | None = None,
+        traffic: str | None = None,
+    ) -> "WhatIf":
+        """An episode, and the same episode with another agent in a vehicle from a decision on.
+
+        Args:
+            episode: Its seed.
+            step: The first decision of the other agent; an episode's decisions begin with 1.
+            other: The name of an installed agent, or the path of a network.
+            vehicle: The vehicle, by its number in replays; by default the ego.
+            agent: Label of the ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+
+        Raises:
+            InputError: There is no such decision, vehicle or agent, or the labels leave several
+                episodes.
+            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.replay import find_cell
+        from charms_bench.episodes.what_if import what_if
+
+        cell = find_cell(self._finished, agent, traffic)
+        return what_if(self._finished, cell, episode, step, other, vehicle, self._suite_folder)
 
     def report(self, output: PathLike = "report.html", top: int = 10) -> Path:
         """Writes tables, figures and replays into one HTML file; returns its path.

@@ -1,9 +1,9 @@
-"""`edge-cases` and `replay`: single episodes of a run."""
+"""`edge-cases`, `replay` and `what-if`: single episodes of a run."""
 
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,10 +14,14 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     TrafficLabel,
     app,
+    out,
     print_json,
     print_records,
     say,
 )
+
+if TYPE_CHECKING:
+    from charms_bench.episodes.replay import Replay
 
 
 @app.command()
@@ -77,9 +81,7 @@ def replay(
         check_animation(output)
     replayed = api.open_run(run, suite_folder).replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
-    slugs = [re.sub(r"\W+", "-", title).strip("-").lower() for title in (ego, around)]
-    name = f"{'-in-'.join(slugs)}-{episode}"
-    animation = output or run / "replays" / f"{name}.gif"
+    animation = output or run / "replays" / f"{_name_of(replayed)}.gif"
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)
@@ -91,3 +93,74 @@ def replay(
         return
     say(f"{ego} in {around}, episode {episode}: {what}")
     say(f"Animation: {animation}\nTrajectories: {trajectories}")
+
+
+def _name_of(replayed: "Replay") -> str:
+    """The name of an episode's files."""
+    titles = (replayed.cell.ego.title, replayed.cell.traffic.title)
+    return f"{'-in-'.join(map(_slug, titles))}-{replayed.episode}"
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"\W+", "-", text).strip("-").lower()
+
+
+@app.command()
+def what_if(
+    run: RunPath,
+    episode: Annotated[
+        int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
+    ],
+    at: Annotated[
+        int,
+        typer.Option(
+            "--at", metavar="STEP", min=1, help="First decision of the other agent, from 1."
+        ),
+    ],
+    other: Annotated[
+        str,
+        typer.Option(
+            "--agent", metavar="OTHER", help="An installed agent, or the path of a network."
+        ),
+    ],
+    vehicle: Annotated[
+        int | None,
+        typer.Option(min=0, help="The vehicle, by its number in replays; the default is the ego."),
+    ] = None,
+    ego: Annotated[
+        str | None, typer.Option("--ego", help="The recorded ego, by its label in the tables.")
+    ] = None,
+    traffic: TrafficLabel = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="OUT.html", help="File of the page with the replay.")
+    ] = None,
+    suite_folder: SuiteFolder = Path(),
+    as_json: Json = False,
+) -> None:
+    """Simulate an episode again with another agent in a vehicle from a decision on."""
+    from charms_bench import api
+    from charms_bench.report.html.what_if_page import check_page, write_what_if
+    from charms_bench.report.terminal import grid
+    from charms_bench.report.what_if_table import what_if_table
+
+    if output is not None:
+        check_page(output)
+    opened = api.open_run(run, suite_folder)
+    found = opened.what_if(episode, at, other, vehicle, ego, traffic)
+    seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
+    name = f"{_name_of(found.recorded)}-{seat}-{_slug(Path(other).stem)}-from-{at}.html"
+    page = output or run / "replays" / name
+    write_what_if(found, page)
+    recorded, instead = found.recorded.what_happened(), found.other.what_happened()
+    if as_json:
+        futures = [
+            {"recorded": asdict(one), "what_if": asdict(two)} for one, two in found.futures()
+        ]
+        facts = {"episode": episode, "step": at, "vehicle": found.vehicle, "agent": other}
+        facts |= {"recorded": recorded, "what_if": instead, "futures": futures}
+        print_json({**facts, "page": str(page)})
+        return
+    table = what_if_table(found)
+    say(f"{table.title}\nRecorded: {recorded}\nWhat if:  {instead}")
+    out().print(grid(table, out().width, stacked=False))
+    say(f"{table.note}\nPage: {page}")

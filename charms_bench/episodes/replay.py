@@ -4,25 +4,23 @@ A run folder holds rows of the ego only. The seed and the agents determine an ep
 a new simulation gives the trajectories of all vehicles. Its rows must equal those of the run.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
 
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
+from charms_bench.episodes.cell_simulation import Networks, networks_in, simulation_of
 from charms_bench.errors import InputError, RunFolderError, suggestion
-from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
-Networks = Mapping[str, Path]
-"""The files of a cell's networks; see `specs.networks_of`."""
 TRAJECTORY_SCHEMA = pl.Schema(
     {
         "t_s": pl.Float64(),  # time since the start of the episode
@@ -176,15 +174,42 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
         CharmsBenchError: An agent cannot be made.
     """
     stored = _stored(run, cell, episodes)
-    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
-    networks = _networks(run, cell, folder)
-    agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
-    simulation = Simulation(run.suite.scene, len(episodes), ego.key, traffic, agents)
+    replays = simulate(run, cell, episodes, folder)
+    for each in replays:
+        mine = stored.filter(pl.col("episode") == each.episode)
+        _check(run, cell, networks_in(run, cell, folder), mine, each.steps)
+    return replays
+
+
+class Seat(NamedTuple):
+    """An agent that takes over vehicles in the middle of an episode."""
+
+    step: int
+    """Its first decision; an episode's decisions are counted from 1."""
+    vehicle: int | None
+    """The vehicle's index in the order of spawning; None is the ego."""
+    agent: str
+
+
+def simulate(
+    run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, seat: Seat | None = None
+) -> list[Replay]:
+    """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
+
+    If there is a seat, its agent takes it in each episode.
+    """
+    simulation = simulation_of(run, cell, len(episodes), folder, seat.agent if seat else None)
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]
     interval = simulation.settings.steps_per_decision
+    decisions = 0
     while simulation.scene.active.any():
+        decisions += 1
+        if seat is not None and decisions == seat.step:
+            places = simulation.scene.ego if seat.vehicle is None else seat.vehicle
+            seats = np.broadcast_to(places, len(episodes))
+            simulation.restore(simulation.state().seated(seats, seat.agent))
         for _ in range(interval):
             simulation.advance()
             frames.append(_frame(simulation))
@@ -194,8 +219,6 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     replays = []
     for b, episode in enumerate(episodes):
         mine = pl.col("episode") == episode
-        again = steps.filter(mine)
-        _check(run, cell, networks, stored.filter(mine), again)
         length = int(simulation.steps[b]) * interval + 1
         replays.append(
             Replay(
@@ -206,7 +229,7 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
                 agents=tuple(map(str, simulation.drivers[b])),
                 t_s=np.arange(length) / run.suite.scene.simulation_hz,
                 episodes=ended.filter(mine),
-                steps=again,
+                steps=steps.filter(mine),
                 **{k: np.stack([frame[k][b] for frame in frames[:length]]) for k in frames[0]},
             )
         )
@@ -228,13 +251,6 @@ def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFram
         and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
     ]
     return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
-
-
-def _networks(run: FinishedRun, cell: int, folder: Path) -> Networks:
-    """Returns the files of the cell's networks: the copies in the run folder, if it has them."""
-    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
-    given = networks_of(ego, traffic, folder)
-    return {name: run.folder.network(name) or path for name, path in given.items()}
 
 
 def _frame(simulation: Simulation) -> dict[str, Any]:

@@ -24,8 +24,8 @@ _CHANGING = 0.2
 """Distance from its target lane, in lane widths, above which a vehicle is changing lanes."""
 
 
-def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
-    """A replay for JSON.
+def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[str, Any]:
+    """A replay for JSON, and another future of the same vehicles, which is drawn as ghosts.
 
     vehicles, frames, hz, lanes, lane_m, length_m, width_m, ego: Plain numbers.
     agents: The agents' names, the ego's first.
@@ -33,15 +33,13 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
     columns: Name, unit and width (vehicles, or 1) of each quantity, in the order of `data`.
     data: base64 of deflated little-endian int32, [frames, width] for each quantity, each row minus
         the row before it.
+    ghosts: Frames, columns and data of the other future, or null.
     """
     profile, ego = replay.settings.profile, replay.ego
-    frames, vehicles = replay.x.shape
+    vehicles = replay.x.shape[1]
     agents = list(dict.fromkeys([replay.agents[ego], *sorted(replay.agents)]))
     columns: dict[str, tuple[float, Floats | Ints]] = {
-        "x": (0.01, replay.x),
-        "y": (0.01, replay.y),
-        "heading": (0.001, replay.heading),
-        "flags": (1, _flags(replay)),
+        **_of_vehicles(replay),
         "speed": (0.01, replay.speed[:, ego]),
         "acceleration": (0.01, replay.acceleration[:, ego]),
         "action": (1, np.where(replay.has_action[:, ego], replay.action[:, ego], -1)),
@@ -52,11 +50,8 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
         "ttc": (0.01, view.ttc),
         "reward": (0.001, view.reward),
     }
-    whole = [_differences(values, unit) for unit, values in columns.values()]
-    data = b"".join(part.astype("<i4").tobytes() for part in whole)
     return {
         "vehicles": vehicles,
-        "frames": frames,
         "hz": replay.settings.simulation_hz,
         "lanes": replay.settings.lanes,
         "lane_m": profile.lane_width_m,
@@ -66,6 +61,26 @@ def pack(replay: Replay, view: EgoView) -> dict[str, Any]:
         "agents": agents,
         "agent": [agents.index(name) for name in replay.agents],
         "actions": [action.replace("_", " ").lower() for action in ACTIONS],
+        **_packed(columns),
+        "ghosts": None if ghosts is None else _packed(_of_vehicles(ghosts)),
+    }
+
+
+def _of_vehicles(replay: Replay) -> dict[str, tuple[float, Floats | Ints]]:
+    """The unit and the values [frames, vehicles] of what is drawn of every vehicle."""
+    return {
+        "x": (0.01, replay.x),
+        "y": (0.01, replay.y),
+        "heading": (0.001, replay.heading),
+        "flags": (1, _flags(replay)),
+    }
+
+
+def _packed(columns: dict[str, tuple[float, Floats | Ints]]) -> dict[str, Any]:
+    whole = [_differences(values, unit) for unit, values in columns.values()]
+    data = b"".join(part.astype("<i4").tobytes() for part in whole)
+    return {
+        "frames": len(whole[0]),
         "columns": [
             [name, unit, part.shape[1]]
             for (name, (unit, _)), part in zip(columns.items(), whole, strict=True)

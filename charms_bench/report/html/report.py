@@ -44,7 +44,7 @@ def write_report(
     if episodes and not runs:
         raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
-    shown = [_for_page(*each) for each in choose(runs, top, named, suite_folder)]
+    shown = [for_page(*each) for each in choose(runs, top, named, suite_folder)]
     sections = [
         evaluation_section(source, suite_folder)
         if isinstance(source, Evaluation)
@@ -57,6 +57,7 @@ def write_report(
         replays=shown,
         packed={each["id"]: each.pop("packed") for each in shown},
         named=len(named),
+        what_if=False,
         provenance=[_provenance(source) for source in sources],
         version=__version__,
         cursor_from=LEFT,
@@ -71,8 +72,8 @@ def write_report(
     }
 
 
-def _for_page(name: str, replay: Replay) -> dict[str, Any]:
-    """An episode for the page's templates and player."""
+def for_page(name: str, replay: Replay, ghosts: Replay | None = None) -> dict[str, Any]:
+    """An episode for the page's templates and player; another future is drawn as ghosts."""
     view, ego, traffic = ego_view(replay), replay.cell.ego.title, replay.cell.traffic.title
     measured = criticality(replay.episodes, replay.steps, replay.settings)["criticality"].item()
     label = (
@@ -88,7 +89,7 @@ def _for_page(name: str, replay: Replay) -> dict[str, Any]:
         "what": replay.what_happened(),
         "seconds": f"{replay.t_s[-1]:.1f}",
         "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
-        "packed": pack(replay, view),
+        "packed": pack(replay, view, ghosts),
     }
 
 

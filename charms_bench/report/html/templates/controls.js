@@ -23,7 +23,7 @@
     for (const [name, value] of Object.entries(readings)) {
       part("readings").querySelector(`[data-name="${name}"]`).textContent = value;
     }
-    const place = left + (right - left) * (moment / Math.max(replay.last, 1));
+    const place = left + (right - left) * Math.min(1, moment / Math.max(replay.frames - 1, 1));
     timelines().querySelector(".cursor").style.left = `${100 * place}%`;
     timelines().scrollLeft = place * timelines().scrollWidth - timelines().clientWidth / 2;
   }
@@ -165,7 +165,7 @@
     const to = (pointer) => {
       const box = drawn.firstElementChild.getBoundingClientRect();
       const share = ((pointer.clientX - box.left) / box.width - left) / (right - left);
-      seek(share * replay.last);
+      seek(share * (replay.frames - 1));
     };
     to(event);
     drawn.setPointerCapture(event.pointerId);

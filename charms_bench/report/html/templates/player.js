@@ -4,9 +4,11 @@
 const BITS = { crashed: 1, brakes: 2, left: 4, right: 8 };
 const EGO_AT = 0.38; // share of the canvas's width
 const SHOULDER_M = 1, DASH_M = 6, DASH_EVERY_M = 18, MARK_EVERY_M = 20;
+const GHOST_ALPHA = 0.4, GHOST_FROM_M = 0.5;
 const SCALE_PX = 24; // under the road
 
-async function unpack(packed) {
+// The functions that read a packed future: a value at a frame, and a value between two frames.
+async function readersOf(packed) {
   const bytes = Uint8Array.from(atob(packed.data), (character) => character.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const numbers = new Int32Array(await new Response(stream).arrayBuffer());
@@ -20,17 +22,23 @@ async function unpack(packed) {
   }
   const read = (name, frame, vehicle = 0) => {
     const { values, unit, width } = columns[name];
-    return values[frame * width + vehicle] * unit;
+    return values[Math.min(frame, packed.frames - 1) * width + vehicle] * unit;
   };
   const between = (name, moment, vehicle) => {
-    const frame = Math.min(Math.floor(moment), packed.frames - 1);
+    const frame = Math.min(Math.floor(moment), packed.frames - 1); // the shorter future stands still
     const next = Math.min(frame + 1, packed.frames - 1);
     const here = read(name, frame, vehicle);
-    return here + (read(name, next, vehicle) - here) * (moment - frame);
+    return here + (read(name, next, vehicle) - here) * Math.min(1, moment - frame);
   };
+  return { read, between };
+}
+
+async function unpack(packed) {
   const others = packed.agent.filter((_, vehicle) => vehicle !== packed.ego);
   const driven = [...new Set(others)].sort((a, b) => a - b);
-  return { ...packed, last: packed.frames - 1, read, between, driven };
+  const ghosts = packed.ghosts && { ...packed, ...packed.ghosts, ...(await readersOf(packed.ghosts)) };
+  const last = Math.max(packed.frames, packed.ghosts ? packed.ghosts.frames : 0) - 1;
+  return { ...packed, ...(await readersOf(packed)), last, driven, ghosts };
 }
 
 function letterOf(replay, agent) {
@@ -76,10 +84,25 @@ class Road {
     this.from = replay.between("x", moment, replay.ego) - (EGO_AT * width) / this.scale;
     this.top = -replay.lane_m / 2 - SHOULDER_M;
     this.drawRoad(replay, width, roadPx);
+    this.drawGhosts(replay, moment, width);
     for (let vehicle = 0; vehicle < replay.vehicles; vehicle++) {
       if (vehicle !== replay.ego) this.drawVehicle(replay, moment, vehicle, width);
     }
     this.drawVehicle(replay, moment, replay.ego, width);
+  }
+
+  // The vehicles of the other future, where they are somewhere else.
+  drawGhosts(replay, moment, width) {
+    const ghosts = replay.ghosts;
+    if (!ghosts) return;
+    this.pen.globalAlpha = GHOST_ALPHA;
+    for (let vehicle = 0; vehicle < replay.vehicles; vehicle++) {
+      const apart = ["x", "y"].map((name) =>
+        ghosts.between(name, moment, vehicle) - replay.between(name, moment, vehicle));
+      if (Math.hypot(...apart) < GHOST_FROM_M) continue;
+      this.drawVehicle({ ...ghosts, driven: replay.driven }, moment, vehicle, width);
+    }
+    this.pen.globalAlpha = 1;
   }
 
   at(x, y) {

@@ -1,0 +1,66 @@
+"""Simulations of a run's cell, in which more agents may be seated."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.specs import drivers_of, networks_of
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.world.scene import SceneSettings
+
+Networks = Mapping[str, Path]
+"""The files of a cell's networks; see `specs.networks_of`."""
+
+
+def simulation_of(
+    run: FinishedRun,
+    cell: int,
+    scenes: int,
+    folder: Path,
+    *guests: str | None,
+    settings: SceneSettings | None = None,
+) -> Simulation:
+    """A simulation of a cell's scenes, in which guests may be seated.
+
+    Args:
+        run: A finished run.
+        cell: The index of the cell.
+        scenes: How many scenes.
+        folder: Where relative paths of networks in the suite start.
+        guests: Names of agents beside those of the cell; they act after these.
+        settings: Other settings than the suite's.
+
+    Raises:
+        CharmsBenchError: An agent cannot be made.
+    """
+    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
+    networks = networks_in(run, cell, folder)
+    agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
+    added = [name for name in dict.fromkeys(guests) if name is not None and name not in agents]
+    agents |= {name: make_agent(name) for name in added}
+    if added:
+        traffic = _WithGuests(traffic, added)
+    return Simulation(settings or run.suite.scene, scenes, ego.key, traffic, agents)
+
+
+class _WithGuests(Traffic):
+    """A traffic in which more agents may be seated."""
+
+    def __init__(self, traffic: Traffic, guests: Sequence[str]) -> None:
+        self.agents = (*traffic.agents, *guests)
+        self._traffic = traffic
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return self._traffic.assign(rng, scenes, vehicles)
+
+
+def networks_in(run: FinishedRun, cell: int, folder: Path) -> Networks:
+    """Returns the files of the cell's networks: the copies in the run folder, if it has them."""
+    ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
+    given = networks_of(ego, traffic, folder)
+    return {name: run.folder.network(name) or path for name, path in given.items()}

@@ -1,0 +1,129 @@
+"""What if another agent had driven a vehicle from some decision on?"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from charms_bench.engine.conduct import HARSH_MPS2
+from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.replay import Replay, Seat, replay, simulate
+from charms_bench.errors import InputError
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.world.scene import Floats
+
+
+@dataclass(frozen=True)
+class Future:
+    """What a vehicle did from a decision until its episode ended."""
+
+    vehicle: int
+    """Index in the order of spawning."""
+    agent: str
+    ending: str
+    """How the episode ended for the vehicle."""
+    lasted_s: float
+    """Time from the decision until then, s."""
+    ttc_min_s: float | None
+    """Smallest time to collision with the leader, bumper to bumper; None if it never closed in."""
+    gap_min_m: float | None
+    """Smallest gap to the leader; None if there was none."""
+    speed_mps: float
+    """Mean speed."""
+    lane_changes: int
+    hard_braking_s: float
+    """How long it braked harder than 2.5 m/s2."""
+    braking_max_mps2: float
+    """Its strongest braking."""
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """Two futures of one episode, which share all decisions before `step`."""
+
+    recorded: Replay
+    other: Replay
+    """The episode in which `agent` drives `vehicle` from the decision on."""
+    step: int
+    """The first decision that may differ; an episode's decisions are counted from 1."""
+    vehicle: int
+    agent: str
+
+    @property
+    def start(self) -> int:
+        """The frame at which the futures part."""
+        return self.recorded.frame_of(self.step - 1)
+
+    def futures(self) -> list[tuple[Future, Future]]:
+        """The recorded future and the other one, of the ego and of the vehicle."""
+        places = dict.fromkeys([self.recorded.ego, self.vehicle])
+        return [
+            (future_of(self.recorded, place, self.start), future_of(self.other, place, self.start))
+            for place in places
+        ]
+
+
+def what_if(
+    run: FinishedRun,
+    cell: int,
+    episode: int,
+    step: int,
+    agent: str,
+    vehicle: int | None,
+    folder: Path,
+) -> WhatIf:
+    """Simulates an episode again, with another agent in a vehicle from a decision on.
+
+    Args:
+        run: A finished run.
+        cell: The index of the episode's cell.
+        episode: Its seed.
+        step: The agent's first decision, from 1.
+        agent: The name of an installed agent, or the path of a network.
+        vehicle: The vehicle's index in the order of spawning; None is the ego.
+        folder: Where relative paths of networks in the suite start.
+
+    Raises:
+        InputError: There is no such decision, agent or vehicle.
+        RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+    """
+    (recorded,) = replay(run, cell, [episode], folder)
+    decisions, vehicles = recorded.steps.height, len(recorded.agents)
+    if not 1 <= step <= decisions:
+        raise InputError(f"episode {episode} has the decisions 1 to {decisions}, not {step}")
+    place = recorded.ego if vehicle is None else vehicle
+    if not 0 <= place < vehicles:
+        raise InputError(f"episode {episode} has the vehicles 0 to {vehicles - 1}, not {vehicle}")
+    (other,) = simulate(run, cell, [episode], folder, Seat(step, place, agent))
+    return WhatIf(recorded, other, step, place, agent)
+
+
+def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
+    """What a vehicle did from a frame on; measures stop where it crashes."""
+    crashed = replayed.crashed[:, vehicle]
+    last = len(replayed.t_s) - 1
+    end = int(crashed.argmax()) if crashed.any() else last
+    driving = slice(start, max(end, start + 1))
+    if vehicle == replayed.ego:
+        ending = replayed.ending.replace("_", " ")
+    else:
+        ending = "crashed" if crashed.any() else "drives on"
+    view = ego_view(replace(replayed, ego=vehicle))
+    acceleration, lane = replayed.acceleration[driving, vehicle], replayed.lane[driving, vehicle]
+    return Future(
+        vehicle=vehicle,
+        agent=replayed.agents[vehicle],
+        ending=f"{ending} at {replayed.t_s[end]:.1f} s",
+        lasted_s=float(max(0.0, replayed.t_s[end] - replayed.t_s[start])),
+        ttc_min_s=_smallest(view.ttc[driving]),
+        gap_min_m=_smallest(view.gap_ahead[driving]),
+        speed_mps=float(replayed.speed[driving, vehicle].mean()),
+        lane_changes=int((np.diff(lane) != 0).sum()),
+        hard_braking_s=float((acceleration < -HARSH_MPS2).sum() / replayed.settings.simulation_hz),
+        braking_max_mps2=float(max(0.0, -acceleration.min())),
+    )
+
+
+def _smallest(values: Floats) -> float | None:
+    defined = values[~np.isnan(values)]
+    return float(defined.min()) if defined.size else None

@@ -1,0 +1,54 @@
+"""Writes two futures of an episode as one HTML file: their table, and a replay with ghosts."""
+
+from pathlib import Path
+
+from charms_bench import __version__
+from charms_bench.episodes.what_if import WhatIf
+from charms_bench.errors import InputError
+from charms_bench.report.figures.timelines import LEFT, RIGHT
+from charms_bench.report.html.page import render
+from charms_bench.report.html.report import for_page
+from charms_bench.report.html.sections import Section
+from charms_bench.report.what_if_table import what_if_table
+from charms_bench.world.files import write_bytes
+
+
+def check_page(path: Path) -> None:
+    """Refuses a file name that is not a page's.
+
+    Raises:
+        InputError: The name does not end in `.html`.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: expected a name that ends in .html")
+
+
+def write_what_if(found: WhatIf, path: Path) -> None:
+    """Writes the page.
+
+    Raises:
+        InputError: The file's name does not end in `.html`.
+        RunFolderError: It cannot be written.
+    """
+    check_page(path)
+    recorded, table = found.recorded, what_if_table(found)
+    cell = recorded.cell
+    shown = for_page(f"what-if-{recorded.episode}", recorded, found.other)
+    facts = [
+        f"{cell.ego.title} in {cell.traffic.title}",
+        f"recorded: {recorded.what_happened()}",
+        f"what if: {found.other.what_happened()}",
+    ]
+    page = render(
+        [Section("futures", "Two futures", facts, [table], [])],
+        title=table.title,
+        replays=[shown],
+        packed={shown["id"]: shown.pop("packed")},
+        named=1,
+        what_if=True,
+        provenance=[],
+        version=__version__,
+        cursor_from=LEFT,
+        cursor_to=RIGHT,
+    )
+    write_bytes(path, page.encode())
