@@ -4,7 +4,7 @@ Both engines save and continue the same arrays, so a state that one engine has s
 the other. What follows from positions and headings, such as neighbours, is computed again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -81,6 +81,19 @@ class SceneState:
         """The state with some of its arrays replaced."""
         changes: dict[str, Any] = {**arrays}
         return replace(self, **changes)
+
+    @staticmethod
+    def joined(states: Sequence["SceneState"]) -> "SceneState":
+        """The scenes of several states, which have the same settings, agents and phase."""
+        first = states[0]
+        assert all(
+            (state.settings, state.agents, state.phase)
+            == (first.settings, first.agents, first.phase)
+            for state in states
+        )
+        return first.with_arrays(
+            {name: np.concatenate([getattr(state, name) for state in states]) for name in ARRAYS}
+        )
 
     def take(self, rows: Ints) -> "SceneState":
         """The scenes with these indices, of which some may be repeated."""

@@ -1,13 +1,14 @@
 """Simulations of a run's cell, in which more agents may be seated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.runs.finished import FinishedRun
@@ -22,8 +23,9 @@ def simulation_of(
     cell: int,
     scenes: int,
     folder: Path,
-    *guests: str | None,
+    guests: Mapping[str, Agent] = MappingProxyType({}),
     settings: SceneSettings | None = None,
+    is_ego_outside: bool = False,
 ) -> Simulation:
     """A simulation of a cell's scenes, in which guests may be seated.
 
@@ -32,8 +34,9 @@ def simulation_of(
         cell: The index of the cell.
         scenes: How many scenes.
         folder: Where relative paths of networks in the suite start.
-        guests: Names of agents beside those of the cell; they act after these.
+        guests: Agents beside those of the cell, by name; they act after these.
         settings: Other settings than the suite's.
+        is_ego_outside: Whether the actions given to `Simulation.step` drive the ego.
 
     Raises:
         CharmsBenchError: An agent cannot be made.
@@ -41,18 +44,20 @@ def simulation_of(
     ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
     networks = networks_in(run, cell, folder)
     agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
-    added = [name for name in dict.fromkeys(guests) if name is not None and name not in agents]
-    agents |= {name: make_agent(name) for name in added}
-    if added:
-        traffic = _WithGuests(traffic, added)
-    return Simulation(settings or run.suite.scene, scenes, ego.key, traffic, agents)
+    return Simulation(
+        settings or run.suite.scene,
+        scenes,
+        None if is_ego_outside else ego.key,
+        _WithGuests(traffic, tuple({**agents, **guests})) if guests or is_ego_outside else traffic,
+        {**guests, **agents},
+    )
 
 
 class _WithGuests(Traffic):
     """A traffic in which more agents may be seated."""
 
-    def __init__(self, traffic: Traffic, guests: Sequence[str]) -> None:
-        self.agents = (*traffic.agents, *guests)
+    def __init__(self, traffic: Traffic, agents: tuple[str, ...]) -> None:
+        self.agents = agents
         self._traffic = traffic
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:

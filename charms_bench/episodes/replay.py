@@ -16,6 +16,7 @@ from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.cell_simulation import Networks, networks_in, simulation_of
 from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
@@ -198,7 +199,8 @@ def simulate(
 
     If there is a seat, its agent takes it in each episode.
     """
-    simulation = simulation_of(run, cell, len(episodes), folder, seat.agent if seat else None)
+    guests = {} if seat is None else {seat.agent: make_agent(seat.agent)}
+    simulation = simulation_of(run, cell, len(episodes), folder, guests)
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]

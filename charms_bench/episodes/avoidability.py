@@ -1,0 +1,286 @@
+"""Whether the ego could have avoided a collision, how late, and whose action led to it.
+
+A future avoids the collision if the ego neither collides nor leaves the road until the end of the
+first decision interval that ends at least 2 s after the recorded collision. All other vehicles
+react as their agents do.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state import SceneState
+from charms_bench.episodes.cell_simulation import simulation_of
+from charms_bench.episodes.escape import EscapeSearch
+from charms_bench.episodes.replay import replay
+from charms_bench.errors import AgentError, InputError
+from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.registry import AGENTS, make_agent, plugins
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.scene import Bools, Ints, Observations, SceneSettings
+
+AFTERWARDS_S = 2.0
+NEAR_M = 50.0
+"""A vehicle this close to the ego, along the road, may have caused the collision."""
+BUDGET = 200_000
+"""Decisions simulated per collision, unless another number is asked for."""
+AT_ONCE = 20
+"""Episodes whose states are in memory together."""
+_SCENES = 500
+"""Scenes that a search simulates together."""
+Verdict = Literal["avoidable", "spawn", "unknown"]
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """The latest meta-action whose replacement avoids a collision."""
+
+    step: int
+    """The decision, from 1."""
+    vehicle: int
+    """Whose it was: the index in the order of spawning."""
+    agent: str
+    was: str
+    instead: str
+
+
+@dataclass(frozen=True)
+class Avoidability:
+    """What could have been done about one collision of the ego."""
+
+    ego: str
+    """Title of the ego."""
+    traffic: str
+    episode: int
+    ending: str
+    step: int
+    """The decision in whose interval the ego collided, from 1."""
+    verdict: Verdict
+    """`spawn` if no sequence of meta-actions avoids it from the first decision on; `unknown` if the
+    budget ended before an answer."""
+    last_step: int | None
+    """The last decision from which some sequence of the ego's meta-actions avoids it."""
+    avoided_by: tuple[str, ...]
+    """The agents that avoid it if they drive the ego from that decision on."""
+    hit_by: tuple[str, ...]
+    """The agents that do not."""
+    replacement: Replacement | None
+    """The latest single meta-action that could have avoided it; None if there is none."""
+    nodes: int
+    """Decisions that the search simulated."""
+
+
+def avoidability(
+    run: FinishedRun,
+    cell: int,
+    episodes: Sequence[int],
+    folder: Path,
+    budget: int = BUDGET,
+    agents: Sequence[str] | None = None,
+    tell: Callable[[int], None] = lambda done: None,
+) -> list[Avoidability]:
+    """What could have been done about the collisions of some episodes of a cell, in their order.
+
+    Args:
+        run: A finished run.
+        cell: The index of the cell.
+        episodes: Seeds of episodes that end with a collision of the ego.
+        folder: Where relative paths of networks in the suite start.
+        budget: The most decisions that the search may simulate for one collision.
+        agents: The agents that are tried; by default, all that are installed and usable.
+        tell: Called with the number of collisions done since the last call.
+
+    Raises:
+        InputError: An episode does not end with a collision of the ego.
+        CharmsBenchError: As for `replay.replay`.
+    """
+    tried = _usable(run.suite.scene) if agents is None else tuple(agents)
+    found: list[Avoidability] = []
+    for start in range(0, len(episodes), AT_ONCE):
+        chunk = _Chunk(run, cell, episodes[start : start + AT_ONCE], folder, budget)
+        found += chunk.results(tried, tell)
+    return found
+
+
+def _usable(settings: SceneSettings) -> tuple[str, ...]:
+    """The installed agents that can be made and whose rates fit."""
+    names = []
+    for name in plugins(AGENTS):
+        try:
+            Simulation(settings, 1, name, OneAgent(name), {name: make_agent(name)})
+        except InputError:
+            continue
+        names.append(name)
+    return tuple(names)
+
+
+class _Always(Policy):
+    """Takes one action whatever it sees."""
+
+    def __init__(self, action: int, decision_hz: float) -> None:
+        self._action, self.decision_hz = action, decision_hz
+
+    def decide(self, observations: Observations) -> Actions:
+        return np.full(len(observations), self._action)
+
+
+class _Chunk:
+    """Some episodes of a cell, with their states before every decision."""
+
+    def __init__(
+        self, run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, budget: int
+    ) -> None:
+        self._run, self._cell, self._folder, self._budget = run, cell, folder, budget
+        scene = run.suite.scene
+        self._replays = replay(run, cell, episodes, folder)
+        for each in self._replays:
+            if each.ending not in ("rear_end", "side"):
+                raise InputError(
+                    f"{run.folder.path}: episode {each.episode} does not end with a collision of "
+                    f"the ego, but with '{each.ending}'"
+                )
+        # The last collision may be so late that 2 s after it the episode would be over.
+        more = {"duration_s": scene.duration_s + AFTERWARDS_S + 1 / scene.decision_hz}
+        self._settings = scene.model_copy(update=more)
+        self._last = np.array([each.steps.height for each in self._replays])
+        frames = [int(each.crashed[:, each.ego].argmax()) for each in self._replays]
+        beyond = AFTERWARDS_S * scene.simulation_hz
+        self._until = np.array([ceil((k + beyond) / scene.steps_per_decision) for k in frames])
+        simulation = self._simulation(len(episodes))
+        simulation.reset(np.array(episodes, dtype=np.uint64))
+        self._kept = [simulation.state()]
+        """The states of all episodes by the number of decisions made."""
+        for _ in range(self._last.max()):
+            simulation.step()
+            self._kept.append(simulation.state())
+        self._made = simulation.made
+
+    def _simulation(
+        self, scenes: int, guests: Mapping[str, Agent] | None = None, outside: bool = False
+    ) -> Simulation:
+        run, cell, folder = self._run, self._cell, self._folder
+        return simulation_of(run, cell, scenes, folder, guests or {}, self._settings, outside)
+
+    def _before(self, episode: int, step: int) -> SceneState:
+        """The state of one episode, by its place, before a decision."""
+        return self._kept[step - 1].take(np.array([episode]))
+
+    def results(self, tried: Sequence[str], tell: Callable[[int], None]) -> list[Avoidability]:
+        """What could have been done about each collision."""
+        count = len(self._replays)
+        searched = []
+        outside = self._simulation(_SCENES, outside=True)
+        for episode in range(count):
+            searched.append(self._last_escape(episode, outside))
+            tell(1)
+        avoids = self._who_avoids(tried, [last for _, last, _ in searched])
+        override = {
+            f"always {name}": _Always(k, self._settings.decision_hz)
+            for k, name in enumerate(ACTIONS)
+        }
+        overridden = self._simulation(_SCENES, override)
+        found = []
+        for episode, (verdict, last, nodes) in enumerate(searched):
+            each = self._replays[episode]
+            own = {name: done[episode] for name, done in avoids.items()} if last else {}
+            found.append(
+                Avoidability(
+                    ego=each.cell.ego.title,
+                    traffic=each.cell.traffic.title,
+                    episode=each.episode,
+                    ending=each.ending,
+                    step=int(self._last[episode]),
+                    verdict=verdict,
+                    last_step=last,
+                    avoided_by=tuple(name for name, does in own.items() if does),
+                    hit_by=tuple(name for name, does in own.items() if not does),
+                    replacement=self._replacement(episode, overridden, len(override)),
+                    nodes=nodes,
+                )
+            )
+        return found
+
+    def _last_escape(self, episode: int, outside: Simulation) -> tuple[Verdict, int | None, int]:
+        """The verdict, the last decision with an escape, and the decisions simulated."""
+        search = EscapeSearch(outside, int(self._until[episode]), self._budget)
+        for step in range(int(self._last[episode]), 0, -1):
+            start = self._before(episode, step)
+            escapes = search.finds(start.seated(start.ego, ""))
+            if escapes is None:
+                return "unknown", None, search.nodes
+            if escapes:
+                return "avoidable", step, search.nodes
+        return "spawn", None, search.nodes
+
+    def _who_avoids(self, tried: Sequence[str], steps: Sequence[int | None]) -> dict[str, Bools]:
+        """[E] by agent, whether it avoids each collision from these decisions on."""
+        episodes = [k for k, step in enumerate(steps) if step is not None]
+        if not episodes:
+            return {}
+        starts = SceneState.joined([self._before(k, steps[k] or 0) for k in episodes])
+        found = {}
+        for name in tried:
+            simulation = self._simulation(len(episodes), {name: make_agent(name)})
+            simulation.restore(starts.seated(starts.ego, name))
+            try:
+                avoids = self._survive(simulation, self._until[episodes])
+            except AgentError:
+                continue
+            found[name] = np.zeros(len(steps), dtype=np.bool_)
+            found[name][episodes] = avoids
+        return found
+
+    @staticmethod
+    def _survive(simulation: Simulation, until: Ints) -> Bools:
+        """Whether the egos of the active scenes have not failed when so many decisions are made."""
+        rows = np.arange(until.size)
+        while (simulation.scene.active[rows] & (simulation.steps[rows] < until)).any():
+            simulation.step()
+        return ~simulation.failed[rows] | (simulation.steps[rows] > until)
+
+    def _replacement(
+        self, episode: int, simulation: Simulation, overrides: int
+    ) -> Replacement | None:
+        """The latest replacement; of several vehicles, that of the nearest to the ego."""
+        for step in range(int(self._last[episode]), 0, -1):
+            state = self._before(episode, step)
+            taken = self._kept[step].action[episode]
+            for place in self._deciding(state):
+                others = [action for action in range(len(ACTIONS)) if action != taken[place]]
+                rows = np.arange(len(others))
+                agents, drivers = simulation.agents, state.drivers[[0] * len(others)]
+                replaced = drivers.copy()
+                replaced[:, place] = len(agents) - overrides + np.array(others)
+                start = state.take(np.zeros(len(others), dtype=np.int64))
+                start = replace(start, agents=agents)
+                simulation.scene.active[:] = False
+                simulation.restore(start.with_arrays({"drivers": replaced}), rows)
+                simulation.step()
+                after = simulation.state(rows).with_arrays({"drivers": drivers})
+                simulation.restore(after, rows)
+                avoids = self._survive(simulation, np.full(rows.size, self._until[episode]))
+                if avoids.any():
+                    agent = state.agents[state.drivers[0, place]]
+                    was, instead = taken[place], others[int(avoids.argmax())]
+                    return Replacement(step, int(place), agent, ACTIONS[was], ACTIONS[instead])
+        return None
+
+    def _deciding(self, state: SceneState) -> Ints:
+        """The vehicles near the ego that decide on a meta-action now, the nearest first."""
+        distance = np.abs(state.x[0] - state.x[0, state.ego[0]])
+        frame = int(state.steps[0]) * self._settings.steps_per_decision
+        periods = {
+            k: round(self._settings.simulation_hz / agent.decision_hz)
+            for k, agent in self._made.items()
+            if isinstance(agent, Policy)
+        }
+        decides = [k in periods and frame % periods[k] == 0 for k in state.drivers[0].tolist()]
+        near = np.array(decides) & (distance <= NEAR_M) & ~state.crashed[0]
+        return np.asarray(sorted(np.nonzero(near)[0], key=lambda place: float(distance[place])))
