@@ -4,28 +4,33 @@ A level function is positive where the event does not happen, and falls towards 
 closer. The probability is a product: of the share of points below a first threshold, of the share
 of those below a second one, and so on until 0. Below each threshold, Markov chains start from the
 points that are already there and move by adaptive conditional sampling in standard normal space
-(Papaioannou et al. 2015, Prob. Eng. Mech. 41).
+(Papaioannou et al. 2015, Prob. Eng. Mech. 41). All components have the same step size: step
+sizes that follow the spread of the points would depend on the points that they move, which biases
+the estimate.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.statistics.intervals import CONFIDENCE, NO_BOUNDS, Bounds, wilson
 from charms_bench.world.scene import Floats
 
 Seeds = NDArray[np.uint64]
 Level = Callable[[Floats, Seeds], Floats]
 """The level (M,) of M points: at most 0 where the event happens, never NaN. A point has independent
-standard normal components (M, D), and a random seed (M,) for all else that it draws."""
+standard normal components (M, D), and a random seed (M,) for all else that it draws,
+which a move keeps or draws again."""
 
 SHARE = 0.1
 """The share of points below the next threshold, p0; Au & Beck's choice."""
 TARGET_ACCEPTANCE = 0.44
 """Share of accepted moves that the step size is adapted to (Papaioannou et al. 2015)."""
-FIRST_SCALE = 0.6
-"""Step size of the first chains, relative to the spread of the points that they start from."""
+FIRST_SIZE = 0.6
+"""Step size of the first chains, between 0 and 1."""
 MOST_LEVELS = 12
 """Probabilities below about `SHARE ** MOST_LEVELS` are reported as 0."""
 
@@ -49,6 +54,32 @@ class SubsetRun:
         return float(np.prod(self.shares))
 
 
+def interval(runs: Sequence[SubsetRun], samples: int) -> Bounds:
+    """The 95 % interval of a probability from independent runs with N samples per level.
+
+    The estimates are close to lognormal, so this is the interval of a lognormal mean (Cox's method
+    with Student's t, Olsson 2005, Journal of Statistics Education 13). If every run ended at its
+    first level, all points are independent, and the interval is Wilson's. If a run estimates 0, it
+    is Student's interval of the mean, which then starts at 0; if all do, there is none.
+    """
+    from scipy import special
+
+    found, count = np.array([run.probability for run in runs]), len(runs)
+    if all(len(run.shares) == 1 for run in runs):
+        return wilson(round(found.sum() * samples), count * samples)
+    if count < 2 or not found.any():
+        return NO_BOUNDS
+    t = float(special.stdtrit(count - 1, (1 + CONFIDENCE) / 2))
+    mean = float(found.mean())
+    if not found.all():
+        return 0.0, mean + t * float(found.std(ddof=1)) / math.sqrt(count)
+    logs = np.log(found)
+    variance = float(logs.var(ddof=1))
+    centre = float(logs.mean()) + variance / 2
+    margin = t * math.sqrt(variance / count + variance**2 / (2 * (count - 1)))
+    return min(math.exp(centre - margin), mean), max(min(math.exp(centre + margin), 1.0), mean)
+
+
 def subset_simulation(
     level: Level, dimension: int, samples: int, runs: int, rng: np.random.Generator
 ) -> list[SubsetRun]:
@@ -64,8 +95,8 @@ def subset_simulation(
     normal = rng.standard_normal((runs, samples, dimension))
     seeds = _draw_seeds(rng, (runs, samples))
     levels = _levels(level, normal, seeds)
-    found: list[list[tuple[float, float, float]]] = [[] for _ in range(runs)]
-    running, scale, accepted = np.arange(runs), np.full(runs, FIRST_SCALE), np.ones(runs)
+    found: list[list[tuple[float, ...]]] = [[] for _ in range(runs)]
+    running, size, accepted = np.arange(runs), np.full(runs, FIRST_SIZE), np.ones(runs)
     chains = round(samples * SHARE)
     for number in range(MOST_LEVELS):
         threshold = np.partition(levels, chains - 1, axis=1)[:, chains - 1]
@@ -73,19 +104,19 @@ def subset_simulation(
         threshold = np.zeros_like(threshold) if last else np.maximum(threshold, 0.0)
         is_below = levels <= threshold[:, None]
         for run, *step in zip(running, threshold, is_below.mean(axis=1), accepted, strict=True):
-            found[run].append((float(step[0]), float(step[1]), float(step[2])))
+            found[run].append(tuple(map(float, step)))
         going = threshold > 0
         if not going.any():
             break
-        running, scale, threshold = running[going], scale[going], threshold[going]
+        running, size, threshold = running[going], size[going], threshold[going]
         # A random choice, because more points than chains may lie at a flat part of the level.
         order = np.where(is_below[going], rng.random(is_below[going].shape), 2.0)
         start = np.argpartition(order, chains - 1, axis=1)[:, :chains]
         normal = np.take_along_axis(normal[going], start[..., None], axis=1)
         seeds = np.take_along_axis(seeds[going], start, axis=1)
         levels = np.take_along_axis(levels[going], start, axis=1)
-        normal, seeds, levels, accepted, scale = _grow(
-            level, normal, seeds, levels, threshold, scale, samples // chains, rng
+        normal, seeds, levels, accepted, size = _grow(
+            level, normal, seeds, levels, threshold, size, samples // chains, rng
         )
     return [_finished(each, samples, chains) for each in found]
 
@@ -96,21 +127,22 @@ def _grow(
     seeds: Seeds,
     levels: Floats,
     threshold: Floats,
-    scale: Floats,
+    size: Floats,
     length: int,
     rng: np.random.Generator,
 ) -> tuple[Floats, Seeds, Floats, Floats, Floats]:
     """Makes chains of `length` points below a threshold (A,), from their first points (A, C).
 
     Returns the points of all chains, their levels, the share of accepted moves (A,) and the
-    adapted scale (A,).
+    adapted step size (A,).
     """
     all_normal, all_seeds, all_levels = [normal], [seeds], [levels]
-    moves = np.zeros(len(scale))
+    moves = np.zeros(len(size))
     for step in range(1, length):
-        sigma = np.minimum(1.0, scale)[:, None, None]
-        candidate = np.sqrt(1 - sigma**2) * normal + sigma * rng.standard_normal(normal.shape)
-        keeps = rng.random(seeds.shape) < np.sqrt(1 - sigma[..., 0] ** 2)
+        kept = np.sqrt(1 - size**2)
+        move = size[:, None, None] * rng.standard_normal(normal.shape)
+        candidate = kept[:, None, None] * normal + move
+        keeps = rng.random(seeds.shape) < kept[:, None]
         new_seeds = np.where(keeps, seeds, _draw_seeds(rng, seeds.shape))
         new_levels = _levels(level, candidate, new_seeds)
         accepted = new_levels <= threshold[:, None]
@@ -122,12 +154,12 @@ def _grow(
         all_levels.append(levels)
         share = accepted.mean(axis=1)
         moves += share / (length - 1)
-        scale = scale * np.exp((share - TARGET_ACCEPTANCE) / np.sqrt(step))
+        size = np.minimum(1.0, size * np.exp((share - TARGET_ACCEPTANCE) / np.sqrt(step)))
     joined = (np.concatenate(each, axis=1) for each in (all_normal, all_seeds, all_levels))
-    return (*joined, moves, scale)  # type: ignore[return-value]
+    return (*joined, moves, size)  # type: ignore[return-value]
 
 
-def _finished(steps: list[tuple[float, float, float]], samples: int, chains: int) -> SubsetRun:
+def _finished(steps: list[tuple[float, ...]], samples: int, chains: int) -> SubsetRun:
     thresholds, shares, acceptance = zip(*steps, strict=True)
     evaluations = samples + (len(steps) - 1) * (samples - chains)
     return SubsetRun(thresholds, shares, acceptance, evaluations)
