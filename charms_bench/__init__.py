@@ -7,9 +7,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from charms_bench.api import Rare as Rare
     from charms_bench.api import Run as Run
     from charms_bench.api import open_run as open_run
     from charms_bench.api import open_training as open_training
+    from charms_bench.api import rare as rare
     from charms_bench.api import run as run
     from charms_bench.api import train as train
     from charms_bench.engine.state import SceneState as SceneState
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
+    from charms_bench.plugins.event import Event as Event
     from charms_bench.plugins.traffic import Mixture as Mixture
     from charms_bench.plugins.traffic import Traffic as Traffic
     from charms_bench.report.table import Table as Table
@@ -35,11 +38,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Run open_run open_training run train",
+    "api": "Rare Run open_run open_training rare run train",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",
     "plugins.agent": "DriverModel Policy",
+    "plugins.event": "Event",
     "plugins.traffic": "Mixture Traffic",
     "report.table": "Table",
     "report.training_tables": "Training",

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions
-from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 EngineName = Literal["batched", "highway-env"]
 ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")
@@ -39,6 +39,9 @@ class Engine(Protocol):
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
             traffic: (R, N - 1) the agents of the other vehicles, in the order of spawning.
         """
+
+    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
+        """Spawns new scenes from draws (R, 4 N + 1) instead of seeds; see `engine.draws`."""
 
     def restore(self, rows: Ints) -> None:
         """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
-from charms_bench.engine.random_words import random_words
+from charms_bench.engine.draws import draws_of
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
 from charms_bench.world.actions import Actions
 from charms_bench.world.profile import Profile
-from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
 class BatchedEngine:
@@ -38,10 +38,11 @@ class BatchedEngine:
         self._listed = b""
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+        self.place(rows, draws_of(seeds, self._settings), traffic)
+
+    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
         scene = self.scene
-        count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
-        words = random_words(seeds.astype(np.uint64), count)
-        kernels.spawn(scene, rows, words, self._spawn_rule)
+        kernels.spawn(scene, rows, draws, self._spawn_rule)
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         kernels.seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()

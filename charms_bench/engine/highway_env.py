@@ -4,7 +4,7 @@ The profile's constants are set on subclasses of highway-env's classes. Where a 
 its highway-env class, this engine uses that class; any other model gets each scene as arrays.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -17,14 +17,16 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
+from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.restored_vehicles import RestoredVehicles
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.profile import Profile
-from charms_bench.world.scene import Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 _NOBODY = -1
 """Stands for the agent of a vehicle that keeps its last control."""
+RandomSource = np.random.Generator | ReplayedDraws
 
 
 class HighwayEnvEngine:
@@ -52,8 +54,13 @@ class HighwayEnvEngine:
         self._restored = RestoredVehicles(self._network)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
-        for row, seed, others in zip(rows, seeds, traffic, strict=True):
-            rng = np.random.default_rng(int(seed))
+        self._reset(rows, [np.random.default_rng(int(seed)) for seed in seeds], traffic)
+
+    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
+        self._reset(rows, [ReplayedDraws(each, self._settings) for each in draws], traffic)
+
+    def _reset(self, rows: Ints, rngs: Sequence[RandomSource], traffic: Ints) -> None:
+        for row, rng, others in zip(rows, rngs, traffic, strict=True):
             ego = int(rng.integers(0, self._settings.ego_slots))
             self.scene.ego[row] = ego
             self.scene.active[row] = True
@@ -107,7 +114,7 @@ class HighwayEnvEngine:
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
-    def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
+    def _spawn(self, row: int, ego: int, rng: RandomSource) -> Road:
         """[`HighwayEnv._create_vehicles`, with the ego at its place]"""
         settings, profile = self._settings, self._settings.profile
         road = Road(network=self._network, np_random=rng)
@@ -138,7 +145,7 @@ class HighwayEnvEngine:
         return self._classes.get(agent, self._commanded)
 
     def _draw_temperament(
-        self, row: int, place: int, vehicle: ControlledVehicle, rng: np.random.Generator
+        self, row: int, place: int, vehicle: ControlledVehicle, rng: RandomSource
     ) -> None:
         """[`IDMVehicle.randomize_behavior`]"""
         share = self.scene.temperament[row, place] = rng.random()

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_bench.engine.random_words import Words
+from charms_bench.engine.draws import DISTANCE, LANE, SPEED, TEMPERAMENT
 from charms_bench.world import maths
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
 from charms_bench.world.compiled import clip, compiled, index, not_zero
@@ -590,38 +590,6 @@ def locate(scene: Scene, rows: Ints) -> None:
 
 
 @compiled
-def draw_integer(words: Words, cursor: Ints, bound: int) -> np.int64:
-    """An integer from 0 to bound - 1, as `Generator.integers` draws it (Lemire 2019).
-
-    It uses half a word; `cursor` holds the index of the next word, and the index of the word whose
-    second half is the next half, or -1.
-    """
-    if bound == 1:
-        return np.int64(0)
-    low = np.uint64(0xFFFFFFFF)
-    threshold = np.uint64(2**32 - bound) % np.uint64(bound)
-    while True:
-        if cursor[1] >= 0:
-            half = words[cursor[1]] >> np.uint64(32)
-            cursor[1] = -1
-        else:
-            half = words[cursor[0]] & low
-            cursor[1] = cursor[0]
-            cursor[0] += 1
-        product = half * np.uint64(bound)
-        if product & low >= threshold:
-            return np.int64(product >> np.uint64(32))
-
-
-@compiled
-def draw_float(words: Words, cursor: Ints) -> float:
-    """A number in [0, 1), as `Generator.random` draws it."""
-    word = words[cursor[0]]
-    cursor[0] += 1
-    return float(word >> np.uint64(11)) * 2.0**-53
-
-
-@compiled
 def seat(
     rows: Ints,
     ego: Ints,
@@ -659,35 +627,30 @@ def mark_seats(
 
 
 @compiled
-def spawn(scene: Scene, rows: Ints, words: Words, rule: SpawnRule) -> None:
-    """Draws new vehicles for the scenes `rows` (R,) from the random words (R, W) of their seeds.
+def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
+    """Places new vehicles in the scenes `rows` (R,) by their draws (R, 4 N + 1); see `draws`.
 
-    The draws are those of `Vehicle.create_random` in `HighwayEnv._create_vehicles`. The ego's
-    temperament is drawn last, so that with one slot the draws are the same as in `highway-v0`.
+    The rule is that of `Vehicle.create_random` in `HighwayEnv._create_vehicles`.
     """
     x, speed, lane, temperament = scene.x, scene.speed, scene.lane, scene.temperament
-    cursor = np.empty(2, dtype=np.int64)
     for r in range(rows.size):
-        b = rows[r]
-        cursor[0], cursor[1] = 0, -1
-        ego = scene.ego[b] = draw_integer(words[r], cursor, rule.ego_slots)
+        b, drawn = rows[r], draws[r]
+        ego = scene.ego[b] = int(drawn[0] * rule.ego_slots)
         furthest = 0.0
         for i in range(x.shape[1]):
-            lane[b, i] = draw_integer(words[r], cursor, rule.lanes)
+            lane[b, i] = int(drawn[LANE + 4 * i] * rule.lanes)
             if i == ego:
                 speed[b, i], spacing = rule.ego_speed, rule.ego_spacing
             else:
                 span = rule.speed_high - rule.speed_low
-                speed[b, i] = rule.speed_low + span * draw_float(words[r], cursor)
+                speed[b, i] = rule.speed_low + span * drawn[SPEED + 4 * i]
                 spacing = rule.spacing
             offset = spacing * (12 + 1.0 * speed[b, i]) * rule.crowding
             x[b, i] = 3 * offset if i == 0 else furthest
-            x[b, i] += offset * (0.9 + (1.1 - 0.9) * draw_float(words[r], cursor))
+            x[b, i] += offset * (0.9 + (1.1 - 0.9) * drawn[DISTANCE + 4 * i])
             furthest = max(furthest, x[b, i])
-            if i != ego:
-                temperament[b, i] = draw_float(words[r], cursor)
+            temperament[b, i] = drawn[TEMPERAMENT + 4 * i]
             scene.order[b, i] = scene.rank[b, i] = i
-        temperament[b, ego] = draw_float(words[r], cursor)
         for i in range(x.shape[1]):
             scene.y[b, i] = lane[b, i] * scene.constants.lane_width
             scene.target_speed[b, i] = speed[b, i]

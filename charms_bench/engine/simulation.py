@@ -119,8 +119,14 @@ class Simulation:
         """The egos (B,) of all scenes."""
         return self._everyone, self.scene.ego
 
-    def reset(self, seeds: NDArray[np.uint64], rows: Ints | None = None) -> None:
-        """Starts an episode in each of the scenes `rows`; by default, in all scenes."""
+    def reset(
+        self, seeds: NDArray[np.uint64], rows: Ints | None = None, draws: Floats | None = None
+    ) -> None:
+        """Starts an episode in each of the scenes `rows`; by default, in all scenes.
+
+        If `draws` (R, 4 N + 1) are given, vehicles are placed by them (see `engine.draws`), and the
+        seeds only decide what the traffic draws.
+        """
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
@@ -131,7 +137,10 @@ class Simulation:
             rng = np.random.default_rng([int(seed), 1])
             assigned = self._traffic.assign(rng, 1, others)[0]
             traffic[r] = [index[str(name)] for name in assigned]
-        self.engine.reset(rows, seeds, traffic)
+        if draws is None:
+            self.engine.reset(rows, seeds, traffic)
+        else:
+            self.engine.place(rows, draws, traffic)
         self.steps[rows] = 0
         self.ending[rows] = RUNNING
         self.phase = 0

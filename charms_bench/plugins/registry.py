@@ -16,6 +16,7 @@ from typing import Any, cast
 
 from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.traffic import OneAgent, Traffic
 
@@ -25,6 +26,7 @@ PIPELINES = "charms_bench.pipelines"
 EXPORTERS = "charms_bench.exporters"
 METRICS = "charms_bench.metrics"
 SAMPLERS = "charms_bench.samplers"
+EVENTS = "charms_bench.events"
 _ROLES = {
     AGENTS: "agent",
     TRAFFIC: "traffic",
@@ -32,6 +34,7 @@ _ROLES = {
     EXPORTERS: "exporter",
     METRICS: "metric set",
     SAMPLERS: "sampler",
+    EVENTS: "event",
 }
 
 
@@ -46,7 +49,7 @@ class Plugin:
 
     name: str
     role: str
-    """`agent`, `traffic`, `pipeline`, `exporter`, `metric set` or `sampler`."""
+    """`agent`, `traffic`, `pipeline`, `exporter`, `metric set`, `sampler` or `event`."""
     distribution: str
     version: str
     entry_point: EntryPoint
@@ -133,6 +136,16 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     if options:
         raise RegistryError(f"'{name}' is an agent; as a traffic, it takes no options")
     return OneAgent(name)
+
+
+def make_event(name: str, options: Mapping[str, Any] | None = None) -> Event:
+    """The event of that name, made with `options`.
+
+    Raises:
+        RegistryError: It is not installed, cannot be imported, does not accept the options, or is
+            not an event.
+    """
+    return cast(Event, _make(find(EVENTS, name), options, Event))
 
 
 def load(group: str, name: str) -> Any:

@@ -28,14 +28,14 @@ def library_versions() -> dict[str, str]:
     return {name: version(name) for name in _LIBRARIES}
 
 
-def row_modules(sources: Path = SOURCES) -> dict[str, Path]:
+def row_modules(sources: Path = SOURCES, entry: str = ENTRY) -> dict[str, Path]:
     """Returns the modules of this package that decide rows, by name, with their files.
 
-    They are `ENTRY` and everything that it imports, inside functions too, except what only type
+    They are `entry` and everything that it imports, inside functions too, except what only type
     checkers import. Importing a module runs its parent packages, so these are included.
     """
     found: dict[str, Path] = {}
-    waiting = [ENTRY]
+    waiting = [entry]
     while waiting:
         name = waiting.pop()
         path = sources.joinpath(*name.split("."))
@@ -65,9 +65,9 @@ def imported_modules(node: ast.AST) -> Iterator[str]:
 
 
 @cache
-def harness_sha256(sources: Path = SOURCES) -> str:
+def harness_sha256(sources: Path = SOURCES, entry: str = ENTRY) -> str:
     """Returns the hash of `row_modules`."""
-    return _sha256(row_modules(sources))
+    return _sha256(row_modules(sources, entry))
 
 
 @cache

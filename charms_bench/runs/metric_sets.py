@@ -7,7 +7,6 @@ its values were computed with.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -16,7 +15,7 @@ from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import CharmsBenchError, InputError, RegistryError
 from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
 from charms_bench.plugins.registry import METRICS, load
-from charms_bench.runs.document import value_of
+from charms_bench.runs.options import name_and_options
 from charms_bench.world.scene import SceneSettings
 
 
@@ -38,8 +37,7 @@ def metric_sets(texts: Sequence[str]) -> tuple[MetricSet, ...]:
 
 
 def _metric_set(text: str) -> MetricSet:
-    name, _, given = text.partition(":")
-    options = _options(text, given)
+    name, options = name_and_options(text, "metric set")
     made = load(METRICS, name)
     if isinstance(made, MetricSet) and options:
         raise InputError(f"metric set '{name}' takes no options; given: {', '.join(options)}")
@@ -57,20 +55,6 @@ def _metric_set(text: str) -> MetricSet:
         raise RegistryError(f"metric set '{name}' is a {type(made).__name__}, not a MetricSet")
     _try_out(made)
     return replace(made, options=",".join(f"{key}={value}" for key, value in options.items()))
-
-
-def _options(text: str, given: str) -> dict[str, Any]:
-    name = text.partition(":")[0]
-    options = {}
-    for part in filter(None, given.split(",")):
-        key, equals, value = part.partition("=")
-        if not equals or not key.isidentifier():
-            raise InputError(f"metric set '{text}': expected NAME:OPTION=VALUE, found '{part}'")
-        try:
-            options[key] = value_of(value)
-        except ValueError as error:
-            raise InputError(f"metric set '{name}': {key}: cannot be read: {error}") from error
-    return options
 
 
 def _try_out(metric_set: MetricSet) -> None:

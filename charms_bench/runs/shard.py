@@ -110,7 +110,7 @@ def simulate(task: ShardTask) -> ShardFiles:
         )
     traffic = task.traffic.make()
     drivers = drivers_of(task.ego, traffic)
-    agents = {driver.key: _agent(driver, task.networks) for driver in drivers}
+    agents = {driver.key: agent_of(driver, task.networks) for driver in drivers}
     ego, count, first = task.ego.key, task.episodes, task.first_seed
     simulation = Simulation(task.scene, count, ego, traffic, agents, task.engine)
     simulation.reset(np.arange(first, first + count, dtype=np.uint64))
@@ -164,17 +164,18 @@ def identify_agents(
     found = {driver.origin: _identify(driver, networks) for driver in drivers}
     traffics = plugins(TRAFFIC)
     if traffic.name is not None and traffic.name in traffics:
-        found[f"traffic {traffic.name}"] = _origin(traffics[traffic.name])
+        found[f"traffic {traffic.name}"] = origin_of(traffics[traffic.name])
     return found
 
 
 def _identify(spec: AgentSpec, networks: Mapping[str, Path]) -> dict[str, str]:
-    agent = _agent(spec, networks)
+    agent = agent_of(spec, networks)
     weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
-    return weights if is_network(spec.name) else weights | _origin(find(AGENTS, spec.name))
+    return weights if is_network(spec.name) else weights | origin_of(find(AGENTS, spec.name))
 
 
-def _origin(plugin: Plugin) -> dict[str, str]:
+def origin_of(plugin: Plugin) -> dict[str, str]:
+    """Returns a plugin's distribution, its version and the hash of its code."""
     return {
         "distribution": plugin.distribution,
         "version": plugin.version,
@@ -182,7 +183,8 @@ def _origin(plugin: Plugin) -> dict[str, str]:
     }
 
 
-def _agent(spec: AgentSpec, networks: Mapping[str, Path]) -> Agent:
+def agent_of(spec: AgentSpec, networks: Mapping[str, Path]) -> Agent:
+    """Returns an agent, which is made once per process."""
     return _cached_agent(spec.model_dump_json(), networks.get(spec.name))
 
 

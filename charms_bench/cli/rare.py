@@ -1,0 +1,55 @@
+"""`rare`: the probability of an event that almost never happens."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from charms_bench.cli.terminal import Json, Workers, app, interruptible, out, print_json, say
+
+
+@app.command()
+def rare(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    event: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[:OPTION=VALUE,...]",
+            help="The event: crash, ttc:below_s=1.0, or one of a plugin.",
+        ),
+    ] = "crash",
+    runs: Annotated[
+        int,
+        typer.Option(
+            max=1000, help="Independent runs per cell, at least 5; more narrow the interval."
+        ),
+    ] = 10,
+    samples: Annotated[
+        int, typer.Option(help="Episodes per level of a run, a multiple of 10 from 100.")
+    ] = 1000,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of all random draws; overrides the suite.")
+    ] = None,
+    workers: Workers = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder; the default is runs/SUITE-rare-EVENT.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Estimate the probability of a crash or another rare event in an episode of a suite.
+
+    It uses subset simulation, which needs far fewer episodes than waiting for the event. Finished
+    runs are not made again.
+    """
+    from charms_bench import api
+    from charms_bench.report.terminal import grid
+
+    with interruptible():
+        made = api.rare(
+            suite, event, output, runs=runs, samples=samples, seed=seed, workers=workers
+        )
+    if as_json:
+        print_json(made.table.frame().to_dicts())
+        return
+    out().print(grid(made.table.without_constant_keys(), out().width))
+    say(f"Written: {', '.join(map(str, made.files))}")

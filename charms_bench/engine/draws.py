@@ -1,0 +1,111 @@
+"""The random draws of a scene, apart from the placement of its vehicles.
+
+A scene of N vehicles follows from 4 N + 1 numbers in [0, 1), which are independent and uniform: one
+for the ego's place, then four per vehicle in the order of spawning, for its lane, its speed, its
+distance to the furthest vehicle before it, and its temperament. The ego's speed is fixed, so its
+number has no effect. An integer from 0 to n - 1 is the integer part of n times its number.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine.random_words import Words, random_words
+from charms_bench.world.compiled import compiled
+from charms_bench.world.scene import Floats, Ints, SceneSettings
+
+LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)
+"""The columns of the first vehicle's draws; column 0 is the ego's place."""
+
+
+def draws_of(seeds: NDArray[np.uint64], settings: SceneSettings) -> Floats:
+    """Returns the draws (R, 4 N + 1) that NumPy's default generator makes from seeds (R,)."""
+    count = 4 * settings.vehicles + 8  # each vehicle takes up to three words and a half
+    words = random_words(seeds.astype(np.uint64), count)
+    return _draw(words, settings.vehicles, settings.ego_slots, settings.lanes)
+
+
+@compiled
+def _draw(words: Words, vehicles: int, ego_slots: int, lanes: int) -> Floats:
+    """The draws of `Vehicle.create_random` in `HighwayEnv._create_vehicles`, vehicle by vehicle.
+
+    The ego's temperament is drawn last, so that with one slot the draws are the same as in
+    `highway-v0`.
+    """
+    draws = np.zeros((words.shape[0], 1 + 4 * vehicles))
+    cursor = np.empty(2, dtype=np.int64)
+    for r in range(words.shape[0]):
+        cursor[0], cursor[1] = 0, -1
+        draws[r, 0] = draw_integer(words[r], cursor, ego_slots)
+        ego = int(draws[r, 0] * ego_slots)
+        for i in range(vehicles):
+            draws[r, LANE + 4 * i] = draw_integer(words[r], cursor, lanes)
+            if i != ego:
+                draws[r, SPEED + 4 * i] = draw_float(words[r], cursor)
+            draws[r, DISTANCE + 4 * i] = draw_float(words[r], cursor)
+            if i != ego:
+                draws[r, TEMPERAMENT + 4 * i] = draw_float(words[r], cursor)
+        draws[r, TEMPERAMENT + 4 * ego] = draw_float(words[r], cursor)
+    return draws
+
+
+@compiled
+def draw_integer(words: Words, cursor: Ints, bound: int) -> float:
+    """The number in [0, 1) of an integer below `bound` that `Generator.integers` draws.
+
+    It is the accepted half word over 2**32 (Lemire 2019), so its product with `bound` is exact.
+    `cursor` holds the index of the next word, and the index of the word whose second half is the
+    next half, or -1.
+    """
+    if bound == 1:
+        return 0.0
+    low = np.uint64(0xFFFFFFFF)
+    threshold = np.uint64(2**32 - bound) % np.uint64(bound)
+    while True:
+        if cursor[1] >= 0:
+            half = words[cursor[1]] >> np.uint64(32)
+            cursor[1] = -1
+        else:
+            half = words[cursor[0]] & low
+            cursor[1] = cursor[0]
+            cursor[0] += 1
+        if half * np.uint64(bound) & low >= threshold:
+            return float(half) * 2.0**-32
+
+
+@compiled
+def draw_float(words: Words, cursor: Ints) -> float:
+    """A number in [0, 1), as `Generator.random` draws it."""
+    word = words[cursor[0]]
+    cursor[0] += 1
+    return float(word >> np.uint64(11)) * 2.0**-53
+
+
+class ReplayedDraws:
+    """Gives a scene's draws to highway-env in the order in which it asks its random generator."""
+
+    def __init__(self, draws: Floats, settings: SceneSettings) -> None:
+        ego = int(draws[0] * settings.ego_slots)
+        is_drawn = np.ones(draws.size, dtype=np.bool_)
+        is_drawn[[SPEED + 4 * ego, TEMPERAMENT + 4 * ego]] = False
+        self._left: list[float] = [*draws[is_drawn].tolist(), float(draws[TEMPERAMENT + 4 * ego])][
+            ::-1
+        ]
+
+    def integers(self, low: int, high: int) -> int:
+        """Returns an integer from `low` to `high` - 1."""
+        return low + int(self._left.pop() * (high - low))
+
+    def choice(self, options: int | list[str]) -> int | str:
+        """Returns an integer below a number, or the only element of a list, which takes no draw."""
+        if isinstance(options, int):
+            return self.integers(0, options)
+        (only,) = options
+        return only
+
+    def uniform(self, low: float, high: float) -> float:
+        """Returns a number from `low` to `high`."""
+        return low + (high - low) * self._left.pop()
+
+    def random(self) -> float:
+        """Returns a number in [0, 1)."""
+        return self._left.pop()

@@ -1,0 +1,139 @@
+"""The events that are built in, and the lowest level of each episode of a simulation."""
+
+import numpy as np
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import AgentError, InputError
+from charms_bench.plugins.event import Event
+from charms_bench.world.compiled import compiled, inlined
+from charms_bench.world.scene import Floats, Ints, Scene
+
+HORIZON_S = 100.0
+"""A longer time to collision counts as this; also the cap of the metric `ttc_min`."""
+HARMLESS_S2_PER_M = 100.0
+"""The level of a crash if hardly any deceleration is needed, and the largest one."""
+TOUCHING_S2_PER_M = 1e-9
+"""Its level if vehicles touch; the engine decides whether they collide."""
+
+
+class Crash(Event):
+    """The ego collides or leaves the road, which ends an episode as in `crashed_episodes`.
+
+    The level is 1 over the deceleration that avoids a collision, as in DRAC (Archer 2005): unlike
+    TTC, it tells a fast approach, which a driver may not be able to stop, from a slow one.
+    """
+
+    definition = "the ego collides or leaves the road"
+    includes_failure = True
+
+    def level(self, scene: Scene, rows: Ints) -> Floats:
+        _, inverse_decelerations = closest(scene, rows)
+        return np.maximum(inverse_decelerations, TOUCHING_S2_PER_M)
+
+
+class TimeToCollision(Event):
+    """The ego's time to collision falls to a threshold.
+
+    Args:
+        below_s: The threshold, s.
+
+    Raises:
+        InputError: The threshold is not a time above 0 and below the horizon.
+    """
+
+    includes_failure = True
+
+    def __init__(self, below_s: float = 1.0) -> None:
+        if isinstance(below_s, bool) or not isinstance(below_s, int | float):
+            raise InputError(f"event 'ttc': below_s is {below_s!r}; expected a number of seconds")
+        if not 0 < below_s < HORIZON_S:
+            raise InputError(
+                f"event 'ttc': below_s is {below_s}; expected more than 0 and less than "
+                f"{HORIZON_S:g} seconds"
+            )
+        self.definition = (
+            f"the ego's TTC falls to {below_s:g} s or less: its rectangle touches that of another "
+            "vehicle within this time if both keep their velocities; or it collides or leaves the "
+            "road"
+        )
+        self._below_s = below_s
+
+    def level(self, scene: Scene, rows: Ints) -> Floats:
+        times, _ = closest(scene, rows)
+        return np.asarray(times - self._below_s)
+
+
+def lowest_levels(simulation: Simulation, event: Event) -> Floats:
+    """Runs all episodes of a simulation to their ends and returns the lowest level (B,) of each.
+
+    The level of an episode in which an event happens that includes failures is at most 0.
+
+    Raises:
+        AgentError: An agent fails, or the event's levels are unusable.
+    """
+    lowest = np.full(simulation.seeds.size, np.inf)
+    shown = simulation.scene.read_only()
+    while (rows := np.nonzero(simulation.scene.active)[0]).size:
+        for _ in range(simulation.settings.steps_per_decision):
+            simulation.advance()
+            lowest[rows] = np.minimum(lowest[rows], _checked(event, shown, rows))
+        simulation.finish_step()
+    if event.includes_failure:
+        lowest[simulation.failed] = np.minimum(lowest[simulation.failed], -1.0)
+    return lowest
+
+
+def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
+    try:
+        levels = np.asarray(event.level(scene, rows), dtype=np.float64)
+    except Exception as error:
+        what = f"raised {type(error).__name__}: {error}"
+    else:
+        if levels.shape == rows.shape and not np.isnan(levels).any():
+            return levels
+        what = f"returned shape {levels.shape}, or NaN; expected {rows.shape} numbers"
+    raise AgentError(f"event '{type(event).__name__}': level {what}")
+
+
+@compiled
+def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
+    """How close each ego is to touching another vehicle, if all keep their velocities.
+
+    Vehicles are rectangles along the road. They touch once they overlap both along the road and
+    across it; a deceleration in the direction in which they overlap last avoids that.
+
+    Returns:
+        The least time (R,) until the ego touches a vehicle, s, at most `HORIZON_S`; and 1 over the
+        largest deceleration (R,) needed, s²/m, at most `HARMLESS_S2_PER_M`.
+    """
+    c, times = scene.constants, np.full(rows.size, HORIZON_S)
+    inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)
+    for r in range(rows.size):
+        b = rows[r]
+        ego = scene.ego[b]
+        ahead = scene.speed[b, ego] * scene.direction_x[b, ego]
+        aside = scene.speed[b, ego] * scene.direction_y[b, ego]
+        for i in range(scene.x.shape[1]):
+            if i == ego:
+                continue
+            along = scene.speed[b, i] * scene.direction_x[b, i] - ahead
+            across = scene.speed[b, i] * scene.direction_y[b, i] - aside
+            begin, end = overlap(scene.x[b, i] - scene.x[b, ego], along, c.length)
+            start, stop = overlap(scene.y[b, i] - scene.y[b, ego], across, c.width)
+            time = max(begin, start, 0.0)
+            if time > min(end, stop):
+                continue
+            closing = abs(along) if begin >= start else abs(across)
+            times[r] = min(times[r], time)
+            if 2 * time < inverse_decelerations[r] * closing:
+                inverse_decelerations[r] = 2 * time / closing
+    return times, inverse_decelerations
+
+
+@inlined
+def overlap(distance: float, speed: float, size: float) -> tuple[float, float]:
+    """When a distance that changes with a speed is at most a size either way: from and to."""
+    if speed == 0.0:
+        return (-np.inf, np.inf) if abs(distance) <= size else (np.inf, -np.inf)
+    one, other = (-size - distance) / speed, (size - distance) / speed
+    return min(one, other), max(one, other)

@@ -1,0 +1,117 @@
+"""The table of a rare event: its probability in every cell, with what the estimate cost."""
+
+import math
+from collections.abc import Sequence
+
+import polars as pl
+
+from charms_bench.report.table import Column, Number, Table
+from charms_bench.runs.rare import RareCell
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.subset_simulation import MOST_LEVELS, SHARE, interval
+
+Z = 1.959964
+"""The normal quantile of a 95 % interval."""
+INTERVAL = (
+    "interval of a lognormal mean (Cox's method with Student's t) over the independent runs; "
+    "Wilson's if every run ends at its first level"
+)
+
+
+def rare_table(
+    suite: Suite, name: str, definition: str, samples: int, cells: Sequence[RareCell]
+) -> Table:
+    """The probability of an event in every cell, from its runs with `samples` per level.
+
+    `name` is that of its files, `definition` says what the event is.
+    """
+    columns = (
+        Column(
+            "probability",
+            definition=f"probability that {definition} in an episode, by subset simulation: mean "
+            "of the independent runs",
+            counted="episodes simulated",
+            interval=INTERVAL,
+            form=".2e",
+        ),
+        Column("runs", definition="independent runs of subset simulation", form=",.0f"),
+        Column("levels", definition="mean number of levels of a run", form=".1f"),
+        Column("episodes", definition="episodes simulated in all runs", form=",.0f"),
+        Column(
+            "plain_episodes",
+            definition="episodes that plain simulation would need for an interval as narrow, "
+            "relative to the probability",
+            form=",.0f",
+        ),
+    )
+    records = []
+    for each in cells:
+        number = _probability(each, samples)
+        records.append(
+            {
+                "agent": each.cell.ego.title,
+                "traffic": each.cell.traffic.title,
+                "probability": number,
+                "runs": len(each.runs),
+                "levels": sum(len(run.shares) for run in each.runs) / len(each.runs),
+                "episodes": number.n,
+                "plain_episodes": _plain_episodes(number),
+            }
+        )
+    title = f"{suite.title or suite.suite}: probability that {definition}"
+    return Table.from_records(records, name, title, ("agent", "traffic"), columns, _note(cells))
+
+
+def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
+    """One row per independent run of every cell."""
+    return pl.DataFrame(
+        [
+            {
+                "agent": each.cell.ego.title,
+                "traffic": each.cell.traffic.title,
+                "run": number,
+                "probability": run.probability,
+                "episodes": run.evaluations,
+                "thresholds": run.thresholds,
+                "shares": run.shares,
+                "acceptance": run.acceptance,
+            }
+            for each in cells
+            for number, run in enumerate(each.runs)
+        ]
+    )
+
+
+def _probability(cell: RareCell, samples: int) -> Number:
+    low, high = interval(cell.runs, samples)
+    value = sum(run.probability for run in cell.runs) / len(cell.runs)
+    episodes = sum(run.evaluations for run in cell.runs)
+    if math.isnan(low):
+        return Number(value, n=episodes)
+    return Number(value, low, high, episodes)
+
+
+def _plain_episodes(number: Number) -> float | None:
+    """How many plain episodes give the same ratio of the interval's ends, roughly."""
+    value, low, high = number.value, number.low, number.high
+    if not value or not low or not high or high <= low:
+        return None
+    found = (2 * Z / math.log(high / low)) ** 2 * (1 - value) / value
+    return float(f"{found:.1e}")
+
+
+def _note(cells: Sequence[RareCell]) -> str:
+    """What to know of cells in which runs have not reached the event."""
+    lost = [each for each in cells if any(run.probability == 0 for run in each.runs)]
+    if not lost:
+        return ""
+    which = "; ".join(
+        f"{each.cell.ego.title} in {each.cell.traffic.title}: "
+        f"{sum(run.probability == 0 for run in each.runs)} of {len(each.runs)}"
+        for each in lost
+    )
+    return (
+        f"Runs that did not reach the event within {MOST_LEVELS} levels count as 0 ({which}). "
+        f"Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level is the same "
+        "for too many episodes."
+    )

@@ -1,0 +1,194 @@
+"""Estimates the probability of a rare event in every cell of a suite, in a folder of its own.
+
+The folder has a manifest and one file per finished run of subset simulation. A file is written
+whole or not at all, so an interrupted estimation continues with the runs that are missing.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from charms_bench.engine.exact_maths import worker_environment
+from charms_bench.errors import CharmsBenchError, InputError, RunFolderError
+from charms_bench.plugins.specs import networks_of
+from charms_bench.runs.folder import differing_fields
+from charms_bench.runs.lock import locked
+from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
+from charms_bench.runs.shard import forget_agents
+from charms_bench.runs.suite import PRESENTATION, Cell, Suite
+from charms_bench.runs.workers import in_processes
+from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
+from charms_bench.world.files import read_limited, write_bytes
+
+FORMAT = 1
+"""Version of the format of these folders."""
+MANIFEST = "rare.json"
+RUNS = 10
+LEAST_RUNS = 5
+"""With fewer, the interval says nothing."""
+SAMPLES = 1000
+RUN_LIMIT_S = 4 * 3600.0
+"""Far longer than a run takes whose agents answer."""
+FILE_LIMIT_BYTES = 2**26
+
+
+@dataclass(frozen=True)
+class RareCell:
+    """The independent runs of one ego in one traffic."""
+
+    cell: Cell
+    runs: tuple[SubsetRun, ...]
+
+
+def run_rare(
+    suite: Suite,
+    output: Path,
+    event: str,
+    runs: int = RUNS,
+    samples: int = SAMPLES,
+    workers: int | None = None,
+    progress: Callable[[Cell, int], None] = lambda cell, runs: None,
+    notice: Callable[[str], None] = lambda what: None,
+) -> list[RareCell]:
+    """Estimates the probability of an event in every cell; finished runs are not made again.
+
+    Args:
+        suite: Its cells, its scene and its seed.
+        output: The folder.
+        event: See `rare_task.event_of`.
+        runs: Independent runs per cell.
+        samples: Episodes of each level.
+        workers: Number of processes; by default one per core.
+        progress: Called for every finished run, first for those already in the folder.
+        notice: Called with a message about what went wrong and was put right.
+
+    Raises:
+        CharmsBenchError: Something is wrong; the folder keeps the runs finished so far.
+    """
+    if runs < LEAST_RUNS:
+        raise InputError(f"runs is {runs}; expected at least {LEAST_RUNS}, for an interval")
+    if samples < 10 / SHARE or samples % round(1 / SHARE):
+        raise InputError(
+            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {10 / SHARE:g}"
+        )
+    event_of(event)
+    with _opened(output, suite, event, samples):
+        tasks = _plan(suite, event, runs, samples)
+        found: dict[tuple[int, int], SubsetRun] = {}
+        missing: dict[RareTask, tuple[int, int]] = {}
+        for place, task in tasks.items():
+            if (made := _read(_file(output, place, task))) is None:
+                missing[task] = place
+            else:
+                found[place] = made
+                progress(suite.cells[place[0]], 1)
+        count = min(workers or os.cpu_count() or 1, len(missing))
+        environment = worker_environment("batched")
+        running = in_processes(
+            estimate, missing, count, lambda task: task.title, RUN_LIMIT_S, notice, environment
+        )
+        with closing(running):
+            try:
+                for task, made in running:
+                    place = missing[task]
+                    _write(_file(output, place, task), made)
+                    found[place] = made
+                    progress(suite.cells[place[0]], 1)
+            except CharmsBenchError as error:
+                error.add_note(f"finished runs are in {output}; the same command continues there")
+                raise
+    return [
+        RareCell(cell, tuple(found[index, run] for run in range(runs)))
+        for index, cell in enumerate(suite.cells)
+    ]
+
+
+def _plan(suite: Suite, event: str, runs: int, samples: int) -> dict[tuple[int, int], RareTask]:
+    """Returns the runs to make by the index of their cell and their number."""
+    forget_agents()
+    tasks = {}
+    for index, cell in enumerate(suite.cells):
+        ego, traffic = cell.ego.agent, cell.traffic.traffic
+        networks = networks_of(ego, traffic.make(), suite.folder)
+        software = software_of(ego, traffic, networks, event)
+        for run in range(runs):
+            title = f"{cell.ego.title} in {cell.traffic.title}, run {run + 1}"
+            tasks[index, run] = RareTask(
+                title, suite.scene, ego, traffic, networks, event, samples, suite.seed, run,
+                software,
+            )  # fmt: skip
+    return tasks
+
+
+@contextmanager
+def _opened(folder: Path, suite: Suite, event: str, samples: int) -> Iterator[None]:
+    """Locks the folder and writes its manifest; a folder with something else is not changed."""
+    fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
+    ours = {"format": FORMAT, "suite": fields, "event": event, "samples": samples}
+    path = folder / MANIFEST
+    if _holds_something_else(folder):
+        raise RunFolderError(
+            f"{folder} is not empty and holds no estimation of a rare event; choose another "
+            "folder with --output"
+        )
+    with locked(folder):
+        if path.exists():
+            for field, was, now in differing_fields(_manifest(path), ours):
+                raise RunFolderError(
+                    f"{folder} holds another estimation: {field.removeprefix('suite.')} was {was}, "
+                    f"now {now}; choose another folder with --output, or delete this one"
+                )
+        for partial in folder.glob("**/.*.partial"):
+            partial.unlink()
+        write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
+        yield
+
+
+def _holds_something_else(folder: Path) -> bool:
+    """An estimation that was killed before it wrote its manifest leaves only hidden files."""
+    try:
+        return (
+            folder.exists()
+            and not (folder / MANIFEST).exists()
+            and any(not path.name.startswith(".") for path in folder.iterdir())
+        )
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
+
+
+def _manifest(path: Path) -> Any:
+    try:
+        return json.loads(read_limited(path, FILE_LIMIT_BYTES))
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise RunFolderError(f"{path}: is not JSON: {error}") from error
+
+
+def _file(folder: Path, place: tuple[int, int], task: RareTask) -> Path:
+    return folder / "runs" / f"{place[0]:03d}-{place[1]:03d}-{task.key[:16]}.json"
+
+
+def _write(path: Path, run: SubsetRun) -> None:
+    text = json.dumps(asdict(run))
+    checked = {"sha256": hashlib.sha256(text.encode()).hexdigest(), "run": text}
+    write_bytes(path, json.dumps(checked).encode())
+
+
+def _read(path: Path) -> SubsetRun | None:
+    """Returns a finished run, or None if it is missing or has changed since it was written."""
+    try:
+        checked = json.loads(read_limited(path, FILE_LIMIT_BYTES))
+        text = checked["run"]
+        if hashlib.sha256(text.encode()).hexdigest() != checked["sha256"]:
+            return None
+        fields: Mapping[str, Sequence[float]] = json.loads(text)
+        tuples = {name: tuple(fields[name]) for name in ("thresholds", "shares", "acceptance")}
+        return SubsetRun(**{**fields, **tuples})  # type: ignore[arg-type]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None

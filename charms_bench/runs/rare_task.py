@@ -1,0 +1,139 @@
+"""One run of subset simulation over the random draws of a cell's episodes; workers do this.
+
+A run depends on this module and on what it imports, and its key is a hash of all that code.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from charms_bench.engine.events import lowest_levels
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import RunFolderError
+from charms_bench.plugins.event import Event
+from charms_bench.plugins.registry import EVENTS, find, make_event
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
+from charms_bench.runs.code_hashes import harness_sha256
+from charms_bench.runs.options import name_and_options
+from charms_bench.runs.shard import Software, agent_of, installed, origin_of
+from charms_bench.statistics.subset_simulation import Seeds, SubsetRun, subset_simulation
+from charms_bench.world.scene import Floats, SceneSettings
+
+EPISODES_AT_ONCE = 200
+"""Enough scenes for the compiled engine to be fast."""
+
+
+@dataclass(frozen=True, eq=False)
+class RareTask:
+    """A run to make: all that decides its estimate."""
+
+    title: str
+    """What messages call it; the only field that decides nothing."""
+    scene: SceneSettings
+    ego: AgentSpec
+    traffic: TrafficSpec
+    networks: Mapping[str, Path]
+    """The files of the cell's networks; see `specs.networks_of`."""
+    event: str
+    """The event, with options; see `event_of`."""
+    samples: int
+    """Episodes of each level."""
+    seed: int
+    run: int
+    """Runs with the same seed and different numbers are independent."""
+    software: Software
+    """What was installed when the first run began."""
+
+    @property
+    def key(self) -> str:
+        """Hash of everything that the estimate depends on; see `ShardTask.key`."""
+        inputs = {
+            "scene": self.scene.model_dump(mode="json"),
+            "ego": self.ego.model_dump(mode="json"),
+            "traffic": self.traffic.model_dump(mode="json"),
+            "event": self.event,
+            "samples": self.samples,
+            "seed": self.seed,
+            "run": self.run,
+            "software": asdict(self.software),
+        }
+        contents = {
+            name: f"{self.software.agents[name]['weights_sha256']} {number}"
+            for number, name in enumerate(self.networks)
+        }
+        return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
+
+
+def event_of(text: str) -> Event:
+    """Returns the event that a text like `crash` or `ttc:below_s=1.5` asks for.
+
+    Raises:
+        InputError: The text is not of that form, or the event is not installed or takes no such
+            options.
+    """
+    return make_event(*name_and_options(text, "event"))
+
+
+def software_of(
+    ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path], event: str
+) -> Software:
+    """Returns what is installed here and decides the estimates of a cell."""
+    found = installed(ego, traffic, networks)
+    name, _ = name_and_options(event, "event")
+    plugins = {**found.agents, f"event {name}": origin_of(find(EVENTS, name))}
+    return Software(harness_sha256(entry=__name__), found.versions, plugins)
+
+
+def estimate(task: RareTask) -> SubsetRun:
+    """Makes a run.
+
+    Raises:
+        RunFolderError: The installed software is no longer that of the task.
+        CharmsBenchError: An agent or the event cannot be made, or fails.
+    """
+    found = software_of(task.ego, task.traffic, task.networks, task.event)
+    if changed := found.differences(task.software):
+        raise RunFolderError(
+            f"{task.title}: changed since the first run began: {changed}; start again with another "
+            "--output"
+        )
+    event, simulations = event_of(task.event), _Simulations(task)
+
+    def level(normal: Floats, seeds: Seeds) -> Floats:
+        parts = range(0, seeds.size, EPISODES_AT_ONCE)
+        blocks = [slice(start, start + EPISODES_AT_ONCE) for start in parts]
+        levels = [simulations.levels(event, normal[each], seeds[each]) for each in blocks]
+        return np.concatenate(levels)
+
+    rng = np.random.default_rng([task.seed, task.run])
+    (made,) = subset_simulation(level, 4 * task.scene.vehicles + 1, task.samples, 1, rng)
+    return made
+
+
+class _Simulations:
+    """Simulates episodes of a cell from normal components."""
+
+    def __init__(self, task: RareTask) -> None:
+        traffic = task.traffic.make()
+        agents = {
+            driver.key: agent_of(driver, task.networks) for driver in drivers_of(task.ego, traffic)
+        }
+        self._arguments: tuple[Any, ...] = (task.ego.key, traffic, agents)
+        self._scene = task.scene
+        self._by_size: dict[int, Simulation] = {}
+
+    def levels(self, event: Event, normal: Floats, seeds: Seeds) -> Floats:
+        from scipy import special
+
+        if seeds.size not in self._by_size:
+            self._by_size[seeds.size] = Simulation(self._scene, seeds.size, *self._arguments)
+        simulation = self._by_size[seeds.size]
+        # Rounding must not give 1, which is no draw.
+        draws = np.minimum(special.ndtr(normal), np.nextafter(1.0, 0.0))
+        simulation.reset(seeds, draws=draws)
+        return lowest_levels(simulation, event)
