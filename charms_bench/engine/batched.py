@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
+from charms_bench.engine.prescribed import Script
 from charms_bench.engine.random_words import random_words
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
@@ -36,18 +37,26 @@ class BatchedEngine:
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
         self._listed = b""
+        scenario = settings.scenario
+        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
         scene = self.scene
-        count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
-        words = random_words(seeds.astype(np.uint64), count)
-        kernels.spawn(scene, rows, words, self._spawn_rule)
+        if self._script is not None:
+            self._script.place(scene, rows, seeds)
+        else:
+            self._spawn(rows, seeds)
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         kernels.seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
             speeds = self._command_rule.speeds
             kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
+
+    def _spawn(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        count = 4 * self._settings.vehicles + 8  # each vehicle takes up to three words and a half
+        words = random_words(seeds.astype(np.uint64), count)
+        kernels.spawn(self.scene, rows, words, self._spawn_rule)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
@@ -69,6 +78,9 @@ class BatchedEngine:
                 crashed, acceleration = scene.crashed, scene.acceleration
                 kernels.obey(vehicles, answers, crashed, acceleration, scene.target_lane)
         held = self._is_ego if hold_egos else self._nobody
+        if self._script is not None:
+            self._script.prescribe(scene, np.nonzero(scene.active)[0])
+            held = held | self._script.is_prescribed
         kernels.advance(scene, self._is_modelled, held)
 
 

@@ -17,6 +17,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
+from charms_bench.engine.prescribed import Script
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.profile import Profile
@@ -47,9 +48,18 @@ class HighwayEnvEngine:
         self._commanded = _with_constants(commanded, settings.profile)
         self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
         self._spawner = _with_constants(Vehicle, settings.profile)
+        scenario = settings.scenario
+        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+        if self._script is not None:
+            self._script.place(self.scene, rows, seeds)
         for row, seed, others in zip(rows, seeds, traffic, strict=True):
+            if self._script is not None:
+                self.drivers[row] = np.insert(others, 0, 0)
+                self.roads[row] = self._placed(int(row))
+                self._copy_state(int(row))
+                continue
             rng = np.random.default_rng(int(seed))
             ego = int(rng.integers(0, self._settings.ego_slots))
             self.scene.ego[row] = ego
@@ -73,12 +83,16 @@ class HighwayEnvEngine:
             drivers = self.drivers[row].copy()
             if hold_egos:
                 drivers[self.scene.ego[row]] = _NOBODY
+            if self._script is not None:
+                drivers[self._script.is_prescribed] = _NOBODY
             self._act(row, np.nonzero(~np.isin(drivers, [*self._models, _NOBODY]))[0])
             for agent, model in self._models.items():
                 places = np.nonzero(drivers == agent)[0]
                 if places.size and not model.highway_env_class:
                     self._ask(model, row, places)
                 self._act(row, places)
+            if self._script is not None:
+                self._prescribe(row, self._script)
             self.roads[row].step(dt)
             self.scene.timer_s[row] += dt  # for vehicles that keep no timer of their own
             self._copy_state(row)
@@ -98,15 +112,46 @@ class HighwayEnvEngine:
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
-    def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
-        """[`HighwayEnv._create_road` and `_create_vehicles`, with the ego at its place]"""
+    def _prescribe(self, row: int, script: Script) -> None:
+        """Gives the prescribed vehicles of a scene their control."""
+        scene = self.scene
+        script.prescribe(scene, np.array([row]))
+        for place in np.nonzero(script.is_prescribed & ~scene.crashed[row])[0]:
+            vehicle = self.roads[row].vehicles[place]
+            control = {"steering": scene.steering, "acceleration": scene.acceleration}
+            vehicle.action = {name: values[row, place] for name, values in control.items()}
+            lane = int(scene.target_lane[row, place])
+            vehicle.target_lane_index = (*vehicle.target_lane_index[:2], lane)
+
+    def _empty_road(self, rng: np.random.Generator) -> Road:
+        """[`HighwayEnv._create_road`]"""
         settings, profile = self._settings, self._settings.profile
         network, width = RoadNetwork(), profile.lane_width_m
         for lane in range(settings.lanes):
             ends = np.array([[0.0, lane * width], [settings.road_length_m, lane * width]])
             straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
             network.add_lane("0", "1", straight)
-        road = Road(network=network, np_random=rng)
+        return Road(network=network, np_random=rng)
+
+    def _placed(self, row: int) -> Road:
+        """The vehicles of a scenario, where the script has placed them."""
+        scene, road = self.scene, self._empty_road(np.random.default_rng(0))
+        for place in range(self._settings.vehicles):
+            vehicle_class = self._classes.get(int(self.drivers[row, place]), self._commanded)
+            position = [scene.x[row, place], scene.y[row, place]]
+            vehicle = vehicle_class(road, position, 0.0, scene.speed[row, place])
+            if isinstance(vehicle, IDMVehicle):
+                low, high = vehicle.DELTA_RANGE
+                vehicle.DELTA = low + scene.temperament[row, place] * (high - low)
+            if hasattr(vehicle, "timer"):
+                vehicle.timer = 0.0
+            road.vehicles.append(vehicle)
+        return road
+
+    def _spawn(self, row: int, ego: int, rng: np.random.Generator) -> Road:
+        """[`HighwayEnv._create_vehicles`, with the ego at its place]"""
+        settings, profile = self._settings, self._settings.profile
+        road = self._empty_road(rng)
         spacing = 1 / settings.density
         for place in range(settings.vehicles):
             is_ego = place == ego

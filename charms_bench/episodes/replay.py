@@ -179,7 +179,8 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
     ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()
     networks = _networks(run, cell, folder)
     agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
-    simulation = Simulation(run.suite.scene, len(episodes), ego.key, traffic, agents)
+    settings = run.suite.cells[cell].scene
+    simulation = Simulation(settings, len(episodes), ego.key, traffic, agents)
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]
@@ -200,11 +201,11 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
         replays.append(
             Replay(
                 cell=run.suite.cells[cell],
-                settings=run.suite.scene,
+                settings=settings,
                 episode=episode,
                 ego=int(simulation.scene.ego[b]),
                 agents=tuple(map(str, simulation.drivers[b])),
-                t_s=np.arange(length) / run.suite.scene.simulation_hz,
+                t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=again,
                 **{k: np.stack([frame[k][b] for frame in frames[:length]]) for k in frames[0]},
