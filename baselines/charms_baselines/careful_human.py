@@ -1,17 +1,19 @@
 """The competent and careful human driver of UN Regulation 157 (2021), Annex 4, Appendix 3.
 
-A collision that this driver avoids in the same scenario is preventable. The driver perceives a risk
-in one of these cases:
+A collision that this driver avoids in the same scenario is preventable. The driver
 
-- cut-in: a vehicle ahead is more than 0.375 m from the centre of its lane towards the driver's
-  lane, or in that lane, and the time to collision is below 2 s;
-- deceleration: the leader brakes by more than 5 m/s2;
-- cut-out: the leader moves more than 0.375 m from the lane's centre, and thereby shows a slower
-  vehicle ahead of it.
+1. perceives a vehicle ahead that is slower or brakes hard, and is in the driver's lane, or more
+   than 0.375 m from the centre of the next lane towards it; a vehicle that keeps within 0.375 m of
+   the lane's centre hides what is ahead of it;
+2. evaluates the risk for 0.4 s;
+3. reacts as soon as the time to collision is below 2 s, the leader brakes by more than 5 m/s2, or a
+   vehicle that leaves the lane has shown a slower one;
+4. brakes 0.75 s later: the deceleration rises to 0.774 g within 0.6 s and stays there as long as
+   the driver closes in.
 
-Evaluating the risk takes 0.4 s and the foot 0.75 s. Then the deceleration rises to 0.774 g within
-0.6 s, and stays there until the driver no longer closes in. The driver never changes lanes and,
-after a risk, never accelerates, so the model is for single scenarios.
+The numbers are the regulation's. The TTC of 2 s and the leader's 5 m/s2 are those of two public
+implementations, esmini and JRC-FSM. The driver never changes lanes and, after it has braked, never
+accelerates, so the model is for single scenarios.
 """
 
 import numpy as np
@@ -21,13 +23,16 @@ from charms_bench.world.compiled import clip, compiled, index
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375
+EVALUATION_S = 0.4
 CRITICAL_TTC_S = 2.0
 LEADER_BRAKING_MPS2 = 5.0
-DELAY_S = 0.4 + 0.75
+DELAY_S = 0.75
 BRAKING_MPS2 = 0.774 * 9.81
 RISE_S = 0.6
 PERCEIVED_S = 100_000.0
-"""`timer_s` when a risk is perceived; longer than any episode, because other timers start near 0."""
+"""`timer_s` when a risk is perceived; longer than any episode, because timers start near 0."""
+REACTED_S = 200_000.0
+"""`timer_s` when the driver reacts."""
 
 
 class CarefulHuman(DriverModel):
@@ -44,30 +49,32 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     for m in range(rows.size):
         b, i = index(rows[m]), index(places[m])
         target_lane[m] = scene.target_lane[b, i]
-        perceives, closes_in = _risk(scene, rows[m], places[m])
-        if timer_s[b, i] < PERCEIVED_S:
-            timer_s[b, i] = PERCEIVED_S if perceives else 0.0
-        if timer_s[b, i] < PERCEIVED_S:
+        closes_in, is_risk, is_critical = _risk(scene, rows[m], places[m])
+        if timer_s[b, i] < REACTED_S:
+            if not is_risk:
+                timer_s[b, i] = 0.0
+            elif timer_s[b, i] < PERCEIVED_S:
+                timer_s[b, i] = PERCEIVED_S
+            # Half a step, because sums of steps differ from their product in the last bits.
+            if is_critical and timer_s[b, i] - PERCEIVED_S > EVALUATION_S - c.dt / 2:
+                timer_s[b, i] = REACTED_S
             wanted = (scene.target_speed[b, i] - speed[b, i]) / c.tau_acceleration
             acceleration[m] = clip(wanted, -BRAKING_MPS2, BRAKING_MPS2)
         elif closes_in:
             # The mean over the step.
-            braked_s = timer_s[b, i] - PERCEIVED_S + c.dt / 2 - DELAY_S
+            braked_s = timer_s[b, i] - REACTED_S + c.dt / 2 - DELAY_S
             braking = BRAKING_MPS2 * clip(braked_s / RISE_S, 0.0, 1.0)
             acceleration[m] = -min(braking, max(0.0, speed[b, i] / c.dt))
     return acceleration, target_lane
 
 
 @compiled
-def _risk(scene: Scene, b: int, i: int) -> tuple[bool, bool]:
-    """Whether vehicle i of scene b has a risk to perceive, and whether it closes in on a vehicle.
-
-    Vehicles behind one that keeps to the middle of the lane are hidden.
-    """
+def _risk(scene: Scene, b: int, i: int) -> tuple[bool, bool, bool]:
+    """Whether vehicle i of scene b closes in on a vehicle, has a risk, and whether to react."""
     c, x, y, speed = scene.constants, scene.x, scene.y, scene.speed
     centre = scene.target_lane[b, i] * c.lane_width
     own = speed[b, i] * scene.direction_x[b, i]
-    perceives = closes_in = shows = False
+    closes_in = is_risk = is_critical = is_shown = False
     for k in range(scene.rank[b, i] + 1, x.shape[1]):
         j = scene.order[b, k]
         aside = abs(y[b, j] - centre)
@@ -76,11 +83,12 @@ def _risk(scene: Scene, b: int, i: int) -> tuple[bool, bool]:
         is_in_lane = aside <= WANDERING_M
         closing = own - speed[b, j] * scene.direction_x[b, j]
         gap = x[b, j] - x[b, i] - c.length
-        if closing > 0:
-            closes_in = True
-            perceives |= gap < CRITICAL_TTC_S * closing or (shows and is_in_lane)
-        perceives |= is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
-        shows |= not is_in_lane
+        brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
+        closes_in |= closing > 0
+        is_risk |= closing > 0 or brakes_hard
+        is_critical |= brakes_hard or gap < CRITICAL_TTC_S * closing
+        is_critical |= is_shown and is_in_lane and closing > 0
+        is_shown |= not is_in_lane
         if is_in_lane:
             break
-    return perceives, closes_in
+    return closes_in, is_risk, is_critical
