@@ -49,7 +49,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     for m in range(rows.size):
         b, i = index(rows[m]), index(places[m])
         target_lane[m] = scene.target_lane[b, i]
-        closes_in, is_risk, is_critical = _risk(scene, rows[m], places[m])
+        closing, is_risk, is_critical = _risk(scene, rows[m], places[m])
         if timer_s[b, i] < REACTED_S:
             if not is_risk:
                 timer_s[b, i] = 0.0
@@ -60,35 +60,36 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
                 timer_s[b, i] = REACTED_S
             wanted = (scene.target_speed[b, i] - speed[b, i]) / c.tau_acceleration
             acceleration[m] = clip(wanted, -BRAKING_MPS2, BRAKING_MPS2)
-        elif closes_in:
-            # The mean over the step.
-            braked_s = timer_s[b, i] - REACTED_S + c.dt / 2 - DELAY_S
+        elif closing > 0:
+            # The mean over the step, and half a step more, because the engine moves a vehicle by
+            # the speed that it has before the step.
+            braked_s = timer_s[b, i] - REACTED_S + c.dt - DELAY_S
             braking = BRAKING_MPS2 * clip(braked_s / RISE_S, 0.0, 1.0)
-            acceleration[m] = -min(braking, max(0.0, speed[b, i] / c.dt))
+            acceleration[m] = -min(braking, closing / c.dt)
     return acceleration, target_lane
 
 
 @compiled
-def _risk(scene: Scene, b: int, i: int) -> tuple[bool, bool, bool]:
-    """Whether vehicle i of scene b closes in on a vehicle, has a risk, and whether to react."""
+def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
+    """How fast vehicle i of scene b closes in, whether that is a risk, and whether to react."""
     c, x, y, speed = scene.constants, scene.x, scene.y, scene.speed
     centre = scene.target_lane[b, i] * c.lane_width
-    own = speed[b, i] * scene.direction_x[b, i]
-    closes_in = is_risk = is_critical = is_shown = False
+    fastest = 0.0
+    is_risk = is_critical = is_shown = False
     for k in range(scene.rank[b, i] + 1, x.shape[1]):
         j = scene.order[b, k]
         aside = abs(y[b, j] - centre)
         if aside >= c.lane_width - WANDERING_M or x[b, j] <= x[b, i]:
             continue
         is_in_lane = aside <= WANDERING_M
-        closing = own - speed[b, j] * scene.direction_x[b, j]
+        closing = speed[b, i] - speed[b, j]
         gap = x[b, j] - x[b, i] - c.length
         brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
-        closes_in |= closing > 0
+        fastest = max(fastest, closing)
         is_risk |= closing > 0 or brakes_hard
         is_critical |= brakes_hard or gap < CRITICAL_TTC_S * closing
         is_critical |= is_shown and is_in_lane and closing > 0
         is_shown |= not is_in_lane
         if is_in_lane:
             break
-    return closes_in, is_risk, is_critical
+    return fastest, is_risk, is_critical
