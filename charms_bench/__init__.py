@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from charms_bench.api import open_run as open_run
     from charms_bench.api import open_training as open_training
     from charms_bench.api import run as run
+    from charms_bench.api import search as search
     from charms_bench.api import train as train
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.plugins.agent import DriverModel as DriverModel
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Run open_run open_training run train",
+    "api": "Run open_run open_training run search train",
     "errors": "CharmsBenchError",
     "plugins.agent": "DriverModel Policy",
     "plugins.traffic": "Mixture Traffic",
