@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from charms_bench.api import open_training as open_training
     from charms_bench.api import rare as rare
     from charms_bench.api import run as run
+    from charms_bench.api import search as search
     from charms_bench.api import train as train
     from charms_bench.engine.state import SceneState as SceneState
     from charms_bench.engine.state_file import load_state as load_state
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Rare Run open_run open_training rare run train",
+    "api": "Rare Run open_run open_training rare run search train",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",

@@ -14,6 +14,7 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     TrafficLabel,
     app,
+    interruptible,
     out,
     print_json,
     print_records,
@@ -164,3 +165,57 @@ def what_if(
     say(f"{table.title}\nRecorded: {recorded}\nWhat if:  {instead}")
     out().print(grid(table, out().width, stacked=False))
     say(f"{table.note}\nPage: {page}")
+
+
+@app.command()
+def search(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
+    agent: Annotated[
+        str | None,
+        typer.Option(help="Label of an ego of the suite, or an installed agent."),
+    ] = None,
+    traffic: Annotated[str | None, typer.Option(help="Label of the scenario.")] = None,
+    failures: Annotated[
+        int, typer.Option(min=1, help="Number of failures after which the search ends.")
+    ] = 10,
+    budget: Annotated[
+        int, typer.Option(min=1, help="Number of episodes after which the search ends.")
+    ] = 5000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Suite of the failures to write.")
+    ] = Path("found.yaml"),
+    as_json: Json = False,
+) -> None:
+    """Search a scenario for failures of an agent, and write them as a suite.
+
+    A failure is a collision that the suite's driver preventable_by avoids in the same scenario.
+    """
+    from charms_bench import api
+
+    with interruptible():
+        made = api.search(
+            suite, agent, traffic, output, failures=failures, budget=budget, seed=seed
+        )
+    if as_json:
+        print_json(
+            {
+                "failures": made.failures,
+                "episodes": made.simulations,
+                "episodes_to_first": made.simulations_to_first,
+                "suite": str(output) if made.failures else None,
+            }
+        )
+        return
+    where = f"{made.cell.ego.title} in {made.cell.traffic.title}"
+    if not made.failures:
+        say(f"{where}: no failure in {made.simulations:,} episodes")
+        return
+    say(
+        f"{where}: {len(made.failures)} failures in {made.simulations:,} episodes, the first after "
+        f"{made.simulations_to_first:,}"
+    )
+    forms = dict.fromkeys(made.failures[0], ".3f")
+    records = [{"failure": str(k), **point} for k, point in enumerate(made.failures)]
+    print_records("failure", records, forms)
+    say(f"Written: {output}; run it with `charms-bench run {output}`")

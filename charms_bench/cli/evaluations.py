@@ -111,6 +111,9 @@ def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False)
     if run.suite.title:
         say(run.suite.title)
     out().print(grid(table.without_constant_keys() if everything else run.summary, out().width))
+    preventable = f"{run.suite.suite}-preventable"
+    if not everything and preventable in run.tables:
+        out().print(grid(run.tables[preventable], out().width))
     say(f"Written: {', '.join(map(str, run.files))}")
 
 

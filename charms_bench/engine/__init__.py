@@ -43,7 +43,7 @@ class Engine(Protocol):
     def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
         """Spawns new scenes from draws (R, 4 N + 1) instead of seeds; see `engine.draws`."""
 
-    def restore(self, rows: Ints) -> None:
+    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).
 
         The neighbours and all other arrays that follow from positions and headings are found.

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
 from charms_bench.engine.draws import draws_of
+from charms_bench.engine.prescribed import Script
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
 from charms_bench.world.actions import Actions
@@ -36,13 +37,22 @@ class BatchedEngine:
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
         self._listed = b""
+        scenario = settings.scenario
+        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
-        self.place(rows, draws_of(seeds, self._settings), traffic)
+        if self._script is None:
+            self.place(rows, draws_of(seeds, self._settings), traffic)
+        else:
+            self._script.place(self.scene, rows, seeds)
+            self._seat(rows, traffic)
 
     def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
+        kernels.spawn(self.scene, rows, draws, self._spawn_rule)
+        self._seat(rows, traffic)
+
+    def _seat(self, rows: Ints, traffic: Ints) -> None:
         scene = self.scene
-        kernels.spawn(scene, rows, draws, self._spawn_rule)
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         kernels.seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
@@ -50,7 +60,9 @@ class BatchedEngine:
             speeds = self._command_rule.speeds
             kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
 
-    def restore(self, rows: Ints) -> None:
+    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        if self._script is not None:
+            self._script.choose(rows, seeds)
         drivers, ego = self.drivers, self.scene.ego
         kernels.mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()
@@ -76,6 +88,9 @@ class BatchedEngine:
                 crashed, acceleration = scene.crashed, scene.acceleration
                 kernels.obey(vehicles, answers, crashed, acceleration, scene.target_lane)
         held = self._is_ego if hold_egos else self._nobody
+        if self._script is not None:
+            self._script.prescribe(scene, np.nonzero(scene.active)[0])
+            held = held | self._script.is_prescribed
         kernels.advance(scene, self._is_modelled, held)
 
 

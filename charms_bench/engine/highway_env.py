@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import kernels
 from charms_bench.engine.draws import ReplayedDraws
+from charms_bench.engine.prescribed import Script
 from charms_bench.engine.restored_vehicles import RestoredVehicles
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
@@ -52,9 +53,19 @@ class HighwayEnvEngine:
         self._spawner = _with_constants(Vehicle, settings.profile)
         self._network = _network(settings)
         self._restored = RestoredVehicles(self._network)
+        scenario = settings.scenario
+        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
-        self._reset(rows, [np.random.default_rng(int(seed)) for seed in seeds], traffic)
+        if self._script is None:
+            self._reset(rows, [np.random.default_rng(int(seed)) for seed in seeds], traffic)
+            return
+        self._script.place(self.scene, rows, seeds)
+        for row, others in zip(map(int, rows), traffic, strict=True):
+            self.drivers[row] = np.insert(others, 0, 0)
+            self.roads[row] = self._placed(row)
+            self._copy_state(row)
+        kernels.locate(self.scene, rows)
 
     def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
         self._reset(rows, [ReplayedDraws(each, self._settings) for each in draws], traffic)
@@ -69,7 +80,9 @@ class HighwayEnvEngine:
             self._copy_state(int(row))
         kernels.locate(self.scene, rows)
 
-    def restore(self, rows: Ints) -> None:
+    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+        if self._script is not None:
+            self._script.choose(rows, seeds)
         kernels.locate(self.scene, rows)
         for row in map(int, rows):
             classes = [self._class_of(agent) for agent in self.drivers[row].tolist()]
@@ -89,12 +102,16 @@ class HighwayEnvEngine:
             drivers = self.drivers[row].copy()
             if hold_egos:
                 drivers[self.scene.ego[row]] = _NOBODY
+            if self._script is not None:
+                drivers[self._script.is_prescribed] = _NOBODY
             self._act(row, np.nonzero(~np.isin(drivers, [*self._models, _NOBODY]))[0])
             for agent, model in self._models.items():
                 places = np.nonzero(drivers == agent)[0]
                 if places.size and not model.highway_env_class:
                     self._ask(model, row, places)
                 self._act(row, places)
+            if self._script is not None:
+                self._prescribe(row, self._script)
             self.roads[row].step(dt)
             self.scene.timer_s[row] += dt  # for vehicles that keep no timer of their own
             self._copy_state(row)
@@ -113,6 +130,32 @@ class HighwayEnvEngine:
             vehicle = self.roads[row].vehicles[place]
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
+
+    def _prescribe(self, row: int, script: Script) -> None:
+        """Gives the prescribed vehicles of a scene their control."""
+        scene = self.scene
+        script.prescribe(scene, np.array([row]))
+        for place in np.nonzero(script.is_prescribed & ~scene.crashed[row])[0]:
+            vehicle = self.roads[row].vehicles[place]
+            control = {"steering": scene.steering, "acceleration": scene.acceleration}
+            vehicle.action = {name: values[row, place] for name, values in control.items()}
+            lane = int(scene.target_lane[row, place])
+            vehicle.target_lane_index = (*vehicle.target_lane_index[:2], lane)
+
+    def _placed(self, row: int) -> Road:
+        """The vehicles of a scenario, where the script has placed them."""
+        scene, road = self.scene, Road(network=self._network)
+        for place in range(self._settings.vehicles):
+            vehicle_class = self._class_of(int(self.drivers[row, place]))
+            position = [scene.x[row, place], scene.y[row, place]]
+            vehicle = vehicle_class(road, position, 0.0, scene.speed[row, place])
+            if isinstance(vehicle, IDMVehicle):
+                low, high = vehicle.DELTA_RANGE
+                vehicle.DELTA = low + scene.temperament[row, place] * (high - low)
+            if hasattr(vehicle, "timer"):
+                vehicle.timer = 0.0
+            road.vehicles.append(vehicle)
+        return road
 
     def _spawn(self, row: int, ego: int, rng: RandomSource) -> Road:
         """[`HighwayEnv._create_vehicles`, with the ego at its place]"""

@@ -20,6 +20,7 @@ from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.compiled import compiled
 from charms_bench.world.observations import observation_of
+from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 ENDINGS = ("running", "time", "rear_end", "side", "off_road")
@@ -74,8 +75,9 @@ class Simulation:
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
         self.agents = (ego or "", *(name for name in traffic.agents if name != ego))
         """The names of the agents that `engine.drivers` holds indices of."""
-        self.made = {k: agents[name] for k, name in enumerate(self.agents) if name}
-        """The agents by their index; none for an ego driven from outside."""
+        undriven = ("", PRESCRIBED)
+        self.made = {k: agents[name] for k, name in enumerate(self.agents) if name not in undriven}
+        """The agents by their index; none for what is driven from outside or prescribed."""
         self._policies = {
             k: _checked_policy(self.agents[k], agent, settings)
             for k, agent in self.made.items()

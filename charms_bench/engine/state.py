@@ -168,7 +168,7 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     for names, arrays in ((OF_SIMULATION, simulation), (OF_SCENE, simulation.scene)):
         for name in names:
             getattr(arrays, name)[rows] = getattr(state, name)
-    simulation.engine.restore(rows)
+    simulation.engine.restore(rows, state.seeds)
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:

@@ -101,7 +101,7 @@ def avoidability(
         InputError: An episode does not end with a collision of the ego.
         CharmsBenchError: As for `replay.replay`.
     """
-    tried = _usable(run.suite.scene) if agents is None else tuple(agents)
+    tried = _usable(run.suite.cells[cell].scene) if agents is None else tuple(agents)
     found: list[Avoidability] = []
     for start in range(0, len(episodes), AT_ONCE):
         chunk = _Chunk(run, cell, episodes[start : start + AT_ONCE], folder, budget)
@@ -138,7 +138,7 @@ class _Chunk:
         self, run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, budget: int
     ) -> None:
         self._run, self._cell, self._folder, self._budget = run, cell, folder, budget
-        scene = run.suite.scene
+        scene = run.suite.cells[cell].scene
         self._replays = replay(run, cell, episodes, folder)
         for each in self._replays:
             if each.ending not in ("rear_end", "side"):

@@ -45,7 +45,7 @@ def simulation_of(
     networks = networks_in(run, cell, folder)
     agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
     return Simulation(
-        settings or run.suite.scene,
+        settings or run.suite.cells[cell].scene,
         scenes,
         None if is_ego_outside else ego.key,
         _WithGuests(traffic, tuple({**agents, **guests})) if guests or is_ego_outside else traffic,

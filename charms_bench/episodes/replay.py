@@ -201,6 +201,7 @@ def simulate(
     """
     guests = {} if seat is None else {seat.agent: make_agent(seat.agent)}
     simulation = simulation_of(run, cell, len(episodes), folder, guests)
+    settings = simulation.settings
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation)]
@@ -225,11 +226,11 @@ def simulate(
         replays.append(
             Replay(
                 cell=run.suite.cells[cell],
-                settings=run.suite.scene,
+                settings=settings,
                 episode=episode,
                 ego=int(simulation.scene.ego[b]),
                 agents=tuple(map(str, simulation.drivers[b])),
-                t_s=np.arange(length) / run.suite.scene.simulation_hz,
+                t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
                 **{k: np.stack([frame[k][b] for frame in frames[:length]]) for k in frames[0]},

@@ -10,8 +10,9 @@ from pydantic import AfterValidator, Field, model_validator
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent, make_traffic
-from charms_bench.plugins.traffic import Mixture, Traffic
+from charms_bench.plugins.traffic import Mixture, Placed, Traffic
 from charms_bench.world.fields import FrozenModel, Line
+from charms_bench.world.scenario import PRESCRIBED, Scenario
 
 
 def _short(name: str) -> str:
@@ -83,23 +84,30 @@ class TrafficSpec(_Spec):
     """A traffic or an agent by its name, or a mixture of agents with shares."""
 
     mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
+    scenario: Scenario | None = None
+    """Vehicles that are placed, instead of a traffic that is drawn."""
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> "TrafficSpec":
-        if (self.name is None) == (not self.mixture):
-            raise ValueError("give a name, or shares of agents as {mixture: {agent: share}}")
+    def _one_of_three(self) -> "TrafficSpec":
+        if (self.name is not None) + bool(self.mixture) + (self.scenario is not None) != 1:
+            raise ValueError(
+                "give a name, shares of agents as {mixture: {agent: share}}, or a scenario"
+            )
         return self
 
     def make(self) -> Traffic:
         """The traffic."""
         if self.name is not None:
             return make_traffic(self.name, self.options)
+        if self.scenario is not None:
+            return Placed(self.scenario.agents)
         return Mixture(self.mixture)
 
 
 def drivers_of(ego: AgentSpec, traffic: Traffic) -> tuple[AgentSpec, ...]:
     """The agents that drive in a cell: the ego's, then the others of the traffic."""
-    return (ego, *(AgentSpec(name=name) for name in traffic.agents if name != ego.key))
+    others = (name for name in traffic.agents if name not in (ego.key, PRESCRIBED))
+    return (ego, *(AgentSpec(name=name) for name in others))
 
 
 def networks_of(ego: AgentSpec, traffic: Traffic, folder: Path) -> dict[str, Path]:

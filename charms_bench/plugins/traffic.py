@@ -5,7 +5,7 @@ the name of a traffic in which that agent drives every vehicle.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,17 @@ class OneAgent(Traffic):
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         return np.full((scenes, vehicles), self.agents[0])
+
+
+class Placed(Traffic):
+    """The vehicles of a scenario, each with its own agent; see `world.scenario`."""
+
+    def __init__(self, agents: Sequence[str]) -> None:
+        self.agents = tuple(dict.fromkeys(agents))
+        self._by_vehicle = np.array(agents)
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return np.tile(self._by_vehicle, (scenes, 1))
 
 
 class Mixture(Traffic):

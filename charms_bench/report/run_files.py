@@ -8,9 +8,11 @@ from charms_bench.report.drivers_table import drivers_table
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
+from charms_bench.report.figures.preventable import draw_preventable
 from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
 from charms_bench.report.markdown import document, markdown
 from charms_bench.report.pairs_table import guessed, pairs_table
+from charms_bench.report.preventable_table import preventable_table
 from charms_bench.report.realism_table import TITLE, realism_table
 from charms_bench.report.suite_table import matrices, suite_table
 from charms_bench.report.table import Table
@@ -39,6 +41,10 @@ def write_run(
         pairs = pairs_table(suite, cells)
         summary = _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))
         write_table(folder, pairs, summary)
+    if suite.preventable_by is not None:
+        write_table(folder, preventable_table(suite, cells))
+        if figure := draw_preventable(suite, cells):
+            save(figure, figures / f"{name}-preventable.png")
     if len(cells) > 1:
         save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
     if matrix := matrices(table):

@@ -9,7 +9,13 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
-from charms_bench.report import drivers_table, pairs_table, realism_table, suite_table
+from charms_bench.report import (
+    drivers_table,
+    pairs_table,
+    preventable_table,
+    realism_table,
+    suite_table,
+)
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
@@ -28,12 +34,14 @@ class RunTables:
     """How far each traffic is from human driving."""
     pairs: Table | None
     """The differences between each two egos."""
+    preventable: Table | None
+    """The collisions that a reference driver avoids in the same episodes."""
     drivers: Table | None
     """What each driver does to others and what others do to it."""
 
     def each(self) -> list[Table]:
         """The tables that there are."""
-        found = (self.metrics, self.realism, self.pairs, self.drivers)
+        found = (self.metrics, self.realism, self.pairs, self.preventable, self.drivers)
         return [table for table in found if table is not None]
 
 
@@ -60,9 +68,10 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
         ("", suite_table),
         ("-realism", realism_table),
         ("-pairs", pairs_table),
+        ("-preventable", preventable_table),
         ("-drivers", drivers_table),
     )
-    metrics, realism, pairs, drivers = (
+    metrics, realism, pairs, preventable, drivers = (
         kind.from_frame(read_table(path, long_schema(kind.KEYS, kind.LONG)), suite)
         if (path := Path(f"{start}{ending}.csv")).exists()
         else None
@@ -73,7 +82,7 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
             f"{start}.csv: no such file; a run writes its tables when it is finished, and "
             f"`charms-bench rescore {folder}` writes them again"
         )
-    return RunTables(metrics, realism, pairs, drivers)
+    return RunTables(metrics, realism, pairs, preventable, drivers)
 
 
 def read_table(path: Path, schema: Mapping[str, pl.DataType]) -> pl.DataFrame:

@@ -72,6 +72,7 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
     named = {name for traffic in traffics for name in (traffic.name, *traffic.mixture)}
+    named |= {name for each in traffics if each.scenario for name in each.scenario.agents}
     egos = {ego.agent.origin for ego in suite.egos} - named
     agents = manifest.get("agents", {})
     networks = run.folder.network_hashes()

@@ -129,7 +129,7 @@ def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
             task = ShardTask(
                 title=f"{cell.ego.title} in {cell.traffic.title}, episodes {first} to {last}",
                 engine=engine,
-                scene=suite.scene,
+                scene=cell.scene,
                 ego=ego,
                 traffic=traffic,
                 networks=networks,

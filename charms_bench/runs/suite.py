@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError, first_problem, suggestion
@@ -16,13 +17,17 @@ from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.world.fields import Finite, FrozenModel, Line, Name
+from charms_bench.world.placement import ScenarioError, place
+from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
 EPISODES_LIMIT = 10_000_000
 """Most episodes of a suite, in all cells together."""
+PLACED_AT_ONCE = 100_000
+"""Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffics."""
-PRESENTATION = ("title", "columns", "pairs", "references")
+PRESENTATION = ("title", "columns", "pairs", "preventable_by", "references")
 """Fields of a suite that decide no row, only how results are presented."""
 
 
@@ -50,7 +55,7 @@ class TrafficEntry(FrozenModel):
     @property
     def title(self) -> str:
         """Its name in tables."""
-        return self.label or self.traffic.name or " + ".join(self.traffic.mixture)
+        return self.label or self.traffic.name or " + ".join(self.traffic.mixture) or "scenario"
 
 
 class Cell(FrozenModel):
@@ -58,6 +63,8 @@ class Cell(FrozenModel):
 
     ego: EgoEntry
     traffic: TrafficEntry
+    scene: SceneSettings
+    """The suite's, with the vehicles of the traffic's scenario."""
 
     @property
     def paper(self) -> dict[str, float]:
@@ -85,6 +92,9 @@ class Suite(FrozenModel):
     """Metrics of the printed table; if empty, all that the paper reports."""
     pairs: bool = False
     """Whether to compare the egos pair by pair in a table."""
+    preventable_by: Name | None = None
+    """Label of the ego that decides which collisions are preventable: those in the episodes in
+    which it does not crash itself."""
     references: Annotated[
         tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
     ] = ()
@@ -117,6 +127,16 @@ class Suite(FrozenModel):
         return self
 
     @model_validator(mode="after")
+    def _places_vehicles_once(self) -> "Suite":
+        if self.scene.scenario is not None:
+            raise ValueError("scene.scenario: give the scenario as a traffic")
+        labels = [ego.title for ego in self.egos]
+        if self.preventable_by is not None and self.preventable_by not in labels:
+            known = suggestion(self.preventable_by, dict.fromkeys(labels))
+            raise ValueError(f"preventable_by: no ego called '{self.preventable_by}'. {known}")
+        return self
+
+    @model_validator(mode="after")
     def _is_bounded(self) -> "Suite":
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
@@ -128,8 +148,11 @@ class Suite(FrozenModel):
     @property
     def cells(self) -> tuple[Cell, ...]:
         """Every ego in every traffic."""
+        scenes = [self.scene.of_scenario(each.traffic.scenario) for each in self.traffics]
         return tuple(
-            Cell(ego=ego, traffic=traffic) for ego in self.egos for traffic in self.traffics
+            Cell(ego=ego, traffic=traffic, scene=scene)
+            for ego in self.egos
+            for traffic, scene in zip(self.traffics, scenes, strict=True)
         )
 
     def fingerprint(self) -> str:
@@ -163,9 +186,29 @@ def suite_of(document: Document) -> Suite:
         for index, entry in enumerate(entries):
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
+    check_scenarios(document, suite)
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, METRIC_SETS)
     return suite
+
+
+def check_scenarios(document: Document, suite: Suite) -> None:
+    """Checks that the vehicles of every episode of a document's scenarios can be placed.
+
+    Raises:
+        SuiteError: They cannot; names the line, and the values of the parameters.
+    """
+    for index, entry in enumerate(suite.traffics):
+        scenario = entry.traffic.scenario
+        for first in range(0, suite.episodes if scenario else 0, PLACED_AT_ONCE):
+            assert scenario is not None
+            last = min(first + PLACED_AT_ONCE, suite.episodes)
+            numbers = np.arange(suite.seed + first, suite.seed + last)
+            try:
+                place(scenario, suite.scene.of_scenario(scenario).constants, numbers)
+            except ScenarioError as error:
+                at = ("traffics", index, "traffic", "scenario", *error.location)
+                raise document.error(at, str(error)) from error
 
 
 def check_networks(document: Document, suite: Suite) -> None:
@@ -205,4 +248,5 @@ def _names(entry: EgoEntry | TrafficEntry) -> tuple[str, ...]:
     """
     if isinstance(entry, EgoEntry):
         return (entry.agent.name,)
-    return tuple(AgentSpec(name=name).name for name in entry.traffic.make().agents)
+    agents = entry.traffic.make().agents
+    return tuple(AgentSpec(name=name).name for name in agents if name != PRESCRIBED)

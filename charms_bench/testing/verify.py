@@ -97,9 +97,10 @@ def default_cases() -> tuple[list[Case], int]:
 
 def cases_of(suite: Suite) -> list[Case]:
     """The cells of a suite."""
-    scene, folder = suite.scene, suite.folder
     return [
-        Case(scene=scene, ego=cell.ego.agent, traffic=cell.traffic.traffic, folder=folder)
+        Case(
+            scene=cell.scene, ego=cell.ego.agent, traffic=cell.traffic.traffic, folder=suite.folder
+        )
         for cell in suite.cells
     ]
 

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from charms_bench.errors import suggestion
 from charms_bench.world.fields import FrozenModel, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
+from charms_bench.world.scenario import Scenario
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -66,6 +67,8 @@ class SceneSettings(FrozenModel):
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     duration_s: Positive = 20.0
+    scenario: Annotated[Scenario | None, Field(exclude=True)] = None
+    """Places the vehicles; a suite gives it as a traffic, which is where it is stored."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "SceneSettings":
@@ -85,6 +88,13 @@ class SceneSettings(FrozenModel):
         if self.decisions < 1:
             raise ValueError("duration_s is shorter than one decision")
         return self
+
+    def of_scenario(self, scenario: Scenario | None) -> "SceneSettings":
+        """The same settings for the vehicles of a scenario; for None, these settings."""
+        if scenario is None:
+            return self
+        changes = {"scenario": scenario, "traffic_vehicles": len(scenario.vehicles), "ego_slots": 1}
+        return self.model_copy(update=changes)
 
     @property
     def vehicles(self) -> int:

@@ -12,6 +12,7 @@ from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.learning import draw_curves
 from charms_bench.report.figures.paper_values import draw_beside_paper
+from charms_bench.report.figures.preventable import draw_preventable
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
@@ -19,6 +20,7 @@ from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
+from charms_bench.runs.suite import Suite
 
 COLUMNS = 7
 """Columns of numbers in a table, so that it fits a sheet of paper."""
@@ -61,6 +63,8 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
         for block in chosen.blocks(COLUMNS + 1)
     ]
+    if tables.preventable is not None:
+        shown.append(tables.preventable)
     if tables.realism is not None:
         shown += tables.realism.parts()
     parts = tables.metrics.without_constant_keys().parts()
@@ -74,7 +78,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         facts=(
             f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), 'traffic')}",
             f"{suite.episodes:,} episodes each, seeds {suite.seed:,} to {last:,}",
-            f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}",
+            _scenes(suite),
             f"{scene.duration_s:g} s per episode",
             f"run folder {source.path.name}",
         ),
@@ -83,6 +87,14 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         more=more,
         drawn_first=bool(matrices(tables.metrics)),
     )
+
+
+def _scenes(suite: Suite) -> str:
+    """What the scenes of a suite look like."""
+    scene = suite.scene
+    if all(entry.traffic.scenario for entry in suite.traffics):
+        return f"{scene.lanes} lanes, vehicles placed by scenarios"
+    return f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}"
 
 
 def _counted(count: int, what: str) -> str:
@@ -137,6 +149,10 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
         caption += "(Holm-corrected p < 0.05)."
         found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
+    if suite.preventable_by is not None and (figure := draw_preventable(suite, source.run.cells())):
+        title = "Preventable collisions"
+        caption = f"Green: {suite.preventable_by} survives. Points: collisions of the ego."
+        found.append(_picture(f"{key}-preventable", title, caption, figure, wide=True))
     if not suite.references:
         return found
     following = source.run.following()

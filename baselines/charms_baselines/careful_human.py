@@ -1,0 +1,95 @@
+"""The competent and careful human driver of UN Regulation 157 (2021), Annex 4, Appendix 3.
+
+A collision that this driver avoids in the same scenario is preventable. The driver
+
+1. perceives a vehicle ahead that is slower or brakes hard, and is in the driver's lane, or more
+   than 0.375 m from the centre of the next lane towards it; a vehicle that keeps within 0.375 m of
+   the lane's centre hides what is ahead of it;
+2. evaluates the risk for 0.4 s;
+3. reacts as soon as the time to collision is below 2 s, the leader brakes by more than 5 m/s2, or a
+   vehicle that leaves the lane has shown a slower one;
+4. brakes 0.75 s later: the deceleration rises to 0.774 g within 0.6 s and stays there as long as
+   the driver closes in.
+
+The numbers are the regulation's. The TTC of 2 s and the leader's 5 m/s2 are those of two public
+implementations, esmini and JRC-FSM. The driver never changes lanes and, after it has braked, never
+accelerates, so the model is for single scenarios.
+"""
+
+import numpy as np
+
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.compiled import clip, compiled, index
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
+
+WANDERING_M = 0.375
+EVALUATION_S = 0.4
+CRITICAL_TTC_S = 2.0
+LEADER_BRAKING_MPS2 = 5.0
+DELAY_S = 0.75
+BRAKING_MPS2 = 0.774 * 9.81
+RISE_S = 0.6
+PERCEIVED_S = 100_000.0
+"""`timer_s` when a risk is perceived; longer than any episode, because timers start near 0."""
+REACTED_S = 200_000.0
+"""`timer_s` when the driver reacts."""
+
+
+class CarefulHuman(DriverModel):
+    """Keeps its speed and lane, and brakes for a risk as the regulation's driver does."""
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        return _drive(scene, vehicles[0], vehicles[1])
+
+
+@compiled
+def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
+    c, timer_s, speed = scene.constants, scene.timer_s, scene.speed
+    acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    for m in range(rows.size):
+        b, i = index(rows[m]), index(places[m])
+        target_lane[m] = scene.target_lane[b, i]
+        closing, is_risk, is_critical = _risk(scene, rows[m], places[m])
+        if timer_s[b, i] < REACTED_S:
+            if not is_risk:
+                timer_s[b, i] = 0.0
+            elif timer_s[b, i] < PERCEIVED_S:
+                timer_s[b, i] = PERCEIVED_S
+            # Half a step, because sums of steps differ from their product in the last bits.
+            if is_critical and timer_s[b, i] - PERCEIVED_S > EVALUATION_S - c.dt / 2:
+                timer_s[b, i] = REACTED_S
+            wanted = (scene.target_speed[b, i] - speed[b, i]) / c.tau_acceleration
+            acceleration[m] = clip(wanted, -BRAKING_MPS2, BRAKING_MPS2)
+        elif closing > 0:
+            # The mean over the step, and half a step more, because the engine moves a vehicle by
+            # the speed that it has before the step.
+            braked_s = timer_s[b, i] - REACTED_S + c.dt - DELAY_S
+            braking = BRAKING_MPS2 * clip(braked_s / RISE_S, 0.0, 1.0)
+            acceleration[m] = -min(braking, closing / c.dt)
+    return acceleration, target_lane
+
+
+@compiled
+def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
+    """How fast vehicle i of scene b closes in, whether that is a risk, and whether to react."""
+    c, x, y, speed = scene.constants, scene.x, scene.y, scene.speed
+    centre = scene.target_lane[b, i] * c.lane_width
+    fastest = 0.0
+    is_risk = is_critical = is_shown = False
+    for k in range(scene.rank[b, i] + 1, x.shape[1]):
+        j = scene.order[b, k]
+        aside = abs(y[b, j] - centre)
+        if aside >= c.lane_width - WANDERING_M or x[b, j] <= x[b, i]:
+            continue
+        is_in_lane = aside <= WANDERING_M
+        closing = speed[b, i] - speed[b, j]
+        gap = x[b, j] - x[b, i] - c.length
+        brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
+        fastest = max(fastest, closing)
+        is_risk |= closing > 0 or brakes_hard
+        is_critical |= brakes_hard or gap < CRITICAL_TTC_S * closing
+        is_critical |= is_shown and is_in_lane and closing > 0
+        is_shown |= not is_in_lane
+        if is_in_lane:
+            break
+    return fastest, is_risk, is_critical

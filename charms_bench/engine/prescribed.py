@@ -1,0 +1,93 @@
+"""Places the vehicles of a scenario, and computes their prescribed motion in both engines.
+
+A prescribed vehicle obeys accelerations and steering angles like any other vehicle. Its steering
+angle is the one with which the bicycle model reaches its prescribed path at the end of the step.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.engine import kernels
+from charms_bench.world import maths
+from charms_bench.world.compiled import clip, compiled
+from charms_bench.world.placement import Placement, place
+from charms_bench.world.scenario import Scenario
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
+
+TEMPERAMENT = 0.5
+"""Of every vehicle of a scenario: nothing of a concrete scenario is left to chance."""
+
+
+class Script:
+    """The concrete scenarios of B scenes."""
+
+    def __init__(self, scenario: Scenario, settings: SceneSettings, scenes: int) -> None:
+        self._scenario, self._constants = scenario, settings.constants
+        self.is_prescribed = np.array([False, *(each.agent is None for each in scenario.vehicles)])
+        """[N] whether the motion of each vehicle is prescribed."""
+        first = place(scenario, self._constants, np.zeros(1, dtype=np.int64))
+        self._placement = Placement(*(np.repeat(each, scenes, axis=0) for each in first))
+
+    def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
+        """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
+        found = self.choose(rows, numbers)
+        scene.ego[rows] = 0
+        scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
+        scene.y[rows] = found.lane * self._constants.lane_width
+        scene.target_speed[rows], scene.target_lane[rows] = found.speed, found.lane
+        for name in ("heading", "acceleration", "steering", "timer_s", "crashed", "impact"):
+            getattr(scene, name)[rows] = 0
+        scene.temperament[rows] = TEMPERAMENT
+        scene.order[rows] = scene.rank[rows] = np.arange(scene.x.shape[1])
+        scene.active[rows] = True
+        kernels.locate(scene, rows)
+
+    def choose(self, rows: Ints, numbers: NDArray[Any]) -> Placement:
+        """Prescribes the motion of the points with these numbers in the scenes `rows` (R,)."""
+        found = place(self._scenario, self._constants, numbers)
+        for whole, part in zip(self._placement, found, strict=True):
+            whole[rows] = part
+        return found
+
+    def prescribe(self, scene: Scene, rows: Ints) -> None:
+        """Sets the control of the prescribed vehicles of these scenes for the next step."""
+        _prescribe(scene, rows, self.is_prescribed, self._placement)
+
+
+@compiled
+def _prescribe(scene: Scene, rows: Ints, is_prescribed: Bools, placed: Placement) -> None:
+    c = scene.constants
+    for b in rows:
+        for i in range(is_prescribed.size):
+            if not is_prescribed[i] or scene.crashed[b, i]:
+                continue
+            time = scene.timer_s[b, i]
+            speed, heading = scene.speed[b, i], scene.heading[b, i]
+            acceleration = 0.0
+            y = placed.lane[b, i] * c.lane_width
+            for k in range(placed.brakes_at.shape[2]):
+                # Sums of intervals differ from their product in the last bits.
+                if placed.brakes_at[b, i, k] <= time + 1e-9:
+                    wanted, left = placed.acceleration[b, i, k], placed.until[b, i, k] - speed
+                    low, high = min(0.0, left / c.dt), max(0.0, left / c.dt)
+                    acceleration = clip(wanted, low, high)
+                if placed.moves_at[b, i, k] <= time + 1e-9:
+                    passed = (time + c.dt - placed.moves_at[b, i, k]) / placed.duration[b, i, k]
+                    y += placed.moves_by[b, i, k] * clip(passed, 0.0, 1.0)
+                    scene.target_lane[b, i] = placed.moves_to[b, i, k]
+            scene.acceleration[b, i] = acceleration
+            scene.steering[b, i] = steering_to(y - scene.y[b, i], speed * c.dt, heading)
+
+
+@compiled
+def steering_to(aside: float, distance: float, heading: float) -> float:
+    """The steering angle that moves a vehicle aside by so much while it drives a distance.
+
+    The inverse of the bicycle model's lateral displacement [`Vehicle.step`].
+    """
+    if distance < 1e-6:
+        return 0.0
+    slip = maths.asin(clip(aside / distance, -1.0, 1.0)) - heading
+    return maths.atan(2 * maths.tan(clip(slip, -1.0, 1.0)))

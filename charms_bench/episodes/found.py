@@ -1,0 +1,58 @@
+"""Writes the failures that a search has found as a suite that runs."""
+
+import os
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from charms_bench.episodes.search import Search
+from charms_bench.plugins.registry import is_network
+from charms_bench.runs.document import Document
+from charms_bench.world.files import write_bytes
+
+
+def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
+    """Writes a suite whose episodes are the failures, driven by both drivers of the search.
+
+    Args:
+        search: What has been found.
+        document: The suite that was searched; its scene and scenario are taken over.
+        traffic: The index of the scenario among its traffics.
+        path: The file to write.
+    """
+    entry = deepcopy(document.data["traffics"][traffic])
+    entry["traffic"]["scenario"]["points"] = search.failures
+    egos = [search.cell.ego, *([search.reference] if search.reference else [])]
+    suite: dict[str, Any] = {
+        "suite": path.stem,
+        "title": f"Failures of {search.cell.ego.title} in {search.cell.traffic.title}",
+        "episodes": len(search.failures),
+        "scene": document.data.get("scene", {}),
+        "egos": [
+            {
+                "agent": each.agent.model_dump(mode="json", exclude_defaults=True),
+                "label": each.title,
+            }
+            for each in egos
+        ],
+        "traffics": [entry],
+        "columns": document.data.get("columns", []),
+    }
+    if search.reference is not None:
+        suite["preventable_by"] = search.reference.title
+    moved = _moved(suite, document.path.parent, path.parent)
+    text = yaml.safe_dump(moved, sort_keys=False, allow_unicode=True, width=100)
+    write_bytes(path, text.encode())
+
+
+def _moved(value: Any, old: Path, new: Path) -> Any:
+    """A value in which the paths of networks start at another folder."""
+    if isinstance(value, dict):
+        return {key: _moved(each, old, new) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_moved(each, old, new) for each in value]
+    if isinstance(value, str) and is_network(value):
+        return os.path.relpath(old / value, new)
+    return value

@@ -1,0 +1,150 @@
+"""Searches the parameters of a scenario for failures of an agent, by differential evolution.
+
+A failure is a preventable collision: the agent collides, and the suite's reference driver does not.
+The search minimises the agent's margin to a collision (`severity`); where it collides, the larger
+one of its margin and the reference driver's negative margin, which is below 0 in a failure only.
+So the reference driver is simulated only where the agent collides.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.episodes.severity import margins
+from charms_bench.errors import InputError, suggestion
+from charms_bench.plugins.registry import AGENTS, plugins
+from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
+from charms_bench.runs.suite import Cell, EgoEntry, Suite
+from charms_bench.world.points import from_shares, sobol
+from charms_bench.world.scene import Floats
+
+POPULATION = 24
+"""Points of a generation. Chosen, like `GENERATIONS`, with seeds that no result uses."""
+GENERATIONS = 12
+"""Generations without a failure after which the search starts again, from other points."""
+
+Point = dict[str, float]
+
+
+@dataclass
+class Search:
+    """The failures of an agent in a scenario, and how many episodes it took to find them."""
+
+    cell: Cell
+    reference: EgoEntry | None
+    """The driver that decides which collisions are preventable; None if all are."""
+    folder: Path
+    """Folder that relative paths of networks start from."""
+    failures: list[Point] = field(default_factory=list)
+    simulations: int = 0
+    """Episodes simulated, those of the reference driver included."""
+    simulations_to_first: int | None = None
+    found: Callable[[], None] = lambda: None
+    """Called when there are new failures."""
+    told: Callable[[int], None] = lambda episodes: None
+    """Called with the episodes simulated since the last call."""
+
+    def run(self, failures: int, budget: int, seed: int) -> None:
+        """Searches until there are so many failures, or so many episodes have been simulated."""
+        from scipy.optimize import differential_evolution
+
+        scenario = self.cell.scene.scenario
+        assert scenario is not None
+        dimensions = len(scenario.parameters)
+
+        def is_over(*_: object) -> bool:
+            return len(self.failures) >= failures or self.simulations >= budget
+
+        for start in count():
+            if is_over():
+                del self.failures[failures:]
+                return
+            differential_evolution(
+                lambda shares: self.values(shares.T),
+                [(0.0, 1.0)] * dimensions,
+                init=sobol(dimensions, start * POPULATION, POPULATION, scramble=seed),
+                maxiter=GENERATIONS,
+                mutation=(0.4, 0.9),
+                recombination=0.9,
+                tol=0.0,
+                polish=False,
+                vectorized=True,
+                updating="deferred",
+                callback=is_over,
+                rng=np.random.default_rng([seed, start]),
+            )
+
+    def values(self, shares: Floats) -> Floats:
+        """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""
+        scenario = self.cell.scene.scenario
+        assert scenario is not None
+        values = from_shares(scenario.parameters, shares)
+        points = [
+            {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
+        ]
+        found = self._margins(self.cell.ego.agent, points)
+        collides = np.nonzero(found <= 0)[0]
+        if collides.size and self.reference is not None:
+            asked = [points[k] for k in collides]
+            theirs = self._margins(self.reference.agent, asked)
+            found[collides] = np.maximum(found[collides], -theirs)
+            collides = collides[theirs > 0]
+        if collides.size:
+            self.failures += [points[k] for k in collides]
+            self.simulations_to_first = self.simulations_to_first or self.simulations
+            self.found()
+        return found
+
+    def _margins(self, agent: AgentSpec, points: list[Point]) -> Floats:
+        cell = self.cell
+        assert cell.scene.scenario is not None
+        traffic = cell.traffic.traffic.make()
+        networks = networks_of(agent, traffic, self.folder)
+        agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
+        scenario = cell.scene.scenario.model_copy(update={"points": tuple(points)})
+        settings = cell.scene.of_scenario(scenario)
+        simulation = Simulation(settings, len(points), agent.key, traffic, agents)
+        self.simulations += len(points)
+        self.told(len(points))
+        return margins(simulation, np.arange(len(points)))
+
+
+def scenario_of(path: Path, suite: Suite, title: str | None) -> int:
+    """Returns the index of a scenario among the traffics of a suite; None is the only one.
+
+    Raises:
+        InputError: There is no such scenario, or several.
+    """
+    found = {
+        entry.title: index
+        for index, entry in enumerate(suite.traffics)
+        if entry.traffic.scenario is not None and entry.traffic.scenario.parameters
+    }
+    if title is not None and title not in found:
+        raise InputError(f"{path}: no scenario called '{title}'. {suggestion(title, found)}")
+    if title is None and len(found) != 1:
+        what = "choose one with --traffic" if found else "expected one with parameters to search"
+        raise InputError(f"{path}: {len(found)} scenarios; {what}. {suggestion('', found)}")
+    return found[title] if title is not None else next(iter(found.values()))
+
+
+def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
+    """Returns an ego of a suite by its label, or an installed agent; None is the only one.
+
+    Raises:
+        InputError: There is no such ego and no such agent, or the suite has several egos.
+    """
+    known = {entry.title: entry for entry in suite.egos if entry.title != suite.preventable_by}
+    if name is None and len(known) != 1:
+        what = f"{len(known)} egos to search failures of; choose one with --agent"
+        raise InputError(f"{path}: {what}. {suggestion('', known)}")
+    if name is None or name in known:
+        return known[name] if name is not None else next(iter(known.values()))
+    if name not in plugins(AGENTS):
+        everyone = {**known, **plugins(AGENTS)}
+        raise InputError(f"{path}: no agent named '{name}'. {suggestion(name, everyone)}")
+    return EgoEntry(agent=AgentSpec(name=name))

@@ -1,0 +1,43 @@
+"""How close an ego came to a collision, as one number that falls towards it and below 0 in it."""
+
+import numpy as np
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.world.compiled import compiled
+from charms_bench.world.scene import Floats, Ints, Scene
+
+
+def margins(simulation: Simulation, seeds: Ints) -> Floats:
+    """Simulates one episode in each of the B scenes, and returns the margin (B,) of each.
+
+    Without a collision, it is the ego's least distance to another vehicle in m: the larger one of
+    the gaps along and across the road. With a collision, it is the negative relative speed in m/s.
+    """
+    simulation.reset(seeds.astype(np.uint64))
+    found = np.full(seeds.size, np.inf)
+    while simulation.scene.active.any():
+        for _ in range(simulation.settings.steps_per_decision):
+            speed = simulation.scene.speed.copy()
+            simulation.advance()
+            _lower(simulation.scene, speed, found)
+        simulation.finish_step()
+    return np.where(simulation.failed, np.minimum(found, 0.0), found)
+
+
+@compiled
+def _lower(scene: Scene, speed: Floats, found: Floats) -> None:
+    """Lowers the margins to that of the step that has ended; `speed` is from before the step."""
+    c, x, y = scene.constants, scene.x, scene.y
+    for b in range(found.size):
+        if not scene.active[b] or found[b] < 0:
+            continue
+        i = scene.ego[b]
+        least, nearest = np.inf, i
+        for j in range(x.shape[1]):
+            along, across = abs(x[b, j] - x[b, i]) - c.length, abs(y[b, j] - y[b, i]) - c.width
+            if j != i and max(along, across) < least:
+                least, nearest = max(along, across), j
+        if scene.crashed[b, i]:
+            found[b] = -max(0.1, abs(speed[b, i] - speed[b, nearest]))
+        else:
+            found[b] = min(found[b], max(least, 0.0))

@@ -1,0 +1,222 @@
+"""Concrete scenarios: where each vehicle of an episode starts, and what is prescribed for it."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError, suggestion
+from charms_bench.world.formula import Formula, evaluate
+from charms_bench.world.points import count_of, values_at
+from charms_bench.world.profile import Constants
+from charms_bench.world.scenario import EGO, Action, Scenario
+
+Floats = NDArray[np.float64]
+Location = tuple[str | int, ...]
+
+
+class ScenarioError(InputError):
+    """A scenario cannot be placed; `location` leads to the value in the scenario."""
+
+    def __init__(self, location: Location, what: str) -> None:
+        super().__init__(what)
+        self.location = location
+
+
+class Placement(NamedTuple):
+    """The starts of R scenes of N vehicles, the ego first, and K actions of each kind.
+
+    An action that a vehicle does not have begins at infinity.
+    """
+
+    x: Floats
+    """[R, N] m."""
+    lane: NDArray[np.int64]
+    speed: Floats
+    """[R, N] m/s."""
+    brakes_at: Floats
+    """[R, N, K] when a prescribed acceleration begins, s."""
+    acceleration: Floats
+    """[R, N, K] m/s2."""
+    until: Floats
+    """[R, N, K] the speed at which it ends, m/s."""
+    moves_at: Floats
+    """[R, N, K] when a movement across the road begins, s."""
+    duration: Floats
+    """[R, N, K] s."""
+    moves_to: NDArray[np.int64]
+    """[R, N, K] its lane."""
+    moves_by: Floats
+    """[R, N, K] its displacement, m."""
+
+
+def place(scenario: Scenario, c: Constants, numbers: NDArray[Any]) -> Placement:
+    """Returns the concrete scenarios of the points (R,) with these numbers.
+
+    Raises:
+        ScenarioError: A formula is wrong, or a point has an impossible placement.
+    """
+    _check_points(scenario, numbers)
+    return place_at(scenario, c, values_at(scenario, numbers), numbers.size)
+
+
+def place_at(
+    scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int
+) -> Placement:
+    """Returns the concrete scenarios of points, given by the values (R,) of each parameter.
+
+    Raises:
+        ScenarioError: As for `place`.
+    """
+    return _Placing(scenario, c, values, count).placement()
+
+
+def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
+    parameters, points, count = scenario.parameters, scenario.points, count_of(scenario)
+    last = int(numbers.max(initial=0))
+    if count is not None and last >= count:
+        raise ScenarioError(
+            ("points",), f"has {count:,} points; episode {last} needs {last + 1:,}, because its "
+            "seed is the number of its point"
+        )  # fmt: skip
+    for k, point in enumerate(points if isinstance(points, tuple) else ()):
+        if set(point) != set(parameters):
+            found, expected = ", ".join(point), ", ".join(parameters)
+            raise ScenarioError(("points", k), f"has {found}; expected values of {expected}")
+        for name, value in point.items():
+            low, high = parameters[name].range
+            if not low <= value <= high:
+                what = f"{value:g} is out of range; expected {low:g} to {high:g}"
+                raise ScenarioError(("points", k, name), what)
+
+
+class _Placing:
+    """Evaluates the formulas of a scenario at some points, and checks what comes out."""
+
+    def __init__(
+        self, scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int
+    ) -> None:
+        self._scenario, self._c, self._values, self._count = scenario, c, values, count
+
+    def placement(self) -> Placement:
+        scenario, c = self._scenario, self._c
+        vehicles = scenario.vehicles
+        actions = max((len(each.actions) for each in vehicles), default=0)
+        shape = (self._count, len(vehicles) + 1)
+        made = Placement(
+            *(np.zeros(shape, dtype) for dtype in (np.float64, np.int64, np.float64)),
+            *(np.full((*shape, actions), np.inf) if name.endswith("_at")
+              else np.zeros((*shape, actions), np.int64 if name == "moves_to" else np.float64)
+              for name in Placement._fields[3:]),
+        )  # fmt: skip
+        names: dict[str, int] = {}
+        for i, vehicle in enumerate((scenario.ego, *vehicles)):
+            at: Location = ("vehicles", i - 1) if i else (EGO,)
+            name = vehicles[i - 1].name if i else EGO
+            if name in names:
+                raise ScenarioError((*at, "name"), f"'{name}' is already a vehicle")
+            names[name] = i
+            made.lane[:, i] = self._lane((*at, "lane"), vehicle.lane)
+            low, high = max(0.0, c.speed_min), c.speed_max
+            made.speed[:, i] = self._within((*at, "speed_mps"), vehicle.speed_mps, low, high)
+            made.x[:, i] = self._x(i, at, names, made.x)
+            self._check_free(i, at, made, list(names))
+            for k, action in enumerate(vehicles[i - 1].actions if i else ()):
+                self._set_action(i, k, (*at, "actions", k), action, made)
+        return made
+
+    def _x(self, i: int, at: Location, names: Mapping[str, int], x: Floats) -> Floats:
+        length = self._c.length
+        ends = (-length, self._c.road_length)
+        vehicle = self._scenario.vehicles[i - 1] if i else None
+        if vehicle is None or vehicle.x_m is not None:
+            formula = vehicle.x_m if vehicle else self._scenario.ego.x_m
+            assert formula is not None
+            return self._within((*at, "x_m"), formula, *ends)
+        field = "ahead_of" if vehicle.ahead_of is not None else "behind"
+        other = str(getattr(vehicle, field))
+        known = {name: place for name, place in names.items() if place < i}
+        if other not in known:
+            what = f"no vehicle named '{other}' before this one. {suggestion(other, known)}"
+            raise ScenarioError((*at, field), what)
+        assert vehicle.gap_m is not None
+        gap = self._value((*at, "gap_m"), vehicle.gap_m)
+        sign = 1.0 if field == "ahead_of" else -1.0
+        found = x[:, known[other]] + sign * (gap + length)
+        outside = ~((found >= ends[0]) & (found < ends[1]))
+        self._check((*at, "gap_m"), outside, f"off the road, at x {{:g}} m; expected "
+                    f"{ends[0]:g} to {ends[1]:g}", found)  # fmt: skip
+        return found
+
+    def _check_free(self, i: int, at: Location, made: Placement, names: Sequence[str]) -> None:
+        """Refuses a vehicle that overlaps one before it."""
+        vehicle = self._scenario.vehicles[i - 1] if i else None
+        field = "gap_m" if vehicle and vehicle.gap_m is not None else "x_m"
+        for j in range(i):
+            is_level = np.abs(made.x[:, i] - made.x[:, j]) < self._c.length
+            apart = np.abs(made.lane[:, i] - made.lane[:, j]) * self._c.lane_width
+            overlaps = is_level & (apart < self._c.width)
+            what = f"overlaps '{names[j]}': {{:g}} m between their centres; expected at least "
+            self._check((*at, field), overlaps, f"{what}{self._c.length:g} m",
+                        np.abs(made.x[:, i] - made.x[:, j]))  # fmt: skip
+
+    def _set_action(self, i: int, k: int, at: Location, action: Action, made: Placement) -> None:
+        c = self._c
+        begins = self._within((*at, "at_s"), action.at_s, 0.0, np.inf)
+        if action.acceleration_mps2 is not None:
+            limit = 20.0
+            asked = (*at, "acceleration_mps2")
+            acceleration = self._within(asked, action.acceleration_mps2, -limit, limit)
+            ends = np.where(acceleration < 0, max(0.0, c.speed_min), c.speed_max)
+            if action.until_mps is not None:
+                bounds = (max(0.0, c.speed_min), c.speed_max)
+                ends = self._within((*at, "until_mps"), action.until_mps, *bounds)
+            made.brakes_at[:, i, k] = begins
+            made.acceleration[:, i, k], made.until[:, i, k] = acceleration, ends
+            return
+        assert action.lane is not None
+        assert action.duration_s is not None
+        lane = self._lane((*at, "lane"), action.lane)
+        duration = self._within((*at, "duration_s"), action.duration_s, c.dt, np.inf)
+        start, ready = made.lane[:, i], np.full(self._count, -np.inf)
+        for earlier in range(k):
+            has_moved = made.moves_at[:, i, earlier] < np.inf
+            start = np.where(has_moved, made.moves_to[:, i, earlier], start)
+            ended = made.moves_at[:, i, earlier] + made.duration[:, i, earlier]
+            ready = np.where(has_moved, ended, ready)
+        self._check((*at, "at_s"), begins < ready - 1e-9, "{:g} s is before the movement before "
+                    "it has ended; expected a later time", begins)  # fmt: skip
+        made.moves_at[:, i, k], made.duration[:, i, k] = begins, duration
+        made.moves_to[:, i, k], made.moves_by[:, i, k] = lane, (lane - start) * c.lane_width
+
+    def _lane(self, at: Location, formula: Formula) -> NDArray[np.int64]:
+        last = self._c.lanes - 1
+        lane = self._value(at, formula)
+        what = f"lane {{:g}} is not on the road; expected a whole number from 0 to {last}"
+        self._check(at, ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last)), what, lane)
+        return np.asarray(lane.astype(np.int64))
+
+    def _within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:
+        value = self._value(at, formula)
+        bounds = f"at least {low:g}" if high == np.inf else f"{low:g} to {high:g}"
+        what = f"{{:g}} is out of range; expected {bounds}"
+        self._check(at, ~((value >= low) & (value <= high)), what, value)
+        return value
+
+    def _value(self, at: Location, formula: Formula) -> Floats:
+        try:
+            value = evaluate(formula, self._values)
+        except ValueError as error:
+            raise ScenarioError(at, str(error)) from error
+        found = np.broadcast_to(np.asarray(value, dtype=np.float64), (self._count,))
+        self._check(at, ~np.isfinite(found), "{:g}; expected a finite number", found)
+        return found
+
+    def _check(self, at: Location, is_wrong: NDArray[np.bool_], what: str, found: Floats) -> None:
+        """Refuses the first point that is wrong, and gives the values of its parameters."""
+        if is_wrong.any():
+            k = int(is_wrong.argmax())
+            of = ", ".join(f"{name} {each[k]:g}" for name, each in self._values.items())
+            where = f" at the point {of}" if of else ""
+            raise ScenarioError(at, what.format(found[k]) + where)

@@ -1,0 +1,102 @@
+"""Points in the space of a scenario's parameters: a grid, low-discrepancy points, or draws.
+
+A point depends on its number and the scenario alone, so an episode's seed is its point's number.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.world.scenario import LatinHypercube, Parameter, Scenario
+
+Floats = NDArray[np.float64]
+DECIMALS = 6
+"""Values are rounded, so that the last bits of a distribution's function do not matter."""
+_STREAM = 2
+"""The random stream of a seed that draws points; see `Simulation.reset` for another."""
+
+
+def count_of(scenario: Scenario) -> int | None:
+    """Returns the number of points; None if it has no end."""
+    points = scenario.points
+    if points == "grid":
+        return math.prod(each.steps for each in scenario.parameters.values())
+    if isinstance(points, LatinHypercube):
+        return points.latin_hypercube
+    return len(points) if isinstance(points, tuple) else None
+
+
+def values_at(scenario: Scenario, numbers: NDArray[Any]) -> dict[str, Floats]:
+    """Returns the values of each parameter at points (R,), given by their numbers."""
+    points, parameters = scenario.points, scenario.parameters
+    if isinstance(points, tuple):
+        return {name: np.array([points[int(n)][name] for n in numbers]) for name in parameters}
+    if not parameters:
+        return {}
+    if points == "grid":
+        steps = [each.steps for each in parameters.values()]
+        places = np.unravel_index(numbers.astype(np.int64), steps)
+        shares = [place / (step - 1) for place, step in zip(places, steps, strict=True)]
+        return {
+            name: _rounded(each.range[0] + share * (each.range[1] - each.range[0]))
+            for (name, each), share in zip(parameters.items(), shares, strict=True)
+        }
+    return from_shares(parameters, _shares(scenario, numbers.astype(np.int64)))
+
+
+def from_shares(parameters: Mapping[str, Parameter], shares: Floats) -> dict[str, Floats]:
+    """Returns the values of each parameter at points (R, P) of the unit cube."""
+    return {
+        name: _quantile(each, shares[:, k]) for k, (name, each) in enumerate(parameters.items())
+    }
+
+
+def _quantile(parameter: Parameter, share: Floats) -> Floats:
+    low, high = parameter.range
+    if parameter.normal is None:
+        return _rounded(low + share * (high - low))
+    from scipy.special import ndtr, ndtri
+
+    mean, deviation = parameter.normal
+    first, last = ndtr((low - mean) / deviation), ndtr((high - mean) / deviation)
+    drawn = mean + deviation * ndtri(first + share * (last - first))
+    return _rounded(np.clip(drawn, low, high))
+
+
+def _rounded(values: Floats) -> Floats:
+    return np.asarray(np.round(values, DECIMALS))
+
+
+def _shares(scenario: Scenario, numbers: NDArray[np.int64]) -> Floats:
+    """Returns points (R, P) of the unit cube."""
+    dimensions = len(scenario.parameters)
+    if scenario.points == "random":
+        draws = [np.random.default_rng([int(n), _STREAM]).random(dimensions) for n in numbers]
+        return np.array(draws).reshape(-1, dimensions)
+    if isinstance(scenario.points, LatinHypercube):
+        return _latin_hypercube(dimensions, scenario.points.latin_hypercube)[numbers]
+    first = int(numbers.min(initial=0)) if numbers.size == 0 else int(numbers.min())
+    return sobol(dimensions, first, int(numbers.max(initial=0)) + 1 - first)[numbers - first]
+
+
+def sobol(dimensions: int, first: int, count: int, scramble: int = 0) -> Floats:
+    """Returns `count` points (R, P) of a scrambled Sobol sequence, from number `first` on."""
+    from scipy.stats import qmc
+
+    engine = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(scramble))
+    if first:
+        engine.fast_forward(first)
+        return np.asarray(engine.random(count))
+    # Asked for another number than a power of two, SciPy warns; later points are the same.
+    return np.asarray(engine.random(2 ** max(0, count - 1).bit_length())[:count])
+
+
+@lru_cache(maxsize=4)
+def _latin_hypercube(dimensions: int, count: int) -> Floats:
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.LatinHypercube(dimensions, rng=np.random.default_rng(0)).random(count))
