@@ -10,7 +10,8 @@ from pydantic import Field, model_validator
 from charms_agents.human.samples import SampleSettings
 from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
 from charms_bench.errors import InputError, RegistryError
-from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
@@ -115,7 +116,8 @@ class Stage(FrozenModel):
     """phi of eq. 8; by default, the angle of `svo`."""
     scene: SceneSettings = SceneSettings()
     traffic: TrafficSpec
-    """The traffic. A name means a stage of this file, or else an installed agent or traffic."""
+    """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
+    that ends in `.onnx` is the path of a network, from the suite file's folder."""
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     safety_horizon_s: Positive = SAFE_TTC_S
@@ -201,13 +203,18 @@ class TrainingSuite(FrozenModel):
         """The stages that learn from human driving."""
         return self.human.stages if self.human else {}
 
+    @property
+    def names(self) -> set[str]:
+        """The names of all stages."""
+        return {*self.stages, *self.human_stages}
+
     def traffic_of(self, stage: Stage) -> Traffic:
         """The traffic of a stage.
 
         Raises:
             InputError: The traffic is not installed, or does not take the options.
         """
-        if stage.traffic.name in self.stages and not stage.traffic.options:
+        if stage.traffic.name in self.names and not stage.traffic.options:
             return OneAgent(stage.traffic.name)
         return stage.traffic.make()
 
@@ -215,7 +222,7 @@ class TrainingSuite(FrozenModel):
     def needs(self) -> dict[str, tuple[str, ...]]:
         """All stages, with the stages whose networks each of them needs."""
         needed = {
-            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.stages)
+            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.names)
             for name, stage in self.stages.items()
         }
         for name, human in self.human_stages.items():
@@ -259,10 +266,12 @@ def load_training(path: Path) -> TrainingSuite:
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
         try:
             for driver in suite.traffic_of(stage).agents:
-                if driver not in suite.stages:
+                if is_network(driver):
+                    OnnxPolicy(path.parent / driver)
+                elif driver not in suite.names:
                     find(AGENTS, driver)
         except RegistryError as error:
-            stages = f"Stages of this file: {', '.join(suite.stages)}."
+            stages = f"Stages of this file: {', '.join((*suite.stages, *suite.human_stages))}."
             raise document.error((*at, "traffic"), f"{error} {stages}") from error
         except InputError as error:
             raise document.error((*at, "traffic"), str(error)) from error
