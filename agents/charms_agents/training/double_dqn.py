@@ -10,8 +10,8 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import Module, Sequential
-from torch.nn.functional import mse_loss
 
+from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise
 
@@ -69,19 +69,15 @@ class DoubleDQN(DQN):
             group["lr"] = self.lr_schedule(self._current_progress_remaining)
         with torch.no_grad():  # the target network does not change in between
             next_values = target(next_observations)
-        losses = torch.empty(gradient_steps)
+        losses = np.empty(gradient_steps)
         for k in range(gradient_steps):
             with torch.no_grad():
                 best = online(next_observations[k]).argmax(dim=1, keepdim=True)
                 following = next_values[k].gather(1, best)[:, 0]
                 wanted = rewards[k] + factors[k] * following
-            values = online(observations[k]).gather(1, actions[k])[:, 0]
-            loss = mse_loss(values, wanted)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]  # of torch
+            losses[k] = squared_error(online, observations[k], actions[k], wanted)
             torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
             optimizer.step()
-            losses[k] = loss.detach()
         self._n_updates += gradient_steps
         self.loss = float(losses.mean())
 
