@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from charms_agents.training.rewards import StyleReward
 from charms_agents.training.sb3_zip import export_zip
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
@@ -66,13 +65,7 @@ def train(suite: TrainingSuite, stage: Stage, stage_name: str, trained: Path, ou
         name: OnnxPolicy(trained / f"{name}.onnx") if name in suite.names else make_agent(name)
         for name in suite.traffic_of(stage).agents
     }
-    reward = StyleReward(
-        suite.weights[stage.weights],
-        stage.angle_rad,
-        stage.safety_horizon_s,
-        stage.safe_headway_m,
-        stage.lane_change_cost,
-    )
+    reward = stage.reward(suite.weights[stage.weights])
     first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
     traffic = suite.traffic_of(stage)
     episodes = HighwayVectorEnv(stage.scene, SCENES, traffic, drivers, reward, first_seed)

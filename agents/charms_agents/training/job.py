@@ -25,7 +25,7 @@ from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.files import write_bytes
 
-_OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost"}
+_OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost", "failure_reward"}
 """The settings of a stage that the paper lacks."""
 
 

@@ -30,7 +30,7 @@ SAFE_TTC_S = 3.0
 """Default horizon of r_s, eq. 4: a later collision does not count."""
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 23.0, 33.0
 FAILURE = -10.0
-"""The reward of the decision in which the ego crashes or leaves the road."""
+"""The paper's reward of the decision in which the ego crashes or leaves the road."""
 INCREASE_LIMIT_MPS2 = 3.0
 """The most that one vehicle can add to r_o, eq. 7."""
 
@@ -74,7 +74,7 @@ class StyleReward:
 
     The own reward is divided by its largest value, and r_o is mapped from [-6, 6] to [0, 1], so
     both have the same range. For an egoist R_2 is R_1, eq. 6. If the ego crashes or leaves the
-    road, the reward is `FAILURE`.
+    road, the reward is `failure`.
 
     Args:
         weights: a, b and c.
@@ -83,6 +83,7 @@ class StyleReward:
         safe_headway_m: See `safety`.
         lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
             `lane_change_reward` with the opposite sign.
+        failure: The reward of the decision in which the ego crashes or leaves the road.
     """
 
     weights: Weights
@@ -90,6 +91,7 @@ class StyleReward:
     safety_horizon_s: float = SAFE_TTC_S
     safe_headway_m: float = 0.0
     lane_change_cost: float = 0.0
+    failure: float = FAILURE
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
         """Observes the scenes before the egos' actions (B,) are executed."""
@@ -118,7 +120,7 @@ class StyleReward:
         if self.lane_change_cost:
             changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
             rewards -= self.lane_change_cost * changed
-        return np.where(simulation.failed, FAILURE, rewards)
+        return np.where(simulation.failed, self.failure, rewards)
 
 
 @compiled

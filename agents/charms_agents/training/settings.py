@@ -8,7 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from charms_agents.human.samples import SampleSettings
-from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
+from charms_agents.training.rewards import (
+    FAILURE,
+    SAFE_TTC_S,
+    SVO_ANGLES_RAD,
+    StyleReward,
+    Svo,
+    Weights,
+)
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
@@ -126,6 +133,19 @@ class Stage(FrozenModel):
     """Headway from which r_s counts the ego as safe; 0, as in the paper, ignores headways."""
     lane_change_cost: NonNegative = 0.0
     """Cost of a decision to change lanes; 0 in the paper."""
+    failure_reward: Annotated[float, Field(ge=-1e6, le=0)] = FAILURE
+    """Reward of the decision in which the ego crashes or leaves the road."""
+
+    def reward(self, weights: Weights) -> StyleReward:
+        """The reward of this stage with the weights that it names."""
+        return StyleReward(
+            weights,
+            self.angle_rad,
+            self.safety_horizon_s,
+            self.safe_headway_m,
+            self.lane_change_cost,
+            self.failure_reward,
+        )
 
     @property
     def angle_rad(self) -> float:
