@@ -33,6 +33,7 @@ class DoubleDQN(DQN):
         seed: Seed of the initial weights, of exploration and of replay.
         return_steps: Number of rewards in y_t before the value (n-step returns).
         standardised: Whether the networks take standardised observations.
+        initial_value: Added to the values of the untrained networks.
         arguments: Further arguments of `DQN`.
     """
 
@@ -44,6 +45,7 @@ class DoubleDQN(DQN):
         seed: int,
         return_steps: int = 1,
         standardised: bool = False,
+        initial_value: float = 0.0,
         **arguments: Any,
     ) -> None:
         self.rng = np.random.default_rng([seed, 2])
@@ -51,6 +53,9 @@ class DoubleDQN(DQN):
         self.standardised = standardised
         self.loss = float("nan")
         super().__init__("MlpPolicy", environment, seed=seed, **arguments)
+        with torch.no_grad():
+            for network in self._networks.values():
+                network.q_net[-1].bias.add_(initial_value)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""

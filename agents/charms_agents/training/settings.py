@@ -22,7 +22,7 @@ from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
-from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, Positive
+from charms_bench.world.fields import FilePath, Finite, FrozenModel, Line, NonNegative, Positive
 from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
@@ -67,6 +67,9 @@ class Hyperparameters(FrozenModel):
     """Share of all steps, at the end, over which the learning rate falls to 0."""
     standardised: bool = False
     """Whether the network takes standardised observations, of order 1."""
+    initial_value: Finite = 0.0
+    """Added to the untrained network's values. From 0, values near 1 / (1 - discount) rise slowly,
+    because each target holds the value before."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "Hyperparameters":
@@ -96,7 +99,13 @@ class Hyperparameters(FrozenModel):
         return self.model_dump(mode="json", exclude=OPTIONS - used.keys())
 
 
-OPTIONS = {"return_steps", "target_update_rate", "learning_rate_decay", "standardised"}
+OPTIONS = {
+    "return_steps",
+    "target_update_rate",
+    "learning_rate_decay",
+    "standardised",
+    "initial_value",
+}
 """The options that the paper's Double DQN lacks; the default of each turns it off."""
 
 
