@@ -70,9 +70,9 @@ def train(suite: TrainingSuite, stage: Stage, stage_name: str, trained: Path, ou
     traffic = suite.traffic_of(stage)
     episodes = HighwayVectorEnv(stage.scene, SCENES, traffic, drivers, reward, first_seed)
     model = PPO("MlpPolicy", EpisodesVecEnv(episodes), seed=suite.seed, device="cpu")
-    curve, began = Curve(), time.perf_counter()
+    curve, began = Curve(), time.process_time()
     model.learn(stage.steps, callback=curve)
-    wall_s = time.perf_counter() - began
+    cpu_s = time.process_time() - began
     output.mkdir(parents=True, exist_ok=True)
     checkpoint = output / "ppo.zip"
     model.save(checkpoint)
@@ -92,7 +92,7 @@ def train(suite: TrainingSuite, stage: Stage, stage_name: str, trained: Path, ou
         "steps": stage.steps,
         "traffic": hashes,
         "settings": stage.model_dump(mode="json", exclude_defaults=True),
-        "wall_s": round(wall_s, 1),
+        "cpu_s": round(cpu_s, 1),
     }
     # Last: its presence means finished.
     write_bytes(output / "ppo.json", (json.dumps(manifest, indent=2) + "\n").encode())

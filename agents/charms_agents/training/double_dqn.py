@@ -33,7 +33,8 @@ class DoubleDQN(DQN):
         seed: Seed of the initial weights, of exploration and of replay.
         return_steps: Number of rewards in y_t before the value (n-step returns).
         standardised: Whether the networks take standardised observations.
-        initial_value: Added to the values of the untrained networks.
+        starts_at_mean_reward: Whether the values of the untrained networks are raised to the mean
+            reward of the steps before the first gradient step, divided by 1 - gamma.
         arguments: Further arguments of `DQN`.
     """
 
@@ -45,20 +46,20 @@ class DoubleDQN(DQN):
         seed: int,
         return_steps: int = 1,
         standardised: bool = False,
-        initial_value: float = 0.0,
+        starts_at_mean_reward: bool = False,
         **arguments: Any,
     ) -> None:
         self.rng = np.random.default_rng([seed, 2])
         self.return_steps = return_steps
         self.standardised = standardised
+        self.starts_at_mean_reward = starts_at_mean_reward
         self.loss = float("nan")
         super().__init__("MlpPolicy", environment, seed=seed, **arguments)
-        with torch.no_grad():
-            for network in self._networks.values():
-                network.q_net[-1].bias.add_(initial_value)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""
+        if self.starts_at_mean_reward and not self._n_updates:
+            self._raise_values()
         buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
         rows = self.rng.integers(buffer.size(), size=shape)
         envs = self.rng.integers(buffer.n_envs, size=shape)
@@ -85,6 +86,15 @@ class DoubleDQN(DQN):
             optimizer.step()
         self._n_updates += gradient_steps
         self.loss = float(losses.mean())
+
+    def _raise_values(self) -> None:
+        """Adds the discounted sum of mean rewards to the values of both networks."""
+        buffer, size = self.replay_buffer, self.replay_buffer.size()
+        has_failed = (buffer.dones[:size] == 1) & (buffer.timeouts[:size] == 0)
+        rewards = buffer.rewards[:size][~has_failed]
+        with torch.no_grad():
+            for network in (self.q_net, self.q_net_target):
+                network.q_net[-1].bias.add_(float(rewards.mean()) / (1 - self.gamma))
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.

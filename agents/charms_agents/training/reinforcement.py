@@ -54,7 +54,7 @@ class Reinforcement(BaseCallback):
             suite.seed,
             h.return_steps,
             h.standardised,
-            h.initial_value,
+            h.starts_at_mean_reward,
             learning_rate=h.learning_rate_at,
             buffer_size=h.replay_buffer,
             learning_starts=h.learning_starts,

@@ -22,7 +22,7 @@ from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
-from charms_bench.world.fields import FilePath, Finite, FrozenModel, Line, NonNegative, Positive
+from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, Positive
 from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
@@ -67,9 +67,10 @@ class Hyperparameters(FrozenModel):
     """Share of all steps, at the end, over which the learning rate falls to 0."""
     standardised: bool = False
     """Whether the network takes standardised observations, of order 1."""
-    initial_value: Finite = 0.0
-    """Added to the untrained network's values. From 0, values near 1 / (1 - discount) rise slowly,
-    because each target holds the value before."""
+    starts_at_mean_reward: bool = False
+    """Whether the untrained network's values are raised to the mean reward of the first, random
+    steps divided by 1 - discount. From 0, values rise slowly, because each target has the value of
+    the next step."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "Hyperparameters":
@@ -104,7 +105,7 @@ OPTIONS = {
     "target_update_rate",
     "learning_rate_decay",
     "standardised",
-    "initial_value",
+    "starts_at_mean_reward",
 }
 """The options that the paper's Double DQN lacks; the default of each turns it off."""
 
