@@ -25,7 +25,13 @@ from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.files import write_bytes
 
-_OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost", "failure_reward"}
+_OPTIONS = {
+    "safety_horizon_s",
+    "safe_headway_m",
+    "safe_in_both_lanes",
+    "lane_change_cost",
+    "failure_reward",
+}
 """The settings of a stage that the paper lacks."""
 
 

@@ -81,6 +81,7 @@ class StyleReward:
         angle_rad: phi, for example from `SVO_ANGLES_RAD`.
         safety_horizon_s: See `safety`.
         safe_headway_m: See `safety`.
+        safe_in_both_lanes: See `safety`.
         lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
             `lane_change_reward` with the opposite sign.
         failure: The reward of the decision in which the ego crashes or leaves the road.
@@ -90,6 +91,7 @@ class StyleReward:
     angle_rad: float
     safety_horizon_s: float = SAFE_TTC_S
     safe_headway_m: float = 0.0
+    safe_in_both_lanes: bool = False
     lane_change_cost: float = 0.0
     failure: float = FAILURE
 
@@ -109,8 +111,9 @@ class StyleReward:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self.weights
         own_share, others_share = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        safe = safety(scene, self.safety_horizon_s, self.safe_headway_m, self.safe_in_both_lanes)
         own = (
-            weights.safety * safety(scene, self.safety_horizon_s, self.safe_headway_m)
+            weights.safety * safe
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
@@ -124,13 +127,17 @@ class StyleReward:
 
 
 @compiled
-def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
+def safety(
+    scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0, in_both_lanes: bool = False
+) -> Floats:
     """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `horizon_s` away.
 
     It is the time to collision with the leader in the ego's lane, as a share of `horizon_s`. During
     a lane change it is the mean of the shares for the leader and the follower in the target lane.
     A missing or departing vehicle counts as safe. If `headway_m` is given, which eq. 4 does not
-    have, each share is multiplied by the distance as a share of `headway_m`, at most 1.
+    have, each share is multiplied by the distance as a share of `headway_m`, at most 1. If
+    `in_both_lanes`, it is at most the share for the leader in the lane that the ego leaves: eq. 4
+    leaves this vehicle out, so an ego that changes lanes just before a collision counts as safe.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
@@ -142,6 +149,9 @@ def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) 
         else:
             rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
             result[b] = 0.5 * front + 0.5 * rear
+            if in_both_lanes:
+                left = _safe(scene, b, ego, scene.leaders[b, ego, lane], horizon_s, headway_m)
+                result[b] = min(result[b], left)
     return result
 
 

@@ -141,6 +141,8 @@ class Stage(FrozenModel):
     """Time to collision from which r_s counts the ego as safe."""
     safe_headway_m: NonNegative = 0.0
     """Headway from which r_s counts the ego as safe; 0, as in the paper, ignores headways."""
+    safe_in_both_lanes: bool = False
+    """Whether r_s also counts the leader in the lane that the ego leaves in a lane change."""
     lane_change_cost: NonNegative = 0.0
     """Cost of a decision to change lanes; 0 in the paper."""
     failure_reward: Annotated[float, Field(ge=-1e6, le=0)] = FAILURE
@@ -153,6 +155,7 @@ class Stage(FrozenModel):
             self.angle_rad,
             self.safety_horizon_s,
             self.safe_headway_m,
+            self.safe_in_both_lanes,
             self.lane_change_cost,
             self.failure_reward,
         )
