@@ -6,17 +6,22 @@ et al. 2021, NeurIPS). Its interval is that of a bootstrap over seeds, and over 
 seed that is drawn.
 """
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import trim_mean
 
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.report.figures.drawing import panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.finished import open_finished
+from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import CONFIDENCE, resampled_totals
 
+ROOT = Path(__file__).parent.parent
 TRIMMED = 0.25
 REPLICATES = 20_000
 COLUMNS = {
@@ -29,16 +34,19 @@ COLUMNS = {
     "lane changes per km": ("standard", "lane_changes_per_km", ".1f"),
 }
 """Header, metric set, metric and format of each column."""
+PROFILES = {"episodes crashed": 0.2, "TTC < 3 s": 0.3}
+"""The columns with a performance profile, and the largest value that is drawn."""
 
 
 def seeds_table(run: Path) -> str:
-    """The table of recipes, and the share of crashed episodes of each seed."""
+    """The table of recipes, the crashed episodes of each seed, and `docs/profiles.png`."""
     finished = open_finished(run)
     known = {(found.name, each.name): each for found in METRIC_SETS for each in found.metrics}
     metrics = [known[of, name] for of, name, _ in COLUMNS.values()]
     rng = np.random.default_rng(finished.suite.seed)
     values: dict[str, list[list[float]]] = {}
     spreads: dict[str, list[list[np.ndarray]]] = {}
+    minutes: dict[str, list[float]] = {}
     for cell in finished.cells():
         recipe = cell.agent.rpartition(", seed ")[0]
         sums = cell.sums(metrics, finished.suite.scene)
@@ -47,6 +55,8 @@ def seeds_table(run: Path) -> str:
         pairs = zip(metrics, sums, strict=True)
         found = [float(metric.value(each.sum(axis=0))) for metric, each in pairs]
         values.setdefault(recipe, []).append(found)
+        network = ROOT / "suites" / _network(finished.suite, cell.agent)
+        minutes.setdefault(recipe, []).append(_process_minutes(network))
         spreads.setdefault(recipe, []).append(
             [metric.value(each) for metric, each in zip(metrics, resampled, strict=True)]
         )
@@ -62,11 +72,59 @@ def seeds_table(run: Path) -> str:
             low, high = np.quantile(trim_mean(picked, TRIMMED, axis=1), [tail, 1 - tail])
             mean = trim_mean([each[m] for each in of_seeds], TRIMMED)
             numbers.append(Number(float(mean), float(low), float(high), n))
+        numbers.append(Number(float(np.mean(minutes[recipe])), None, None, n))
         rows.append(Row((recipe,), tuple(numbers)))
-    columns = tuple(Column(header, form=form) for header, (_, _, form) in COLUMNS.items())
+    columns = (
+        *(Column(header, form=form) for header, (_, _, form) in COLUMNS.items()),
+        Column("process-minutes", form=".1f"),
+    )
     table = Table("seeds", finished.suite.title, ("recipe",), columns, tuple(rows))
+    _draw_profiles(spreads, ROOT / "docs" / "profiles.png", rng)
     crashed = [
         f"- {recipe}: " + ", ".join(f"{each[0]:.1%}" for each in of_seeds).replace("%", " %")
         for recipe, of_seeds in values.items()
     ]
     return f"{markdown(table)}\nEpisodes crashed, by seed:\n\n" + "\n".join(crashed) + "\n"
+
+
+def _network(suite: Suite, label: str) -> str:
+    return next(ego.agent.name for ego in suite.egos if ego.title == label)
+
+
+def _process_minutes(network: Path) -> float:
+    """What it took to train a network: its own stage, and that of the network it fine-tunes.
+
+    It is processor time, or for networks without it the duration of their training.
+    """
+    made = json.loads(network.with_suffix(".json").read_text(encoding="utf-8"))
+    before = made.get("starts_from", {}).get("stage")
+    start = _process_minutes(network.with_stem(before)) if before else 0.0
+    return start + float(made.get("cpu_s", made.get("wall_s"))) / 60
+
+
+def _draw_profiles(
+    spreads: Mapping[str, list[list[np.ndarray]]], path: Path, rng: np.random.Generator
+) -> None:
+    """Draws performance profiles: the share of seeds below each value, with bootstrap bands."""
+    figure, axes = panels(len(PROFILES), 4.2, 3.2)
+    for ax, (header, limit) in zip(axes, PROFILES.items(), strict=True):
+        m, levels = list(COLUMNS).index(header), np.linspace(0, limit, 201)
+        for k, (recipe, of_seeds) in enumerate(spreads.items()):
+            spread = np.stack([each[m] for each in of_seeds])
+            n = len(spread)
+            drawn = rng.integers(n, size=(2_000, n))
+            picked = spread[drawn, rng.integers(spread.shape[1], size=drawn.shape)]
+            below = (picked[:, :, None] <= levels).mean(axis=1)
+            low, high = np.quantile(below, [0.025, 0.975], axis=0)
+            ax.plot(
+                levels,
+                (spread[:, :, None] <= levels).mean(axis=(0, 1)),
+                color=f"C{k}",
+                label=recipe,
+            )
+            ax.fill_between(levels, low, high, color=f"C{k}", alpha=0.12, linewidth=0)
+        ax.set_xlabel(header)
+        ax.set_ylim(0, 1.02)
+    axes[0].set_ylabel("share of training seeds at or below")
+    axes[-1].legend(fontsize="x-small", frameon=False)
+    save(figure, path)

@@ -17,6 +17,8 @@ from pathlib import Path
 import polars as pl
 from reproduction import compared, verdicts
 from seeds import seeds_table
+from style_differences import style_differences
+from transfer import transfer_table, with_worst
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.report.markdown import markdown
@@ -80,6 +82,11 @@ PCH = {**TRAFFIC, "ego's speed, m/s": ("speed_mean", ".2f"), **EGO_STD}
 def of_suite(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
     """The table of a suite, an agent or a traffic per row."""
     return markdown(shown(tables_of(run).metrics, columns))
+
+
+def ego(run: Path) -> str:
+    """The table of egos, with the worst of the conditions of the folder `suites/transfer`."""
+    return markdown(with_worst(shown(tables_of(run).metrics, EGO), run.parent))
 
 
 def tables_of(run: Path) -> RunTables:
@@ -166,9 +173,11 @@ def reproduction(run: Path) -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "ego": ("ego", partial(of_suite, EGO)),
+    "ego": ("ego", ego),
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),
+    "style-differences": ("styles", style_differences),
+    "transfer": ("transfer-traffics", transfer_table),
     "environment": ("environment", partial(of_suite, ENVIRONMENT)),
     "environment-edge-cases": ("environment", partial(rates, EDGE_CASES)),
     "released-edge-cases": ("released-environment", partial(rates, EDGE_CASES)),

@@ -41,26 +41,30 @@ class IdmMobil(DriverModel):
 @compiled
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
-    targets = scene.target_lane.copy()
+    targets, p = scene.target_lane.copy(), scene.constants.idm_mobil
     acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)
     for first in range(0, rows.size, BLOCK_VEHICLES):
         block = slice(first, min(first + BLOCK_VEHICLES, rows.size))
-        _drive_block(
-            scene, rows[block], places[block], targets, acceleration[block], target_lane[block]
-        )
+        answers = acceleration[block], target_lane[block]
+        drive_block(scene, rows[block], places[block], targets, answers, p)
     return acceleration, target_lane
 
 
 @compiled
-def _drive_block(
+def drive_block(
     scene: Scene,
     rows: Ints,
     places: Ints,
     targets: Ints,
-    acceleration: Floats,
-    target_lane: Ints,
+    answers: tuple[Floats, Ints],
+    p: IdmMobilParameters,
 ) -> None:
-    p, vehicles = scene.constants.idm_mobil, scene.x.shape[1]
+    """Writes the answers, accelerations (M,) and target lanes (M,), of M drivers with the same p.
+
+    `targets` [B, N] are the target lanes of all vehicles, in which each answer is noted.
+    """
+    acceleration, target_lane = answers
+    vehicles = scene.x.shape[1]
     x, y, crashed, lanes = scene.x, scene.y, scene.crashed.ravel(), scene.lane.ravel()
     leaders, followers = scene.leaders, scene.followers
     timer_s, temperament = scene.timer_s.ravel(), scene.temperament.ravel()

@@ -176,3 +176,13 @@ def test_a_standardised_networks_values_are_those_of_its_exported_network() -> N
         plain = agent.q_net.q_net(torch.from_numpy(observations).flatten(1)).numpy()
     np.testing.assert_allclose(exported, agent.values(observations), rtol=1e-4, atol=1e-5)
     assert not np.allclose(plain, exported)
+
+
+def test_values_can_start_at_the_discounted_sum_of_mean_rewards() -> None:
+    # In the first environment, the rewards are 1, 2 and, in the step that fails, -10; in the
+    # second they are 0. Without failures the mean is (1 + 2 + 0 + 0) / 4, twice that at gamma 0.5.
+    agent = recorded(1.0, 2.0, -10.0, ended=2)
+    for parameter in agent.q_net.parameters():
+        torch.nn.init.zeros_(parameter)
+    agent._raise_values()
+    assert agent.q_net.q_net[-1].bias.tolist() == [1.5] * 5

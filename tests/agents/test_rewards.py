@@ -87,6 +87,17 @@ def test_a_lane_change_is_as_safe_as_leader_and_follower_in_the_target_lane() ->
     assert safety(simulation.scene) == pytest.approx(0.5 * 0.5 + 0.5 * 0.25)
 
 
+def test_the_leader_in_the_lane_that_the_ego_leaves_counts_if_asked() -> None:
+    own_leader = (510.0, 1, 20.0)  # 1 s away
+    simulation = simulation_of((500.0, 1, 30.0), own_leader, target_lane=0)
+    assert safety(simulation.scene) == 1.0
+    assert safety(simulation.scene, 3.0, 0.0, True) == pytest.approx(1 / 3)
+    reward = StyleReward(
+        Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, safe_in_both_lanes=True
+    )
+    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(1 / 3)
+
+
 @pytest.mark.parametrize(
     ("speed_mps", "expected"), [(22.0, 0.0), (23.0, 0.0), (28.0, 0.5), (33.0, 1.0), (34.0, 1.0)]
 )

@@ -1,8 +1,10 @@
 """Training suites: what they say, and how they say what is wrong."""
 
+import shutil
 from pathlib import Path
 from typing import Any
 
+import charms_agents.charms
 import pytest
 import yaml
 from charms_agents.training.settings import FIRST_TRAINING_SEED, Hyperparameters, load_training
@@ -39,9 +41,38 @@ def test_a_stage_needs_the_stages_its_traffic_comes_from() -> None:
     suite = load_training(SUITE)
     assert suite.needed_for("level_1") == ("level_1",)
     assert suite.needed_for("prior_level_k") == ("level_1", "prior_level_k")
-    assert suite.needs["safe_prosocial"] == ("level_1", "efficient_egoistic")
-    before = ("level_1", "efficient_egoistic", "safe_prosocial")
+    before = ("level_1", "safe_prosocial")
     assert suite.needed_for("charms_safe_prosocial") == (*before, "charms_safe_prosocial")
+
+
+def test_traffic_can_have_stages_that_learn_from_human_driving() -> None:
+    suite = load_training(SUITE)
+    styles = {name for name in suite.human_stages if name.startswith("charms_")}
+    assert set(suite.needs["best_response"]) == styles
+    assert len(styles) == 8
+
+
+def test_the_styles_differ_in_weights_and_orientation_alone() -> None:
+    suite = load_training(SUITE)
+    styles = [
+        suite.stages[name.removeprefix("charms_")] for name in suite.human_stages if "_" in name
+    ]
+    named = {"weights", "svo", "svo_angle_rad"}
+    assert len({style.model_dump_json(exclude=named) for style in styles}) == 1
+    assert len({(style.weights, style.angle_rad) for style in styles}) == len(styles) == 8
+
+
+def test_the_traffic_of_a_stage_can_have_networks_by_path(tmp_path: Path) -> None:
+    network = Path(charms_agents.charms.__file__).parent / "policies" / "level_1.onnx"
+    shutil.copy(network, tmp_path / "mine.onnx")
+    mixture = {"mine.onnx": 0.5, "idm_mobil": 0.5}
+    path = changed(tmp_path, "stages", "prior_level_k", "traffic", value={"mixture": mixture})
+    assert load_training(path).needed_for("prior_level_k") == ("prior_level_k",)
+    (tmp_path / "mine.onnx").unlink()
+    with pytest.raises(
+        SuiteError, match=r"train.yaml:\d+: stages.prior_level_k.traffic.*mine.onnx"
+    ):
+        load_training(path)
 
 
 def test_no_training_scene_is_ever_evaluated() -> None:

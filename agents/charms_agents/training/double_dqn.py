@@ -10,8 +10,8 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecEnv
 from torch.nn import Module, Sequential
-from torch.nn.functional import mse_loss
 
+from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise
 
@@ -33,6 +33,8 @@ class DoubleDQN(DQN):
         seed: Seed of the initial weights, of exploration and of replay.
         return_steps: Number of rewards in y_t before the value (n-step returns).
         standardised: Whether the networks take standardised observations.
+        starts_at_mean_reward: Whether the values of the untrained networks are raised to the mean
+            reward of the steps before the first gradient step, divided by 1 - gamma.
         arguments: Further arguments of `DQN`.
     """
 
@@ -44,16 +46,20 @@ class DoubleDQN(DQN):
         seed: int,
         return_steps: int = 1,
         standardised: bool = False,
+        starts_at_mean_reward: bool = False,
         **arguments: Any,
     ) -> None:
         self.rng = np.random.default_rng([seed, 2])
         self.return_steps = return_steps
         self.standardised = standardised
+        self.starts_at_mean_reward = starts_at_mean_reward
         self.loss = float("nan")
         super().__init__("MlpPolicy", environment, seed=seed, **arguments)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""
+        if self.starts_at_mean_reward and not self._n_updates:
+            self._raise_values()
         buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
         rows = self.rng.integers(buffer.size(), size=shape)
         envs = self.rng.integers(buffer.n_envs, size=shape)
@@ -69,21 +75,26 @@ class DoubleDQN(DQN):
             group["lr"] = self.lr_schedule(self._current_progress_remaining)
         with torch.no_grad():  # the target network does not change in between
             next_values = target(next_observations)
-        losses = torch.empty(gradient_steps)
+        losses = np.empty(gradient_steps)
         for k in range(gradient_steps):
             with torch.no_grad():
                 best = online(next_observations[k]).argmax(dim=1, keepdim=True)
                 following = next_values[k].gather(1, best)[:, 0]
                 wanted = rewards[k] + factors[k] * following
-            values = online(observations[k]).gather(1, actions[k])[:, 0]
-            loss = mse_loss(values, wanted)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]  # of torch
+            losses[k] = squared_error(online, observations[k], actions[k], wanted)
             torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
             optimizer.step()
-            losses[k] = loss.detach()
         self._n_updates += gradient_steps
         self.loss = float(losses.mean())
+
+    def _raise_values(self) -> None:
+        """Adds the discounted sum of mean rewards to the values of both networks."""
+        buffer, size = self.replay_buffer, self.replay_buffer.size()
+        has_failed = (buffer.dones[:size] == 1) & (buffer.timeouts[:size] == 0)
+        rewards = buffer.rewards[:size][~has_failed]
+        with torch.no_grad():
+            for network in (self.q_net, self.q_net_target):
+                network.q_net[-1].bias.add_(float(rewards.mean()) / (1 - self.gamma))
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.

@@ -21,9 +21,17 @@ from charms_agents.training.settings import (
 )
 from charms_agents.training.supervised import Fit
 from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.registry import is_network
+from charms_bench.plugins.specs import by_content
 from charms_bench.world.files import write_bytes
 
-_OPTIONS = {"safety_horizon_s", "safe_headway_m", "lane_change_cost"}
+_OPTIONS = {
+    "safety_horizon_s",
+    "safe_headway_m",
+    "safe_in_both_lanes",
+    "lane_change_cost",
+    "failure_reward",
+}
 """The settings of a stage that the paper lacks."""
 
 
@@ -130,9 +138,10 @@ def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any
     }
     if len(hashes) == 1:
         ((name, sha256),) = hashes.items()
-        return {"agent": name, "weights_sha256": sha256}
+        return {"agent": sha256 if is_network(name) else name, "weights_sha256": sha256}
     spec = stage.traffic.model_dump(mode="json", exclude_defaults=True)
-    return {**spec, "weights_sha256": hashes}
+    contents = {name: sha256 for name, sha256 in hashes.items() if is_network(name)}
+    return {**by_content(spec, contents), "weights_sha256": by_content(hashes, contents)}
 
 
 def human_job(

@@ -21,8 +21,9 @@ from charms_agents.training.settings import Human, TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import write_curves, write_summary
 from charms_bench.errors import InputError
+from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.registry import is_network, make_agent
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 
@@ -74,7 +75,7 @@ def run(
         if samples is not None:
             samples.load()
         with _stop_on_signals() as stop, progress(console) as tell:
-            make_job = partial(_make_job, output, suites, samples)
+            make_job = partial(_make_job, output, suite_file.parent, suites, samples)
             workers = workers or os.cpu_count() or 1
             finished = run_stages(needs, make_job, suite_sha256, workers, tell, say, stop)
         jobs = {title: finished[title] for title in needs}
@@ -101,12 +102,13 @@ def _sample_store(
 
 def _make_job(
     output: Path,
+    folder: Path,
     suites: Mapping[str, TrainingSuite],
     samples: SampleStore | None,
     title: str,
     finished: Mapping[str, Job],
 ) -> Job:
-    """The job of a stage whose needs are finished."""
+    """The job of a stage whose needs are finished, of a suite in a folder."""
     seed_folder, _, name = title.rpartition("/")
     suite = suites[seed_folder]
 
@@ -118,10 +120,14 @@ def _make_job(
         start = suite.human_stages[name].fine_tunes
         started = network(start) if start else None
         return human_job(output, seed_folder, name, suite, samples, started)
-    drivers = {
-        driver: OnnxPolicy(network(driver)) if driver in suite.stages else make_agent(driver)
-        for driver in suite.traffic_of(suite.stages[name]).agents
-    }
+    drivers: dict[str, Agent] = {}
+    for driver in suite.traffic_of(suite.stages[name]).agents:
+        if driver in suite.names:
+            drivers[driver] = OnnxPolicy(network(driver))
+        elif is_network(driver):
+            drivers[driver] = OnnxPolicy(folder / driver)
+        else:
+            drivers[driver] = make_agent(driver)
     return reinforcement_job(output, seed_folder, name, suite, drivers)
 
 

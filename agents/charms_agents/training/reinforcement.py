@@ -14,7 +14,6 @@ from torch.nn import Sequential
 from charms_agents.training.curve import Point, point_of
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.network import Arrays
-from charms_agents.training.rewards import StyleReward
 from charms_agents.training.settings import (
     Stage,
     TrainingSuite,
@@ -46,13 +45,7 @@ class Reinforcement(BaseCallback):
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        reward = StyleReward(
-            suite.weights[stage.weights],
-            stage.angle_rad,
-            stage.safety_horizon_s,
-            stage.safe_headway_m,
-            stage.lane_change_cost,
-        )
+        reward = stage.reward(suite.weights[stage.weights])
         h, traffic = suite.hyperparameters_of(stage), suite.traffic_of(stage)
         self._episodes = HighwayVectorEnv(
             stage.scene, h.scenes, traffic, drivers, reward, first_seed
@@ -62,6 +55,7 @@ class Reinforcement(BaseCallback):
             suite.seed,
             h.return_steps,
             h.standardised,
+            h.starts_at_mean_reward,
             learning_rate=h.learning_rate_at,
             buffer_size=h.replay_buffer,
             learning_starts=h.learning_starts,

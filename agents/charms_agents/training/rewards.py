@@ -30,7 +30,7 @@ SAFE_TTC_S = 3.0
 """Default horizon of r_s, eq. 4: a later collision does not count."""
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 23.0, 33.0
 FAILURE = -10.0
-"""The reward of the decision in which the ego crashes or leaves the road."""
+"""The paper's reward of the decision in which the ego crashes or leaves the road."""
 INCREASE_LIMIT_MPS2 = 3.0
 """The most that one vehicle can add to r_o, eq. 7."""
 
@@ -74,22 +74,26 @@ class StyleReward:
 
     The own reward is divided by its largest value, and r_o is mapped from [-6, 6] to [0, 1], so
     both have the same range. For an egoist R_2 is R_1, eq. 6. If the ego crashes or leaves the
-    road, the reward is `FAILURE`.
+    road, the reward is `failure`.
 
     Args:
         weights: a, b and c.
         angle_rad: phi, for example from `SVO_ANGLES_RAD`.
         safety_horizon_s: See `safety`.
         safe_headway_m: See `safety`.
+        safe_in_both_lanes: See `safety`.
         lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
             `lane_change_reward` with the opposite sign.
+        failure: The reward of the decision in which the ego crashes or leaves the road.
     """
 
     weights: Weights
     angle_rad: float
     safety_horizon_s: float = SAFE_TTC_S
     safe_headway_m: float = 0.0
+    safe_in_both_lanes: bool = False
     lane_change_cost: float = 0.0
+    failure: float = FAILURE
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
         """Observes the scenes before the egos' actions (B,) are executed."""
@@ -107,8 +111,9 @@ class StyleReward:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self.weights
         own_share, others_share = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        safe = safety(scene, self.safety_horizon_s, self.safe_headway_m, self.safe_in_both_lanes)
         own = (
-            weights.safety * safety(scene, self.safety_horizon_s, self.safe_headway_m)
+            weights.safety * safe
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
@@ -118,17 +123,21 @@ class StyleReward:
         if self.lane_change_cost:
             changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
             rewards -= self.lane_change_cost * changed
-        return np.where(simulation.failed, FAILURE, rewards)
+        return np.where(simulation.failed, self.failure, rewards)
 
 
 @compiled
-def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) -> Floats:
+def safety(
+    scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0, in_both_lanes: bool = False
+) -> Floats:
     """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `horizon_s` away.
 
     It is the time to collision with the leader in the ego's lane, as a share of `horizon_s`. During
     a lane change it is the mean of the shares for the leader and the follower in the target lane.
     A missing or departing vehicle counts as safe. If `headway_m` is given, which eq. 4 does not
-    have, each share is multiplied by the distance as a share of `headway_m`, at most 1.
+    have, each share is multiplied by the distance as a share of `headway_m`, at most 1. If
+    `in_both_lanes`, it is at most the share for the leader in the lane that the ego leaves: eq. 4
+    leaves this vehicle out, so an ego that changes lanes just before a collision counts as safe.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
@@ -140,6 +149,9 @@ def safety(scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0) 
         else:
             rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
             result[b] = 0.5 * front + 0.5 * rear
+            if in_both_lanes:
+                left = _safe(scene, b, ego, scene.leaders[b, ego, lane], horizon_s, headway_m)
+                result[b] = min(result[b], left)
     return result
 
 

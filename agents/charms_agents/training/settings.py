@@ -8,9 +8,17 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from charms_agents.human.samples import SampleSettings
-from charms_agents.training.rewards import SAFE_TTC_S, SVO_ANGLES_RAD, Svo, Weights
+from charms_agents.training.rewards import (
+    FAILURE,
+    SAFE_TTC_S,
+    SVO_ANGLES_RAD,
+    StyleReward,
+    Svo,
+    Weights,
+)
 from charms_bench.errors import InputError, RegistryError
-from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
@@ -59,6 +67,10 @@ class Hyperparameters(FrozenModel):
     """Share of all steps, at the end, over which the learning rate falls to 0."""
     standardised: bool = False
     """Whether the network takes standardised observations, of order 1."""
+    starts_at_mean_reward: bool = False
+    """Whether the untrained network's values are raised to the mean reward of the first, random
+    steps divided by 1 - discount. From 0, values rise slowly, because each target has the value of
+    the next step."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "Hyperparameters":
@@ -88,7 +100,13 @@ class Hyperparameters(FrozenModel):
         return self.model_dump(mode="json", exclude=OPTIONS - used.keys())
 
 
-OPTIONS = {"return_steps", "target_update_rate", "learning_rate_decay", "standardised"}
+OPTIONS = {
+    "return_steps",
+    "target_update_rate",
+    "learning_rate_decay",
+    "standardised",
+    "starts_at_mean_reward",
+}
 """The options that the paper's Double DQN lacks; the default of each turns it off."""
 
 
@@ -115,15 +133,32 @@ class Stage(FrozenModel):
     """phi of eq. 8; by default, the angle of `svo`."""
     scene: SceneSettings = SceneSettings()
     traffic: TrafficSpec
-    """The traffic. A name means a stage of this file, or else an installed agent or traffic."""
+    """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
+    that ends in `.onnx` is the path of a network, from the suite file's folder."""
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
     safety_horizon_s: Positive = SAFE_TTC_S
     """Time to collision from which r_s counts the ego as safe."""
     safe_headway_m: NonNegative = 0.0
     """Headway from which r_s counts the ego as safe; 0, as in the paper, ignores headways."""
+    safe_in_both_lanes: bool = False
+    """Whether r_s also counts the leader in the lane that the ego leaves in a lane change."""
     lane_change_cost: NonNegative = 0.0
     """Cost of a decision to change lanes; 0 in the paper."""
+    failure_reward: Annotated[float, Field(ge=-1e6, le=0)] = FAILURE
+    """Reward of the decision in which the ego crashes or leaves the road."""
+
+    def reward(self, weights: Weights) -> StyleReward:
+        """The reward of this stage with the weights that it names."""
+        return StyleReward(
+            weights,
+            self.angle_rad,
+            self.safety_horizon_s,
+            self.safe_headway_m,
+            self.safe_in_both_lanes,
+            self.lane_change_cost,
+            self.failure_reward,
+        )
 
     @property
     def angle_rad(self) -> float:
@@ -201,13 +236,18 @@ class TrainingSuite(FrozenModel):
         """The stages that learn from human driving."""
         return self.human.stages if self.human else {}
 
+    @property
+    def names(self) -> set[str]:
+        """The names of all stages."""
+        return {*self.stages, *self.human_stages}
+
     def traffic_of(self, stage: Stage) -> Traffic:
         """The traffic of a stage.
 
         Raises:
             InputError: The traffic is not installed, or does not take the options.
         """
-        if stage.traffic.name in self.stages and not stage.traffic.options:
+        if stage.traffic.name in self.names and not stage.traffic.options:
             return OneAgent(stage.traffic.name)
         return stage.traffic.make()
 
@@ -215,7 +255,7 @@ class TrainingSuite(FrozenModel):
     def needs(self) -> dict[str, tuple[str, ...]]:
         """All stages, with the stages whose networks each of them needs."""
         needed = {
-            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.stages)
+            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.names)
             for name, stage in self.stages.items()
         }
         for name, human in self.human_stages.items():
@@ -259,10 +299,12 @@ def load_training(path: Path) -> TrainingSuite:
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
         try:
             for driver in suite.traffic_of(stage).agents:
-                if driver not in suite.stages:
+                if is_network(driver):
+                    OnnxPolicy(path.parent / driver)
+                elif driver not in suite.names:
                     find(AGENTS, driver)
         except RegistryError as error:
-            stages = f"Stages of this file: {', '.join(suite.stages)}."
+            stages = f"Stages of this file: {', '.join((*suite.stages, *suite.human_stages))}."
             raise document.error((*at, "traffic"), f"{error} {stages}") from error
         except InputError as error:
             raise document.error((*at, "traffic"), str(error)) from error

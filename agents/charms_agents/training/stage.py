@@ -50,7 +50,8 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
         partial.unlink(missing_ok=True)  # from a training that was killed while it wrote
     torch.set_num_threads(1)
     learner, network = job.make_learner(), job.file(".onnx")
-    wall_s = _Life(job, learner, tell, stop).run()
+    life = _Life(job, learner, tell, stop)
+    life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
     checked = export(learner.network, network, facts, learner.observations)
     manifest = {
@@ -59,8 +60,9 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
         "suite_sha256": suite_sha256,
         "onnx_sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
         "export_check": checked,
-        **learner.results(wall_s),
-        "wall_s": round(wall_s, 1),
+        **learner.results(life.wall_s),
+        "wall_s": round(life.wall_s, 1),
+        "cpu_s": round(life.cpu_s, 1),
         "versions": {
             "python": platform.python_version(),
             **{name: version(name) for name in _VERSIONS},
@@ -85,23 +87,24 @@ class _Life:
     stop: Callable[[], bool]
     wall_s: float = 0.0
     """Seconds that the stage took until the last checkpoint, over all its runs."""
+    cpu_s: float = 0.0
+    """Processor time that the stage took until the last checkpoint, over all its runs."""
     reported: int = 0
     """Number of points that were logged."""
 
-    def run(self) -> float:
-        """Learns to the end; returns the seconds that the stage took, over all its runs."""
+    def run(self) -> None:
+        """Learns to the end."""
         self.checkpoint = self.job.folder / "checkpoint.npz"
         if self.checkpoint.exists():
             self._restore()
         self.logger = configure(str(self.job.folder / "tensorboard"), ["tensorboard"])
-        self.saved_at = time.monotonic()
+        self.saved_at, self.used_s = time.monotonic(), time.process_time()
         try:
             self.learner.learn(self._pause)
             self._report()
             self._save()
         finally:
             self.logger.close()
-        return self.wall_s
 
     def _pause(self) -> None:
         self._report()
@@ -125,11 +128,12 @@ class _Life:
         self.tell(self.job.title, self.learner.done, self.job.total, words)
 
     def _save(self) -> None:
-        now = time.monotonic()
+        now, used_s = time.monotonic(), time.process_time()
         self.wall_s += now - self.saved_at
-        self.saved_at = now
-        progress = np.array(json.dumps({"key": self.job.key, "wall_s": self.wall_s}))
-        arrays = {**self.learner.arrays(), "progress": progress}
+        self.cpu_s += used_s - self.used_s
+        self.saved_at, self.used_s = now, used_s
+        progress = {"key": self.job.key, "wall_s": self.wall_s, "cpu_s": self.cpu_s}
+        arrays = {**self.learner.arrays(), "progress": np.array(json.dumps(progress))}
 
         def write(partial: Path) -> None:
             with partial.open("wb") as file:
@@ -147,7 +151,7 @@ class _Life:
             progress = json.loads(str(arrays["progress"]))
             if progress["key"] != self.job.key:
                 raise ValueError("it was written with other settings")
-            self.wall_s = float(progress["wall_s"])
+            self.wall_s, self.cpu_s = float(progress["wall_s"]), float(progress["cpu_s"])
             self.learner.load_arrays(arrays)
             self.reported = len(self.learner.curve)
         except _UNSUITABLE as error:
