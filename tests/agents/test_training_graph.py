@@ -139,7 +139,6 @@ def test_a_fine_tuned_network_says_where_it_started_and_what_it_changed(finished
     assert made["style"] == "plain, prosocial, fine-tuned on human driving"
     assert (made["before"]["epoch"], made["after"]["epoch"]) == (0, 3)
     assert made["after"]["loss"] < made["before"]["loss"]
-    assert made["after"]["log_likelihood"] > made["before"]["log_likelihood"]
     assert made["used"]["training"] > made["used"]["held_out"] > 0
     assert made["export_check"]["observations"] == sum(made["used"].values())
 

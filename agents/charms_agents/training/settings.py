@@ -103,6 +103,8 @@ class Supervised(FrozenModel):
     """Lambda of eq. 11: how strongly the weights are pulled back to their start."""
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
+    rehearsal: NonNegative = 0.0
+    """Weight of the change of Q in the network's own driving; 0 in the paper."""
 
 
 class Stage(FrozenModel):
