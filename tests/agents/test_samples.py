@@ -165,8 +165,8 @@ def test_no_driver_of_us_101_is_on_both_sides() -> None:
     samples = collect(US_101)
     held_out, training = sides(samples)
     assert not held_out & training
-    # Apart from the drivers' numbers: no measured row of a held-out vehicle is one of a training
-    # vehicle. x and the neighbours differ between recordings, and a standing vehicle is like others.
+    # Read again from the files: no moving vehicle's values are on both sides. The origin of x
+    # differs between recordings.
     tracks = pl.concat(
         pl.read_csv(trio.tracks).with_columns(recording=pl.lit(trio.number, dtype=pl.Int64))
         for trio in find_trios(US_101)

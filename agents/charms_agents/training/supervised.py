@@ -93,6 +93,8 @@ class Fit:
         epoch = self.done + 1
         rng = np.random.default_rng([self._seed, epoch])
         order = torch.from_numpy(rng.permutation(len(labels)))
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._settings.learning_rate_at(epoch)
         for rows in torch.split(order, self._settings.batch_size):
             loss = self._loss(observations[rows], labels[rows])
             if self._settings.rehearsal:
