@@ -44,7 +44,7 @@ from charms_bench.world.observations import neighbours
 
 DOCS = Path(__file__).parent.parent / "docs"
 PULLS = (0.0, 0.002, 0.02, 0.2, 2.0, 20.0)
-FIRST_SEED, EPISODES, AT_ONCE = 900_700_000, 2_000, 500
+FIRST_SEED, EPISODES, AT_ONCE = 900_700_000, 1_000, 500
 COLUMNS = (
     Column("log-likelihood", form=".3f"),
     Column("agreement", form=".1%"),
@@ -132,11 +132,12 @@ def outcomes(suite_file: Path, start: Path, samples: Samples) -> dict[str, Outco
     fresh = Fit(folded(untrained(layers, seed)), samples, imitation, seed, standardised=True)
     before = Fit(network, samples, tuning.model_copy(update={"epochs": 0}), seed, standardised)
     found = {"before": outcome(before), "imitation": outcome(fresh)}
+    print(found, file=sys.stderr, flush=True)
     for rehearsal in (tuning.rehearsal, 0.0):
         for pull in PULLS:
             name = f"{pull:g}{'' if rehearsal else ', no rehearsal'}"
             found[name] = tuned(pull=pull, rehearsal=rehearsal)
-            print(name, found[name], file=sys.stderr)
+            print(name, found[name], file=sys.stderr, flush=True)
     return found
 
 

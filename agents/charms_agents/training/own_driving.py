@@ -13,7 +13,7 @@ from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import Observations, SceneSettings
 
-EPISODES = 500
+EPISODES = 1_500
 EXPLORATION = 0.02
 """Probability of a random action, so that the network is also seen beside its usual path."""
 

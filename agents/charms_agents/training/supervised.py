@@ -29,6 +29,9 @@ from charms_agents.training.temperature import fitted_temperature, log_likelihoo
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations
 
+REHEARSED = 1024
+"""Observations of the own driving in each step; fewer leave rare situations to chance."""
+
 
 class Fit:
     """A network while it learns from samples; the same seed and samples give the same network.
@@ -123,7 +126,7 @@ class Fit:
         not change the driving.
         """
         observations, values = self._rehearsed
-        drawn = torch.from_numpy(rng.integers(len(values), size=self._settings.batch_size))
+        drawn = torch.from_numpy(rng.integers(len(values), size=REHEARSED))
         change: Tensor = self._network(observations[drawn]) - values[drawn]
         return change.var(dim=1, correction=0).mean()
 
