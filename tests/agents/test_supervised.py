@@ -208,3 +208,10 @@ def test_what_is_rehearsed_changes_less() -> None:
             return float((fit.network(seen) - start(seen)).var(dim=1).mean())
 
     assert change(rehearsal=10.0) < 0.1 * change(rehearsal=0.0)
+
+
+def test_the_learning_rate_falls_over_the_last_epochs() -> None:
+    falling = Supervised(learning_rate=0.8, epochs=4, learning_rate_decay=0.5)
+    assert [falling.learning_rate_at(epoch) for epoch in (1, 2, 3, 4)] == [0.8, 0.8, 0.8, 0.4]
+    constant = Supervised(learning_rate=0.8, epochs=4)
+    assert [constant.learning_rate_at(epoch) for epoch in (1, 4)] == [0.8, 0.8]

@@ -162,8 +162,9 @@ def human_job(
     stage = suite.human.stages[name]
     settings, layers = suite.human.settings_of(stage), suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
-    style, rehearsed, drive = "human", {}, None
-    standardised = True
+    style, standardised = "human", True
+    rehearsed: dict[str, Any] = {}
+    drive: Callable[[Sequential], Observations] | None = None
     if stage.fine_tunes is not None and start is not None:
         sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
         starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
@@ -171,23 +172,17 @@ def human_job(
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
         standardised = suite.hyperparameters_of(tuned).standardised
         if settings.rehearsal:
+            scene, traffic = tuned.scene, suite.traffic_of(tuned)
             first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
-            rehearsed = {
-                "rehearsed": {
-                    "scene": tuned.scene.model_dump(mode="json"),
-                    "traffic": _traffic_inputs(tuned, drivers),
-                    "episodes": EPISODES,
-                    "first_episode_seed": first_seed,
-                    "exploration": EXPLORATION,
-                }
+            rehearsed["rehearsed"] = {
+                "scene": scene.model_dump(mode="json"),
+                "traffic": _traffic_inputs(tuned, drivers),
+                "episodes": EPISODES,
+                "first_episode_seed": first_seed,
+                "exploration": EXPLORATION,
             }
-            traffic = suite.traffic_of(tuned)
             drive = partial(
-                own_driving,
-                scene=tuned.scene,
-                traffic=traffic,
-                drivers=drivers,
-                first_seed=first_seed,
+                own_driving, scene=scene, traffic=traffic, drivers=drivers, first_seed=first_seed
             )
     inputs = {
         "stage": name,
