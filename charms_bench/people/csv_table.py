@@ -1,7 +1,7 @@
 """Reads CSV files of numbers; errors name the file, the line and the column."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,7 +41,9 @@ Columns = Mapping[str, Numbers | None]
 """The allowed numbers of each column; None for a column of text, which is not checked."""
 
 
-def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> pl.DataFrame:
+def read_table(
+    path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES, optional: Collection[str] = ()
+) -> pl.DataFrame:
     """The named columns of a CSV file; other columns are ignored.
 
     Line `i + 2` of the file becomes row `i`. Every number is finite and within its range.
@@ -50,12 +52,14 @@ def read_table(path: Path, columns: Columns, limit: int = SIZE_LIMIT_BYTES) -> p
         path: The file.
         columns: Names and allowed values.
         limit: Largest size of the file in bytes.
+        optional: Names of further columns of text, which the file may lack.
 
     Raises:
         DataError: The file cannot be read or is too large, a column is missing, or a value is
             not allowed.
     """
     header = _header(path, limit)
+    columns = {**columns, **{name: None for name in optional if name in header}}
     for name in columns:
         if name not in header:
             readable = [each[:40] for each in header[:40] if each.isprintable()]

@@ -76,6 +76,7 @@ _RECORDING_META: Columns = {
     "numVehicles": Numbers(0, 1e12, whole=True),
     **dict.fromkeys(_MARKINGS.values()),
 }
+_OCCASION = ("locationId", "month", "weekDay", "startTime")
 _LANE_WIDTHS_M = (1.0, 10.0)
 _KINDS = ("tracks", "tracksMeta", "recordingMeta")
 
@@ -107,6 +108,9 @@ class Recording:
     """One row per vehicle and frame, sorted by vehicle and frame; columns `TRACKS`."""
     lane_id_disagreements: int
     """Number of rows between the outer markings whose `laneId` contradicts y."""
+    occasion: str
+    """Location, month, weekday and start time as stated, without those that are not. Recordings
+    that state the same may overlap in time."""
 
     @property
     def lane_changes(self) -> pl.DataFrame:
@@ -171,7 +175,7 @@ def read_recording(trio: Trio) -> Recording:
     Raises:
         DataError: A file cannot be read, or the three files contradict each other.
     """
-    frame_rate, vehicles, markings = _read_recording_meta(trio.recording_meta)
+    frame_rate, vehicles, markings, occasion = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     lanes = {d: markings[d].size - 1 for d in meta["drivingDirection"].unique().sort()}
     for direction, count in lanes.items():
@@ -190,12 +194,13 @@ def read_recording(trio: Trio) -> Recording:
     tracks = _joined(trio, tracks, meta)
     parts = [_normalised(trio, tracks, direction, markings) for direction in lanes]
     every = pl.concat(part for part, _ in parts).sort("vehicle", "frame")
-    return Recording(trio, frame_rate, lanes, every, sum(wrong for _, wrong in parts))
+    wrong = sum(count for _, count in parts)
+    return Recording(trio, frame_rate, lanes, every, wrong, occasion)
 
 
-def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
-    """Frame rate, number of vehicles, and the markings of each direction by image y."""
-    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES)
+def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], str]:
+    """Frame rate, number of vehicles, markings of each direction by image y, and occasion."""
+    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES, _OCCASION)
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
     row = table.row(0, named=True)
@@ -206,7 +211,8 @@ def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats]]:
     if row["numVehicles"] == 0:
         raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
     markings = {d: _markings(path, column, row[column] or "") for d, column in _MARKINGS.items()}
-    return row["frameRate"], row["numVehicles"], markings
+    occasion = ", ".join(f"{name} {row[name]}" for name in _OCCASION if row.get(name))
+    return row["frameRate"], row["numVehicles"], markings, occasion
 
 
 def _markings(path: Path, column: str, text: str) -> Floats:

@@ -11,6 +11,7 @@ import pytest
 from charms_agents.human.samples import (
     REASONS,
     CharmsSampler,
+    Samples,
     SampleSettings,
     SampleStore,
     collect,
@@ -24,7 +25,8 @@ from charms_bench.errors import DataError
 from charms_bench.people.highd import find_trios
 from charms_bench.people.survey import survey
 
-TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS = REASONS
+US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
+TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS, REPEATED = REASONS
 
 
 @pytest.fixture
@@ -33,6 +35,20 @@ def folder(tmp_path: Path) -> Path:
     for number in range(1, 6):
         write_trio(tmp_path, busy_road(), number)
     return tmp_path
+
+
+def measured_road() -> list[Row]:
+    """The busy road, where no two vehicles measure the same at any time."""
+    return [
+        replace(row, vx=row.vx + row.vehicle / 1000, ax=row.ax + row.frame / 1000)
+        for row in busy_road()
+    ]
+
+
+def sides(samples: Samples) -> tuple[set[int], set[int]]:
+    """The drivers of the held-out samples and those of the training samples."""
+    driver = samples.rows["driver"]
+    return set(driver.filter(samples.held_out)), set(driver.filter(~samples.held_out))
 
 
 def decisions(folder: Path, **settings: Any) -> pl.DataFrame:
@@ -91,11 +107,75 @@ def test_idle_rows_are_drawn_down_to_their_ratio(folder: Path) -> None:
     assert (everything["sampled"] == everything["rejected"].is_null()).all()
 
 
-def test_whole_recordings_are_held_out(folder: Path) -> None:
+def test_whole_drivers_are_held_out(folder: Path) -> None:
     samples = collect(folder, SampleSettings(held_out=0.4))
-    held_out = set(samples.rows.filter(samples.held_out)["recording"])
-    training = set(samples.rows.filter(~samples.held_out)["recording"])
-    assert (len(held_out), len(training), held_out & training) == (2, 3, set())
+    held_out, training = sides(samples)
+    drivers = samples.rows["driver"].n_unique()
+    assert not held_out & training
+    assert len(held_out) == round(0.4 * drivers)
+    assert len(training) == drivers - len(held_out)
+
+
+def test_a_driver_of_two_recordings_is_on_one_side_and_counts_once(tmp_path: Path) -> None:
+    # The second recording begins 10 frames later, with another origin of x and other numbers.
+    later = [
+        replace(row, vehicle=row.vehicle + 50, frame=row.frame - 10, x=row.x - 7.0)
+        for row in measured_road()
+        if row.frame > 10
+    ]
+    write_trio(tmp_path, measured_road(), 1, start="07:50")
+    write_trio(tmp_path, later, 2, start="07:50")
+    rows = decisions(tmp_path)
+    named = rows.select("recording", "vehicle", "driver").unique()
+    drivers = {(recording, vehicle): driver for recording, vehicle, driver in named.iter_rows()}
+    assert all(drivers[1, v] == drivers[2, v + 50] for v in range(1, 34))
+    assert len(set(drivers.values())) == 33
+    held_out, training = sides(collect(tmp_path))
+    assert not held_out & training
+    # Decisions are at the frames 1, 9, 18 and 26, and in the second recording at 11 and 19.
+    assert (rows["rejected"] == REPEATED).sum() == 0
+
+
+def test_the_same_decision_of_two_recordings_counts_once(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write_trio(tmp_path, measured_road(), number, start="07:50")
+    rows = decisions(tmp_path)
+    first, second = (rows.filter(recording=number) for number in (1, 2))
+    accepted = first["rejected"].is_null()
+    assert accepted.any()
+    assert second.filter(accepted)["rejected"].to_list() == [REPEATED] * accepted.sum()
+
+
+def test_recordings_of_other_times_share_no_drivers(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write_trio(tmp_path, measured_road(), number)
+    rows = decisions(tmp_path)
+    assert rows["driver"].n_unique() == 66
+    assert (rows["rejected"] == REPEATED).sum() == 0
+
+
+def test_standing_vehicles_are_not_taken_for_the_same_driver(tmp_path: Path) -> None:
+    for number in (1, 2):
+        write_trio(tmp_path, [replace(row, vx=0.5) for row in busy_road()], number, start="07:50")
+    assert decisions(tmp_path)["driver"].n_unique() == 66
+
+
+@pytest.mark.skipif(not US_101.is_dir(), reason="needs ../shared/data, human recordings")
+def test_no_driver_of_us_101_is_on_both_sides() -> None:
+    samples = collect(US_101)
+    held_out, training = sides(samples)
+    assert not held_out & training
+    # Read again from the files: no moving vehicle's values are on both sides. The origin of x
+    # differs between recordings.
+    tracks = pl.concat(
+        pl.read_csv(trio.tracks).with_columns(recording=pl.lit(trio.number, dtype=pl.Int64))
+        for trio in find_trios(US_101)
+    ).filter(pl.col("xVelocity") > 1)
+    keys = ["y", "width", "height", "xVelocity", "yVelocity", "xAcceleration", "yAcceleration"]
+    rows = samples.rows.select("recording", "vehicle", held_out=samples.held_out).unique()
+    named = tracks.join(rows, left_on=["recording", "id"], right_on=["recording", "vehicle"])
+    both = named.group_by(keys).agg(sides=pl.col("held_out").n_unique())
+    assert both["sides"].max() == 1
 
 
 def test_a_single_recording_is_all_for_training(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from charms_agents.training.standardised import standardise
+from charms_agents.training.network import layers_of, untrained
+from charms_agents.training.standardised import FACTORS, folded, standardise, unfolded
 from handmade_scene import simulation_of
 
 from charms_bench.world.observations import neighbours
@@ -33,3 +34,13 @@ def test_a_neighbour_is_seen_in_lanes_and_in_tens_of_metres() -> None:
     rows = seen((500.0, 1, 28.0), (520.0, 0, 25.0))  # left front: 20 m ahead, 3 m/s slower
     np.testing.assert_allclose(rows[1], [1, 20 / 40, -1, -3 / 6, 0], atol=1e-5)
     np.testing.assert_allclose(rows[2:], 0.0, atol=1e-6)
+
+
+def test_unfolding_undoes_folding_except_for_inputs_without_effect() -> None:
+    network = untrained((8,), 0)
+    (weight, bias), *_ = layers_of(network)
+    (found, found_bias), *_ = layers_of(unfolded(folded(network)))
+    has_effect = FACTORS.numpy() != 0
+    np.testing.assert_allclose(found[:, has_effect], weight[:, has_effect], rtol=1e-6)
+    np.testing.assert_array_equal(found[:, ~has_effect], 0.0)
+    np.testing.assert_allclose(found_bias, bias, rtol=1e-5, atol=1e-6)

@@ -16,11 +16,12 @@ from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
 from charms_agents.training.network import layers_of, network_of, untrained
 from charms_agents.training.settings import Supervised
+from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import (
     Fit,
     agreement,
     divergence,
-    log_likelihood,
+    spread,
     squared_distance,
 )
 
@@ -64,13 +65,6 @@ def test_the_pull_is_the_squared_distance_over_all_weights() -> None:
     assert float(squared_distance(now, before)) == 1.0 + 4.0 + 9.0
 
 
-def test_the_likelihood_is_that_of_the_labels() -> None:
-    values = torch.tensor([[THIRD, 0.0, 0.0, 0.0, 0.0]])
-    labels = torch.tensor([[0.25, 0.75, 0.0, 0.0, 0.0]])
-    expected = 0.25 * math.log(3 / 7) + 0.75 * math.log(1 / 7)
-    assert log_likelihood(values, labels) == pytest.approx(expected, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("values", "label", "agrees"),
     [
@@ -85,7 +79,7 @@ def test_the_likelihood_is_that_of_the_labels() -> None:
 def test_agreement_is_taking_a_most_probable_action(
     values: list[float], label: list[float], agrees: float
 ) -> None:
-    assert agreement(torch.tensor([values]), torch.tensor([label])) == agrees
+    assert agreement(np.array([values], np.float32), np.array([label], np.float32)) == agrees
 
 
 def test_the_first_point_of_the_curve_is_before_any_learning() -> None:
@@ -96,13 +90,11 @@ def test_the_first_point_of_the_curve_is_before_any_learning() -> None:
 
 
 def test_what_is_learnt_holds_for_held_out_drivers() -> None:
-    fit = fitted(epochs=60, learning_rate=0.01, batch_size=8, pull=0.0, data=samples(400, 100))
+    fit = fitted(epochs=8, learning_rate=0.01, batch_size=8, pull=0.0, data=samples(400, 100))
     first, last = fit.curve[0], fit.curve[-1]
     assert last.loss < first.loss
     assert last.agreement is not None
-    assert last.log_likelihood is not None
-    assert last.agreement > 0.9
-    assert last.log_likelihood > (first.log_likelihood or 0.0)
+    assert last.agreement > 0.8
 
 
 def test_a_strong_pull_keeps_the_network_where_it_started() -> None:
@@ -126,7 +118,7 @@ def test_the_first_step_follows_the_slope_of_the_whole_loss() -> None:
     data.labels[:] = np.eye(5, dtype=np.float32)[2]
     fit = Fit(network, data, Supervised(learning_rate=0.001, pull=0.2), 0)
     fit.step()
-    bias = layers_of(network)[0][1]
+    bias = layers_of(fit.network)[0][1]
     np.testing.assert_allclose(bias, [-0.001, -0.001, 0.001, -0.001, -0.001], rtol=1e-4)
 
 
@@ -155,7 +147,7 @@ def test_an_interrupted_fit_goes_on_to_the_same_weights() -> None:
 
 def test_without_held_out_samples_there_is_only_a_loss() -> None:
     (point,) = Fit(untrained((8,), 0), samples(held_out=0), Supervised(), 0).curve
-    assert point == Epoch(0, point.loss, None, None)
+    assert point == Epoch(0, point.loss, point.temperature, None, None)
 
 
 def test_an_untrained_network_depends_on_its_seed_alone() -> None:
@@ -164,3 +156,62 @@ def test_an_untrained_network_depends_on_its_seed_alone() -> None:
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
     assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_the_spread_is_the_standard_deviation_over_actions_but_at_least_1() -> None:
+    # Deviations from the mean 4 are 4, 1, 1, 1 and 1, so the variance is 20 / 4.
+    values = torch.tensor([[8.0, 3.0, 3.0, 3.0, 3.0]])
+    assert spread(values) == pytest.approx(math.sqrt(5))
+    assert spread(values / 100) == 1.0
+
+
+def test_the_held_out_samples_do_not_decide_on_the_temperature() -> None:
+    first, second = samples(), samples()
+    second.labels[-10:] = 0.2
+    curves = [Fit(untrained((8,), 0), data, Supervised(), 0).curve for data in (first, second)]
+    assert curves[0][0].temperature == curves[1][0].temperature
+    assert curves[0][0].log_likelihood != curves[1][0].log_likelihood
+
+
+def test_the_pull_is_on_the_weights_for_standardised_observations() -> None:
+    start = folded(untrained((8,), 0))
+    fit = Fit(start, samples(), Supervised(learning_rate=0.01, pull=0.3), 0, standardised=True)
+    loss_without_pull = Supervised(learning_rate=0.01, pull=0.0)
+    without = Fit(start, samples(), loss_without_pull, 0, standardised=True)
+    for weights in (fit, without):
+        with torch.no_grad():
+            weights._parameters[0].add_(0.5)  # of 8 x 35 weights
+    pulled = fit._measured(0).loss - without._measured(0).loss
+    assert pulled == pytest.approx(0.3 * 8 * 35 * 0.25, rel=1e-3)
+
+
+def test_without_a_step_a_standardised_network_comes_back() -> None:
+    start = folded(untrained((8,), 0))
+    fit = Fit(start, samples(), Supervised(), 0, standardised=True)
+    for (weight, bias), (same, same_bias) in zip(
+        layers_of(start), layers_of(fit.network), strict=True
+    ):
+        np.testing.assert_allclose(weight, same, rtol=1e-6)
+        np.testing.assert_allclose(bias, same_bias, rtol=1e-5, atol=1e-6)
+
+
+def test_what_is_rehearsed_changes_less() -> None:
+    data, start = samples(200), untrained((8,), 0)
+    own = np.random.default_rng(1).normal(2.0, 1.0, size=(300, 7, 5)).astype(np.float32)
+    seen = torch.from_numpy(own.reshape(-1, 35))
+
+    def change(rehearsal: float) -> float:
+        settings = Supervised(learning_rate=0.01, epochs=20, pull=0.0, rehearsal=rehearsal)
+        fit = Fit(start, data, settings, 0, own_driving=own)
+        fit.learn()
+        with torch.no_grad():
+            return float((fit.network(seen) - start(seen)).var(dim=1).mean())
+
+    assert change(rehearsal=10.0) < 0.1 * change(rehearsal=0.0)
+
+
+def test_the_learning_rate_falls_over_the_last_epochs() -> None:
+    falling = Supervised(learning_rate=0.8, epochs=4, learning_rate_decay=0.5)
+    assert [falling.learning_rate_at(epoch) for epoch in (1, 2, 3, 4)] == [0.8, 0.8, 0.8, 0.4]
+    constant = Supervised(learning_rate=0.8, epochs=4)
+    assert [constant.learning_rate_at(epoch) for epoch in (1, 4)] == [0.8, 0.8]

@@ -40,8 +40,9 @@ def write_trio(
     rate: float = 25,
     upper: str = UPPER_MARKINGS,
     lower: str = LOWER_MARKINGS,
+    start: str = "",
 ) -> Path:
-    """Writes the three files and returns their folder."""
+    """Writes the three files and returns their folder; by default, each number starts later."""
     rows = list(rows)
     lines = [
         f"{r.frame},{r.vehicle},{r.x!r},{r.y!r},5.0,2.0,{r.vx!r},{r.vy!r},{r.ax!r},0,{r.lane_id}"
@@ -57,8 +58,8 @@ def write_trio(
     ]
     header = "id,initialFrame,finalFrame,numFrames,class,drivingDirection"
     write(folder / f"{number:02}_tracksMeta.csv", header, lines)
-    header = "id,frameRate,numVehicles,upperLaneMarkings,lowerLaneMarkings"
-    line = f"{number},{rate},{len(frames)},{upper},{lower}"
+    header = "id,frameRate,numVehicles,startTime,upperLaneMarkings,lowerLaneMarkings"
+    line = f"{number},{rate},{len(frames)},{start or f'08:{number:02}'},{upper},{lower}"
     write(folder / f"{number:02}_recordingMeta.csv", header, [line])
     return folder
 

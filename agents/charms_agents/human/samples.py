@@ -3,8 +3,7 @@
 Each sample is one driver at one decision: the observation `neighbours` and a soft label. A
 decision is rejected for the first of `REASONS` that applies. Of the accepted decisions, IDLE ones
 are drawn at random until their recording has at most `idle_ratio` of them for each other one.
-Whole recordings are held out. Where recordings overlap, as those of US-101 do, a driver can still
-be in both the training and the held-out samples.
+Whole drivers are held out, with their samples of all recordings; see `drivers`.
 """
 
 import hashlib
@@ -19,6 +18,7 @@ import numpy as np
 import polars as pl
 from pydantic import Field
 
+from charms_agents.human.drivers import drivers, moments
 from charms_agents.human.labels import Labels, lateral_intents, longitudinal_intents, soft_labels
 from charms_bench.errors import DataError
 from charms_bench.people.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
@@ -36,15 +36,20 @@ REASONS = (
     "drifts to a side without a lane",
     "neighbours may be beyond the recorded section",
     "too few neighbours",
+    "already in an earlier recording",
 )
 """Why a decision is rejected, in the order in which the reasons are checked."""
 
+_REVISION = 2
+"""Grows when the same recordings and settings give other samples."""
+_SOURCE = ("recording", "direction", "vehicle", "frame", "driver")
 _SAMPLES = pl.Schema(
     {
         "recording": pl.Int64(),
         "direction": pl.Int8(),
         "vehicle": pl.Int64(),
         "frame": pl.Int64(),
+        "driver": pl.Int64(),
         "held_out": pl.Boolean(),
         "observation": pl.Array(pl.Float32, 35),
         "label": pl.Array(pl.Float32, 5),
@@ -62,8 +67,8 @@ class SampleSettings(FrozenModel):
     idle_ratio: NonNegative = 0.25
     """IDLE samples for each other sample, at most; 0.25 makes IDLE a fifth, one action of five."""
     held_out: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)] = 0.2
-    """Share of the recordings to hold out, rounded to whole recordings; at least one, unless the
-    share is 0 or there is only one recording."""
+    """Share of the drivers to hold out, rounded to whole drivers; at least one, unless the share is
+    0 or there is only one driver."""
     seed: Annotated[int, Field(ge=0)] = 0
 
 
@@ -78,7 +83,7 @@ class Samples:
     held_out: Bools
     """(M,) whether the sample is kept from training."""
     rows: pl.DataFrame
-    """Where each sample comes from: recording, direction, vehicle, frame."""
+    """Where each sample comes from: recording, direction, vehicle, frame, driver."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,7 @@ class SampleStore:
                 observations=table["observation"].to_numpy().reshape(-1, 7, 5),
                 labels=table["label"].to_numpy(),
                 held_out=table["held_out"].to_numpy(),
-                rows=table.select("recording", "direction", "vehicle", "frame"),
+                rows=table.select(_SOURCE),
             )
         except (OSError, pl.exceptions.PolarsError) as error:
             reason = str(error).partition("\n")[0]
@@ -136,7 +141,8 @@ def fingerprint(trios: Sequence[Trio], settings: SampleSettings) -> str:
     Raises:
         DataError: A file cannot be read.
     """
-    digest = hashlib.sha256(f"{version('charms-bench')} {settings.model_dump_json()}".encode())
+    told = f"{version('charms-bench')} {_REVISION} {settings.model_dump_json()}"
+    digest = hashlib.sha256(told.encode())
     for trio in trios:
         for path in trio.paths:
             try:
@@ -172,18 +178,26 @@ class CharmsSampler:
         self._trios: list[Trio] = []
         self._decisions: list[pl.DataFrame] = []
         self._observations: list[Observations] = []
+        self._vehicles: list[pl.DataFrame] = []
+        self._taken = pl.Series(dtype=pl.UInt64)
 
     def add(self, recording: Recording, rows: pl.DataFrame, observations: Observations) -> None:
         """Takes the decisions of a recording and what the drivers saw (M, 7, 5)."""
         trio = recording.trio
-        rows = _judged(rows, observations, self.settings)
+        number = pl.lit(trio.number, dtype=pl.Int64).alias("recording")
+        tracks, moment = recording.tracks, moments(recording, recording.tracks)
+        self._vehicles.append(tracks.select(number, "vehicle", moment))
+        moment = moments(recording, rows)
+        repeated = moment.is_in(self._taken.implode()).fill_null(False).to_numpy()
+        rows = _judged(rows, observations, repeated, self.settings)
+        self._taken.append(moment.filter(rows["rejected"].is_null()).drop_nulls())
         rng = np.random.default_rng([self.settings.seed, trio.number])
         sampled = _undersampled(rows, rng, self.settings)
         self._trios.append(trio)
         self._observations.append(observations[sampled])
         self._decisions.append(
             rows.select(
-                pl.lit(trio.number, dtype=pl.Int64).alias("recording"),
+                number,
                 *("direction", "vehicle", "frame", "rejected", "longitudinal", "lateral"),
                 *("acceleration", "lateral_speed"),
                 pl.Series("sampled", sampled),
@@ -193,11 +207,14 @@ class CharmsSampler:
     def decisions(self) -> pl.DataFrame:
         """All decisions, one row per driver and decision.
 
-        Columns recording, direction, vehicle, frame, rejected (a reason or null), longitudinal
-        and lateral (the intents), acceleration, lateral_speed, sampled, and label (null where
-        rejected). The means that normalise magnitudes are taken over all accepted decisions.
+        Columns recording, direction, vehicle, frame, driver, rejected (a reason or null),
+        longitudinal and lateral (the intents), acceleration, lateral_speed, sampled, and label
+        (null where rejected). The means that normalise magnitudes are taken over all accepted
+        decisions.
         """
-        decisions = pl.concat(self._decisions)
+        decisions = pl.concat(self._decisions).join(
+            drivers(self._vehicles), on=["recording", "vehicle"], how="left", maintain_order="left"
+        )
         accepted = decisions["rejected"].is_null()
         rows = decisions.filter(accepted)
         labels = np.zeros((decisions.height, 5), dtype=np.float32)
@@ -221,8 +238,8 @@ class CharmsSampler:
         return Samples(
             observations=np.concatenate(self._observations),
             labels=chosen["label"].to_numpy(),
-            held_out=_held_out(chosen["recording"], self.settings),
-            rows=chosen.select("recording", "direction", "vehicle", "frame"),
+            held_out=_held_out(chosen["driver"], self.settings),
+            rows=chosen.select(_SOURCE),
         )
 
     def learnable(self) -> Learnable:
@@ -250,7 +267,7 @@ class CharmsSampler:
 
 
 def _judged(
-    rows: pl.DataFrame, observations: Observations, settings: SampleSettings
+    rows: pl.DataFrame, observations: Observations, repeated: Bools, settings: SampleSettings
 ) -> pl.DataFrame:
     """Adds the intents and, for a rejected decision, the reason."""
     lane = rows["lane"].to_numpy()
@@ -264,6 +281,7 @@ def _judged(
         (aimed_at < 0) | (aimed_at >= rows["lanes"].to_numpy()),
         rows["view_cut"].to_numpy(),
         observations[:, 1:, 0].sum(axis=1) < settings.min_neighbours,
+        repeated,
     )
     rejected = np.select(applies, range(len(REASONS)), -1)
     names = np.array([*REASONS, None], dtype=object)[rejected]
@@ -285,13 +303,13 @@ def _undersampled(rows: pl.DataFrame, rng: np.random.Generator, settings: Sample
     return np.asarray(sampled)
 
 
-def _held_out(recording: pl.Series, settings: SampleSettings) -> Bools:
-    numbers = recording.unique().sort().to_numpy()
+def _held_out(driver: pl.Series, settings: SampleSettings) -> Bools:
+    numbers = driver.unique().sort().to_numpy()
     wanted = round(settings.held_out * numbers.size)
     if settings.held_out > 0:
         wanted = min(max(wanted, 1), numbers.size - 1)
     drawn = np.random.default_rng(settings.seed).permutation(numbers)[:wanted]
-    return np.isin(recording.to_numpy(), drawn)
+    return np.isin(driver.to_numpy(), drawn)
 
 
 def _table(samples: Samples) -> pl.DataFrame:

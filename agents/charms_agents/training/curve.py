@@ -44,8 +44,10 @@ class Epoch:
     """Epochs so far; 0 is before the first."""
     loss: float
     """L_total, eq. 11, over all training samples."""
+    temperature: float
+    """T at which the training samples are the most likely under softmax(Q / T)."""
     log_likelihood: float | None
-    """Mean over held-out samples of the sum of y log softmax(Q), natural logarithm; None if no
+    """Mean over held-out samples of the sum of y log softmax(Q / T), natural logarithm; None if no
     samples are held out."""
     agreement: float | None
     """Share of held-out samples in which the network's action is the label's most probable one,

@@ -9,8 +9,11 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from torch.nn import Sequential
+
 from charms_agents.human.samples import SampleStore
 from charms_agents.training.network import read_network, untrained
+from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
@@ -19,11 +22,13 @@ from charms_agents.training.settings import (
     Supervised,
     TrainingSuite,
 )
+from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import Fit
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.files import write_bytes
+from charms_bench.world.scene import Observations
 
 _OPTIONS = {
     "safety_horizon_s",
@@ -151,28 +156,48 @@ def human_job(
     suite: TrainingSuite,
     samples: SampleStore,
     start: Path | None,
+    drivers: Mapping[str, Agent],
 ) -> Job:
     """The job of the suite's stage `name`, which learns from samples of human driving.
 
     Args:
         start: The network that is fine-tuned; None for imitation.
+        drivers: The traffic in which that network was trained; none for imitation.
     """
     assert suite.human is not None
     stage = suite.human.stages[name]
     settings, layers = suite.human.settings_of(stage), suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
-    style = "human"
+    style, standardised = "human", True
+    rehearsed: dict[str, Any] = {}
+    drive: Callable[[Sequential], Observations] | None = None
     if stage.fine_tunes is not None and start is not None:
         sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
         starts_from = {"stage": stage.fine_tunes, "weights_sha256": sha256}
         tuned = suite.stages[stage.fine_tunes]
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
+        standardised = suite.hyperparameters_of(tuned).standardised
+        if settings.rehearsal:
+            scene, traffic = tuned.scene, suite.traffic_of(tuned)
+            first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
+            rehearsed["rehearsed"] = {
+                "scene": scene.model_dump(mode="json"),
+                "traffic": _traffic_inputs(tuned, drivers),
+                "episodes": EPISODES,
+                "first_episode_seed": first_seed,
+                "exploration": EXPLORATION,
+            }
+            drive = partial(
+                own_driving, scene=scene, traffic=traffic, drivers=drivers, first_seed=first_seed
+            )
     inputs = {
         "stage": name,
         "starts_from": starts_from,
         "style": style,
         "seed": suite.seed,
         "supervised": settings.model_dump(mode="json"),
+        "standardised": standardised,
+        **rehearsed,
         "samples": {
             "fingerprint": samples.fingerprint,
             "settings": samples.settings.model_dump(mode="json"),
@@ -188,12 +213,21 @@ def human_job(
         decision_hz=samples.settings.decision_hz,
         checkpoint_s=suite.checkpoint_s,
         inputs=inputs,
-        make_learner=partial(_fit, start, layers, samples, settings, suite.seed),
+        make_learner=partial(
+            _fit, start, layers, samples, settings, suite.seed, standardised, drive
+        ),
     )
 
 
 def _fit(
-    start: Path | None, layers: Sequence[int], samples: SampleStore, settings: Supervised, seed: int
+    start: Path | None,
+    layers: Sequence[int],
+    samples: SampleStore,
+    settings: Supervised,
+    seed: int,
+    standardised: bool,
+    drive: Callable[[Sequential], Observations] | None,
 ) -> Fit:
-    network = read_network(start) if start else untrained(layers, seed)
-    return Fit(network, samples.load(), settings, seed)
+    network = read_network(start) if start else folded(untrained(layers, seed))
+    driven = drive(network) if drive else None
+    return Fit(network, samples.load(), settings, seed, standardised, driven)

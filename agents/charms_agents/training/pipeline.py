@@ -115,20 +115,23 @@ def _make_job(
     def network(stage: str) -> Path:
         return finished[title_of(seed_folder, stage)].file(".onnx")
 
-    if name in suite.human_stages:
-        assert samples is not None
-        start = suite.human_stages[name].fine_tunes
-        started = network(start) if start else None
-        return human_job(output, seed_folder, name, suite, samples, started)
-    drivers: dict[str, Agent] = {}
-    for driver in suite.traffic_of(suite.stages[name]).agents:
-        if driver in suite.names:
-            drivers[driver] = OnnxPolicy(network(driver))
-        elif is_network(driver):
-            drivers[driver] = OnnxPolicy(folder / driver)
-        else:
-            drivers[driver] = make_agent(driver)
-    return reinforcement_job(output, seed_folder, name, suite, drivers)
+    def drivers(stage: str) -> dict[str, Agent]:
+        found: dict[str, Agent] = {}
+        for driver in suite.traffic_of(suite.stages[stage]).agents:
+            if driver in suite.names:
+                found[driver] = OnnxPolicy(network(driver))
+            elif is_network(driver):
+                found[driver] = OnnxPolicy(folder / driver)
+            else:
+                found[driver] = make_agent(driver)
+        return found
+
+    if name not in suite.human_stages:
+        return reinforcement_job(output, seed_folder, name, suite, drivers(name))
+    assert samples is not None
+    start = suite.human_stages[name].fine_tunes
+    started, traffic = (network(start), drivers(start)) if start else (None, {})
+    return human_job(output, seed_folder, name, suite, samples, started, traffic)
 
 
 @contextmanager

@@ -120,6 +120,15 @@ class Supervised(FrozenModel):
     """Lambda of eq. 11: how strongly the weights are pulled back to their start."""
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
+    rehearsal: NonNegative = 0.0
+    """Weight of the change of Q in the network's own driving; 0 in the paper."""
+    learning_rate_decay: Share = 0.0
+    """Share of all epochs, at the end, over which the learning rate falls to 0; 0 in the paper."""
+
+    def learning_rate_at(self, epoch: int) -> float:
+        """The learning rate of an epoch, counted from 1."""
+        remaining = 1 - (epoch - 1) / self.epochs
+        return self.learning_rate * min(1.0, remaining / (self.learning_rate_decay or remaining))
 
 
 class Stage(FrozenModel):

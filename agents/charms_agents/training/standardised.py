@@ -52,3 +52,17 @@ def folded(network: Sequential) -> Sequential:
         first.bias.add_(first.weight @ OFFSETS)
         first.weight.mul_(FACTORS)
     return result
+
+
+def unfolded(network: Sequential) -> Sequential:
+    """The network for standardised observations of which `folded` makes this one.
+
+    Weights of inputs that standardise to 0 have no effect, and are 0.
+    """
+    result = deepcopy(network)
+    first = result[0]
+    assert isinstance(first, Linear)
+    with torch.no_grad():
+        first.weight.copy_(torch.where(FACTORS == 0, 0, first.weight / FACTORS))
+        first.bias.sub_(first.weight @ OFFSETS)
+    return result

@@ -1,15 +1,21 @@
 """Stages that learn from human driving, eq. 11 of the paper.
 
 Fine-tuning starts from a trained network. Imitation starts from an untrained one, with no pull.
+
+The softmax of eq. 11 is that of Q / T, where T is how far the starting network's values of the
+actions differ: a trained network predicts people worse than chance, so a temperature fitted to it
+would be infinite and would leave nothing to learn from.
 """
 
 import json
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import Sequential
 from torch.nn.functional import log_softmax
@@ -18,34 +24,60 @@ from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
 from charms_agents.training.network import OBSERVED, Arrays, load_state, state_arrays
 from charms_agents.training.settings import Supervised
+from charms_agents.training.standardised import folded, standardise, unfolded
+from charms_agents.training.temperature import fitted_temperature, log_likelihood
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Observations
+
+REHEARSED = 1024
+"""Observations of the own driving in each step; fewer leave rare situations to chance."""
 
 
 class Fit:
     """A network while it learns from samples; the same seed and samples give the same network.
 
     Args:
-        network: The network to train in place; `Supervised.pull` pulls it back to this start.
+        network: The network to start from, which takes plain observations; it is not changed.
         samples: The samples; held-out ones are only measured.
         settings: How the network learns.
         seed: Decides the order of the samples.
+        standardised: Whether the weights that learn, and are pulled back to their start, are those
+            of the equal network for standardised observations.
+        own_driving: Observations (M, 7, 5) to rehearse; None without `Supervised.rehearsal`.
     """
 
     point = Epoch
 
     def __init__(
-        self, network: Sequential, samples: Samples, settings: Supervised, seed: int
+        self,
+        network: Sequential,
+        samples: Samples,
+        settings: Supervised,
+        seed: int,
+        standardised: bool = False,
+        own_driving: Observations | None = None,
     ) -> None:
-        self.network, self.observations = network, samples.observations
-        self._settings, self._seed = settings, seed
-        self._parameters = list(network.parameters())
+        self.observations = samples.observations
+        self._settings, self._seed, self._standardised = settings, seed, standardised
+        self._network = unfolded(network) if standardised else deepcopy(network)
+        self._parameters = list(self._network.parameters())
         self._pretrained = [parameter.detach().clone() for parameter in self._parameters]
         self._optimizer = torch.optim.Adam(self._parameters, lr=settings.learning_rate)
-        observations = torch.from_numpy(samples.observations.reshape(-1, OBSERVED).copy())
+        observations = self._seen(samples.observations)
         labels, held_out = torch.from_numpy(samples.labels.copy()), samples.held_out
         self._training = observations[~held_out], labels[~held_out]
         self._held_out = observations[held_out], labels[held_out]
+        with torch.no_grad():
+            self._temperature = spread(self._network(self._training[0]))
+            if own_driving is not None:
+                rehearsed = self._seen(own_driving)
+                self._rehearsed = rehearsed, self._network(rehearsed)
         self.curve = [self._measured(0)]
+
+    @property
+    def network(self) -> Sequential:
+        """The network so far, made to take plain observations."""
+        return folded(self._network) if self._standardised else self._network
 
     @property
     def done(self) -> int:
@@ -62,38 +94,62 @@ class Fit:
         """Learns from every training sample once."""
         observations, labels = self._training
         epoch = self.done + 1
-        order = np.random.default_rng([self._seed, epoch]).permutation(len(labels))
-        for rows in torch.split(torch.from_numpy(order), self._settings.batch_size):
+        rng = np.random.default_rng([self._seed, epoch])
+        order = torch.from_numpy(rng.permutation(len(labels)))
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._settings.learning_rate_at(epoch)
+        for rows in torch.split(order, self._settings.batch_size):
             loss = self._loss(observations[rows], labels[rows])
+            if self._settings.rehearsal:
+                loss = loss + self._settings.rehearsal * self._forgotten(rng)
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]  # of torch
             self._optimizer.step()
         self.curve.append(self._measured(epoch))
 
+    def _seen(self, observations: Observations) -> Tensor:
+        flat = torch.from_numpy(observations.reshape(-1, OBSERVED).copy())
+        return standardise(flat) if self._standardised else flat
+
     def _loss(self, observations: Tensor, labels: Tensor) -> Tensor:
         """L_total, eq. 11."""
-        kl = divergence(self.network(observations), labels, self._settings.label_floor)
+        logits = self._network(observations) / self._temperature
+        kl = divergence(logits, labels, self._settings.label_floor)
         if not self._settings.pull:
             return kl
         return kl + self._settings.pull * squared_distance(self._parameters, self._pretrained)
 
+    def _forgotten(self, rng: np.random.Generator) -> Tensor:
+        """How much the differences between actions changed in a batch of the own driving.
+
+        The mean variance over the actions of the change of Q: a change of all actions alike does
+        not change the driving.
+        """
+        observations, values = self._rehearsed
+        drawn = torch.from_numpy(rng.integers(len(values), size=REHEARSED))
+        change: Tensor = self._network(observations[drawn]) - values[drawn]
+        return change.var(dim=1, correction=0).mean()
+
     def _measured(self, epoch: int) -> Epoch:
         with torch.no_grad():
             loss = float(self._loss(*self._training))
-            observations, labels = self._held_out
-            if not len(labels):
-                return Epoch(epoch, loss, None, None)
-            logits: Tensor = self.network(observations)
-            return Epoch(epoch, loss, log_likelihood(logits, labels), agreement(logits, labels))
+            told = self._network(self._training[0]).numpy()
+            values = self._network(self._held_out[0]).numpy()
+        temperature = fitted_temperature(told, self._training[1].numpy())
+        labels = self._held_out[1].numpy()
+        if not len(labels):
+            return Epoch(epoch, loss, temperature, None, None)
+        likely = log_likelihood(values, labels, temperature)
+        return Epoch(epoch, loss, temperature, likely, agreement(values, labels))
 
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
         curve = np.array(json.dumps([asdict(point) for point in self.curve]))
-        return {**state_arrays({"network": self.network}, self._optimizer), "curve": curve}
+        return {**state_arrays({"network": self._network}, self._optimizer), "curve": curve}
 
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same job."""
-        load_state({"network": self.network}, self._optimizer, arrays)
+        load_state({"network": self._network}, self._optimizer, arrays)
         self.curve = [Epoch(**point) for point in json.loads(str(arrays["curve"]))]
 
     def results(self, wall_s: float) -> dict[str, Any]:
@@ -119,15 +175,18 @@ def squared_distance(parameters: Sequence[Tensor], pretrained: Sequence[Tensor])
     return torch.stack([(parameter - before).square().sum() for parameter, before in pairs]).sum()
 
 
-def log_likelihood(logits: Tensor, labels: Tensor) -> float:
-    """Mean over rows of the sum of y log softmax(logits)."""
-    return float((labels * log_softmax(logits, dim=1)).sum(dim=1).mean())
+def spread(values: Tensor) -> float:
+    """Mean over rows of the standard deviation over the actions of values (M, 5), at least 1.
+
+    At most 1 is the spread of an untrained network, whose values have no scale yet.
+    """
+    return max(1.0, float(values.std(dim=1).mean()))
 
 
-def agreement(values: Tensor, labels: Tensor) -> float:
+def agreement(values: NDArray[np.float32], labels: NDArray[np.float32]) -> float:
     """Share of rows in which the network's action is a most probable action of the label.
 
     The network takes the first action with the highest value, like `OnnxPolicy`.
     """
-    taken = torch.from_numpy(values.numpy().argmax(axis=1))[:, None]
-    return float((labels.gather(1, taken)[:, 0] == labels.amax(dim=1)).double().mean())
+    taken = labels[np.arange(len(labels)), values.argmax(axis=1)]
+    return float((taken == labels.max(axis=1)).mean())
