@@ -58,4 +58,4 @@ def _parameters(temperament: float, p: IdmMobilParameters) -> IdmMobilParameters
 def _drawn(temperament: float, digit: int, low: float, high: float) -> float:
     """A number in a range from the digits of the temperament after the first `digit`."""
     shifted = temperament * _DIGIT**digit
-    return low + (high - low) * (shifted - np.floor(shifted))
+    return float(low + (high - low) * (shifted - np.floor(shifted)))

@@ -93,8 +93,8 @@ class DoubleDQN(DQN):
         has_failed = (buffer.dones[:size] == 1) & (buffer.timeouts[:size] == 0)
         rewards = buffer.rewards[:size][~has_failed]
         with torch.no_grad():
-            for network in (self.q_net, self.q_net_target):
-                network.q_net[-1].bias.add_(float(rewards.mean()) / (1 - self.gamma))
+            for network in (self.q_net.q_net, self.q_net_target.q_net):
+                network[-1].bias.add_(float(rewards.mean()) / (1 - self.gamma))
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
