@@ -157,9 +157,24 @@ def fine_tuning(run: Path) -> str:
     records = [each for each in table.records() if each["agreement"] is not None]
     for each in records:
         each["style"] = each["stage"].removeprefix("charms_").replace("_", " ")
-    columns = (Column("agreement_before", form=".1%"), Column("agreement", form=".1%"))
+    forms = {"agreement_before": ".1%", "agreement": ".1%"}
+    forms |= {"log_likelihood_before": ".3f", "log_likelihood": ".3f"}
+    columns = tuple(Column(name, form=form) for name, form in forms.items())
     chosen = Table.from_records(records, "", "", ("style",), columns)
-    return markdown(chosen.named("before", "after"))
+    headers = ("agreement before", "after", "log-likelihood before", "after ")
+    return markdown(chosen.named(*headers))
+
+
+def training_time(run: Path) -> str:
+    """The processor time of each stage that learns by reinforcement."""
+    table = stored_training(run).stages
+    assert table is not None
+    records = [each for each in table.records() if each["steps"] is not None]
+    for each in records:
+        each["minutes"] = each["cpu_s"] and each["cpu_s"] / 60
+        each["stage"] = each["stage"].replace("_", " ")
+    columns = (Column("steps", form=",.0f"), Column("minutes", form=".1f"))
+    return markdown(Table.from_records(records, "", "", ("stage",), columns))
 
 
 def reproduction(run: Path) -> str:
@@ -185,6 +200,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
     "fine-tuning": ("train", fine_tuning),
+    "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),
     "reproduction-ego": ("released-ego", reproduction),
     "reproduction-styles": ("released-styles", reproduction),

@@ -20,6 +20,7 @@ COLUMNS = ColumnsFile(
         "style": StageColumn(definition="weights of the reward, and the social value orientation"),
         "steps": StageColumn(definition="decisions that the stage was trained on", form=",.0f"),
         "wall_s": StageColumn(unit="s", definition="duration of the stage", form=",.1f"),
+        "cpu_s": StageColumn(unit="s", definition="processor time of the stage", form=",.1f"),
         "steps_per_s": StageColumn(
             unit="1/s", definition="decisions per second, learning included", form=",.0f"
         ),
@@ -77,7 +78,7 @@ def write_summary(output: Path, jobs: Iterable[Job]) -> pl.DataFrame:
 
 def _row(job: Job) -> dict[str, Any]:
     made = json.loads(job.file(".json").read_text(encoding="utf-8"))
-    row = {"stage": job.title, "wall_s": made["wall_s"]}
+    row = {"stage": job.title, "wall_s": made["wall_s"], "cpu_s": made.get("cpu_s")}
     if "supervised" in made:
         before, after = made["before"], made["after"]
         return row | {
