@@ -55,8 +55,7 @@ def escapes(
     simulation: Simulation, episode: Replay, step: int, until: int, needs_proof: bool
 ) -> bool:
     """Whether some sequence from a decision on survives; with proof, all are tried if none does."""
-    interval = episode.frame_of(1)
-    recorded = episode.action[1::interval, episode.ego][: step - 1]
+    start = before(simulation, episode, step)
     length = min(DEPTH, until - step + 1)
     sequences = np.stack(np.meshgrid(*[range(len(ACTIONS))] * length, indexing="ij"), axis=-1)
     sequences = sequences.reshape(-1, length)
