@@ -206,9 +206,9 @@ class Run:
         self,
         episode: int,
         step: int,
-        other: str,
+        agent: str,
         vehicle: int | None = None,
-        agent: str | None = None,
+        ego: str | None = None,
         traffic: str | None = None,
     ) -> "WhatIf":
         """An episode, and the same episode with another agent in a vehicle from a decision on.
@@ -216,9 +216,9 @@ class Run:
         Args:
             episode: Its seed.
             step: The first decision of the other agent; an episode's decisions begin with 1.
-            other: The name of an installed agent, or the path of a network.
+            agent: The name of an installed agent, or the path of a network.
             vehicle: The vehicle, by its number in replays; by default the ego.
-            agent: Label of the ego; needed if the run has several.
+            ego: Label of the recorded ego; needed if the run has several.
             traffic: Label of the traffic; needed if the run has several.
 
         Raises:
@@ -229,8 +229,8 @@ class Run:
         from charms_bench.episodes.replay import find_cell
         from charms_bench.episodes.what_if import what_if
 
-        cell = find_cell(self._finished, agent, traffic)
-        return what_if(self._finished, cell, episode, step, other, vehicle, self._suite_folder)
+        cell = find_cell(self._finished, ego, traffic, "ego and traffic")
+        return what_if(self._finished, cell, episode, step, agent, vehicle, self._suite_folder)
 
     def avoidability(
         self,

@@ -189,7 +189,7 @@ def what_if(
 ) -> None:
     """Simulate an episode again with another agent in a vehicle from a decision on."""
     from charms_bench import api
-    from charms_bench.report.html.what_if_page import check_page, write_what_if
+    from charms_bench.report.html.what_if import check_page, write_what_if
     from charms_bench.report.terminal import grid
     from charms_bench.report.what_if_table import what_if_table
 

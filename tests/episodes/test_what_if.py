@@ -8,7 +8,7 @@ import pytest
 from charms_bench.episodes.replay import Replay
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RegistryError, RunFolderError
-from charms_bench.report.html.what_if_page import write_what_if
+from charms_bench.report.html.what_if import write_what_if
 from charms_bench.report.what_if_table import what_if_table
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.runner import run
