@@ -31,6 +31,7 @@ from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Cell, Suite, check_networks, suite_of
 
 if TYPE_CHECKING:
+    from charms_bench.episodes.avoidability import Avoidability
     from charms_bench.episodes.criticality import Kind
     from charms_bench.episodes.edge_cases import EdgeCase
     from charms_bench.episodes.replay import Replay
@@ -207,9 +208,9 @@ class Run:
         self,
         episode: int,
         step: int,
-        other: str,
+        agent: str,
         vehicle: int | None = None,
-        agent: str | None = None,
+        ego: str | None = None,
         traffic: str | None = None,
     ) -> "WhatIf":
         """An episode, and the same episode with another agent in a vehicle from a decision on.
@@ -217,9 +218,9 @@ class Run:
         Args:
             episode: Its seed.
             step: The first decision of the other agent; an episode's decisions begin with 1.
-            other: The name of an installed agent, or the path of a network.
+            agent: The name of an installed agent, or the path of a network.
             vehicle: The vehicle, by its number in replays; by default the ego.
-            agent: Label of the ego; needed if the run has several.
+            ego: Label of the recorded ego; needed if the run has several.
             traffic: Label of the traffic; needed if the run has several.
 
         Raises:
@@ -230,8 +231,47 @@ class Run:
         from charms_bench.episodes.replay import find_cell
         from charms_bench.episodes.what_if import what_if
 
-        cell = find_cell(self._finished, agent, traffic)
-        return what_if(self._finished, cell, episode, step, other, vehicle, self._suite_folder)
+        cell = find_cell(self._finished, ego, traffic, "ego and traffic")
+        return what_if(self._finished, cell, episode, step, agent, vehicle, self._suite_folder)
+
+    def avoidability(
+        self,
+        episodes: Sequence[int] | None = None,
+        agent: str | None = None,
+        traffic: str | None = None,
+        budget: int | None = None,
+    ) -> "list[Avoidability]":
+        """What could have been done about collisions of the ego.
+
+        Args:
+            episodes: Seeds of episodes that end with such a collision; by default all of them.
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default all.
+            budget: The most decisions to simulate in the search for one collision's escape.
+
+        Raises:
+            InputError: An episode does not end with a collision, or the labels leave several.
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.avoidability import BUDGET, avoidability, collisions
+        from charms_bench.episodes.replay import find_cell, find_cells
+
+        _check_positive(budget=budget)
+        run, found = self._finished, []
+        if episodes is None:
+            asked = {cell: collisions(run, cell) for cell in find_cells(run, agent, traffic)}
+        else:
+            asked = {find_cell(run, agent, traffic): list(episodes)}
+        with progress("collisions", sum(map(len, asked.values()))) as tell:
+            for cell, seeds in asked.items():
+                title = run.suite.cells[cell].ego.title
+
+                def done(count: int, title: str = title) -> None:
+                    tell(title, count)
+
+                folder = self._suite_folder
+                found += avoidability(run, cell, seeds, folder, budget or BUDGET, tell=done)
+        return found
 
     def report(self, output: PathLike = "report.html", top: int = 10) -> Path:
         """Writes tables, figures and replays into one HTML file; returns its path.

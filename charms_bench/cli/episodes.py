@@ -22,6 +22,7 @@ from charms_bench.cli.terminal import (
 )
 
 if TYPE_CHECKING:
+    from charms_bench.api import Run
     from charms_bench.episodes.replay import Replay
 
 
@@ -37,6 +38,16 @@ def edge_cases(
     ] = None,
     agent: EgoLabel = None,
     traffic: TrafficLabel = None,
+    avoidable: Annotated[
+        bool,
+        typer.Option(
+            "--avoidable", help="Say which collisions could have been avoided, how late, by whom."
+        ),
+    ] = False,
+    budget: Annotated[
+        int,
+        typer.Option(min=1, help="Decisions to simulate per collision at most, for --avoidable."),
+    ] = 200_000,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
@@ -44,6 +55,9 @@ def edge_cases(
     from charms_bench import api
 
     opened = api.open_run(run, suite_folder)
+    if avoidable:
+        _print_avoidability(opened, top, kind, agent, traffic, budget, as_json)
+        return
     found = [asdict(case) for case in opened.edge_cases(top, kind, agent, traffic)]
     if as_json:
         print_json(found)
@@ -53,6 +67,42 @@ def edge_cases(
         return
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
     print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
+
+
+def _print_avoidability(
+    opened: "Run",
+    top: int,
+    kind: str | None,
+    agent: str | None,
+    traffic: str | None,
+    budget: int,
+    as_json: bool,
+) -> None:
+    """Prints what could have been done about the most critical collisions of the egos."""
+    from charms_bench.errors import InputError
+    from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
+    from charms_bench.report.terminal import grid
+
+    if kind not in (None, "collision"):
+        raise InputError(f"--avoidable is about collisions, not --kind {kind}")
+    cases = opened.edge_cases(top, "collision", agent, traffic)
+    egos: dict[tuple[str, str], list[int]] = {}
+    for case in cases:
+        if case.ending != "off_road":
+            egos.setdefault((case.ego, case.traffic), []).append(case.episode)
+    found = [
+        each
+        for (ego, around), episodes in egos.items()
+        for each in opened.avoidability(episodes, ego, around, budget)
+    ]
+    if as_json:
+        print_json([asdict(each) for each in found])
+        return
+    if not found:
+        say(f"No collision in {opened.path}.")
+        return
+    for table in (avoidability_table(found, opened.suite.scene), rescuers_table(found)):
+        out().print(grid(table, out().width, stacked=False))
 
 
 @app.command()
@@ -140,7 +190,7 @@ def what_if(
 ) -> None:
     """Simulate an episode again with another agent in a vehicle from a decision on."""
     from charms_bench import api
-    from charms_bench.report.html.what_if_page import check_page, write_what_if
+    from charms_bench.report.html.what_if import check_page, write_what_if
     from charms_bench.report.terminal import grid
     from charms_bench.report.what_if_table import what_if_table
 
@@ -161,10 +211,9 @@ def what_if(
         facts |= {"recorded": recorded, "what_if": instead, "futures": futures}
         print_json({**facts, "page": str(page)})
         return
-    table = what_if_table(found)
-    say(f"{table.title}\nRecorded: {recorded}\nWhat if:  {instead}")
-    out().print(grid(table, out().width, stacked=False))
-    say(f"{table.note}\nPage: {page}")
+    say(f"Recorded: {recorded}\nWhat if:  {instead}")
+    out().print(grid(what_if_table(found), out().width, stacked=False))
+    say(f"Page: {page}")
 
 
 @app.command()

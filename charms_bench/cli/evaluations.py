@@ -245,13 +245,21 @@ def report(
             help="Also replay this episode; repeat for more.",
         ),
     ] = None,
+    what_if: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STEP:AGENT[:VEHICLE]",
+            help="Beside each --episode, show it with another agent from a decision on; see "
+            "`charms-bench what-if`.",
+        ),
+    ] = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Write runs into one self-contained HTML file."""
     from charms_bench.report.html.report import write_report
 
-    made = write_report(runs, output, top, episodes or [], suite_folder)
+    made = write_report(runs, output, top, episodes or [], suite_folder, what_if)
     if as_json:
         print_json(made)
         return

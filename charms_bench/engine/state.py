@@ -95,8 +95,9 @@ class SceneState:
             {name: np.concatenate([getattr(state, name) for state in states]) for name in ARRAYS}
         )
 
-    def take(self, rows: Ints) -> "SceneState":
+    def take(self, rows: Ints | Sequence[int]) -> "SceneState":
         """The scenes with these indices, of which some may be repeated."""
+        rows = np.asarray(rows)
         return self.with_arrays({name: array[rows] for name, array in self.arrays().items()})
 
     def seated(self, places: Ints, agent: str) -> "SceneState":

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import polars as pl
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
@@ -46,6 +47,7 @@ class Replacement:
     """The decision, from 1."""
     vehicle: int
     """Whose it was: the index in the order of spawning."""
+    is_ego: bool
     agent: str
     was: str
     instead: str
@@ -75,6 +77,12 @@ class Avoidability:
     """The latest single meta-action that could have avoided it; None if there is none."""
     nodes: int
     """Decisions that the search simulated."""
+
+
+def collisions(run: FinishedRun, cell: int) -> list[int]:
+    """The seeds of a cell's episodes that end with a collision of the ego."""
+    episodes = run.cells()[cell].episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    return [int(seed) for seed in episodes["episode"]]
 
 
 def avoidability(
@@ -269,7 +277,9 @@ class _Chunk:
                 if avoids.any():
                     agent = state.agents[state.drivers[0, place]]
                     was, instead = taken[place], others[int(avoids.argmax())]
-                    return Replacement(step, int(place), agent, ACTIONS[was], ACTIONS[instead])
+                    is_ego = bool(place == state.ego[0])
+                    names = (agent, ACTIONS[was], ACTIONS[instead])
+                    return Replacement(step, int(place), is_ego, *names)
         return None
 
     def _deciding(self, state: SceneState) -> Ints:

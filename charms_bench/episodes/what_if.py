@@ -105,7 +105,7 @@ def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
     end = int(crashed.argmax()) if crashed.any() else last
     driving = slice(start, max(end, start + 1))
     if vehicle == replayed.ego:
-        ending = replayed.ending.replace("_", " ")
+        ending = "time over" if replayed.ending == "time" else replayed.ending.replace("_", " ")
     else:
         ending = "crashed" if crashed.any() else "drives on"
     view = ego_view(replace(replayed, ego=vehicle))

@@ -42,5 +42,5 @@ def what_if_table(found: WhatIf) -> Table:
         ("vehicle", "future", "driver"),
         COLUMNS,
         note=f"Measured from decision {found.step}, at t = {since_s:.1f} s, until the "
-        " vehicle crashed or the episode ended.",
+        "vehicle crashed or the episode ended.",
     )

@@ -43,6 +43,8 @@ SHORTENED = [
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
     # The shortened run has only two episodes.
     (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
+    (r"(charms-bench what-if \S+) \d+ (.*) --at \d+ (.*)", r"\1 0 \2 --at 2 \3"),
+    (r"(charms-bench report .* --episode) \d+(.* --what-if) \d+(.*)", r"\1 0\2 2\3"),
 ]
 """The pattern of a whole command, and the command to run instead."""
 

@@ -1,10 +1,12 @@
 """Chooses the episodes of a report and simulates them again."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from charms_bench.episodes.edge_cases import ranked
 from charms_bench.episodes.replay import Replay, find_cell, replay
+from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.report.html.sources import Evaluation
 
@@ -60,6 +62,28 @@ def choose(
             name = f"{runs[index].key}-{cell}-{each.episode}"
             found[index, cell, each.episode] = name, each
     return [found[place] for place in wanted]
+
+
+def futures(
+    text: str, runs: Sequence[Evaluation], named: Sequence[Place], folder: Path
+) -> list[WhatIf]:
+    """Another future of each named episode, as `STEP:AGENT[:VEHICLE]` says.
+
+    Raises:
+        InputError: It is written in another way, no episode is named, or one has no such decision,
+            vehicle or agent.
+        CharmsBenchError: As for `replay.replay`.
+    """
+    found = re.fullmatch(r"([0-9]+):(.+?)(?::([0-9]+))?", text)
+    if found is None:
+        raise InputError(f"--what-if {text}: expected STEP:AGENT[:VEHICLE], such as 43:idm_mobil")
+    if not named:
+        raise InputError("--what-if needs the episodes that --episode names")
+    step, agent, vehicle = int(found[1]), found[2], None if found[3] is None else int(found[3])
+    return [
+        what_if(runs[index].run, cell, seed, step, agent, vehicle, folder)
+        for index, cell, seed in named
+    ]
 
 
 def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:

@@ -5,22 +5,24 @@ from pathlib import Path
 from typing import Any
 
 from charms_bench import __version__
-from charms_bench.episodes.criticality import criticality
-from charms_bench.episodes.ego_view import ego_view
-from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
-from charms_bench.report.figures.timelines import LEFT, RIGHT, draw_timelines
-from charms_bench.report.html.episodes import asked, choose
-from charms_bench.report.html.packed import pack
+from charms_bench.report.figures.timelines import LEFT, RIGHT
+from charms_bench.report.html.episode import for_page
+from charms_bench.report.html.episodes import asked, choose, futures
 from charms_bench.report.html.page import render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
-from charms_bench.report.html.svg import in_page
+from charms_bench.report.html.what_if import what_if_section
 from charms_bench.world.files import write_bytes
 
 
 def write_report(
-    paths: Sequence[Path], output: Path, top: int, episodes: Sequence[str], suite_folder: Path
+    paths: Sequence[Path],
+    output: Path,
+    top: int,
+    episodes: Sequence[str],
+    suite_folder: Path,
+    what_if: str | None = None,
 ) -> dict[str, Any]:
     """Writes the report of some run folders.
 
@@ -30,6 +32,7 @@ def write_report(
         top: How many of the most critical episodes of all runs to replay.
         episodes: More episodes, as RUN:EPISODE[:EGO[:TRAFFIC]].
         suite_folder: Where relative paths of networks and recordings in suites start.
+        what_if: Another future of each of these `episodes`, as STEP:AGENT[:VEHICLE].
 
     Returns:
         What the file contains, for JSON.
@@ -44,20 +47,27 @@ def write_report(
     if episodes and not runs:
         raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
-    shown = [for_page(*each) for each in choose(runs, top, named, suite_folder)]
+    others = [] if what_if is None else futures(what_if, runs, named, suite_folder)
+    ghosts = {(each.recorded.cell, each.recorded.episode): each.other for each in others}
+    shown = [
+        for_page(name, each, ghosts.get((each.cell, each.episode)))
+        for name, each in choose(runs, top, named, suite_folder)
+    ]
     sections = [
         evaluation_section(source, suite_folder)
         if isinstance(source, Evaluation)
         else training_section(source)
         for source in sources
     ]
+    sections += [what_if_section(each, f"what-if-{k}") for k, each in enumerate(others, 1)]
     page = render(
         sections,
-        title=sections[0].title if len(sections) == 1 else "Driving behaviour, measured",
+        title=sections[0].title if len(sources) == 1 else "Driving behaviour, measured",
         replays=shown,
         packed={each["id"]: each.pop("packed") for each in shown},
         named=len(named),
-        what_if=False,
+        is_report=True,
+        has_ghosts=bool(others),
         provenance=[_provenance(source) for source in sources],
         version=__version__,
         cursor_from=LEFT,
@@ -69,27 +79,6 @@ def write_report(
         "bytes": len(page),
         "runs": [str(path) for path in paths],
         "replays": [each["id"] for each in shown],
-    }
-
-
-def for_page(name: str, replay: Replay, ghosts: Replay | None = None) -> dict[str, Any]:
-    """An episode for the page's templates and player; another future is drawn as ghosts."""
-    view, ego, traffic = ego_view(replay), replay.cell.ego.title, replay.cell.traffic.title
-    measured = criticality(replay.episodes, replay.steps, replay.settings)["criticality"].item()
-    label = (
-        "Over time: gaps ahead and behind, time to collision, speed and reward of "
-        f"{ego} in {traffic}, episode {replay.episode}"
-    )
-    return {
-        "id": name,
-        "ego": ego,
-        "traffic": traffic,
-        "episode": replay.episode,
-        "criticality": f"{measured:.2f}",
-        "what": replay.what_happened(),
-        "seconds": f"{replay.t_s[-1]:.1f}",
-        "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
-        "packed": pack(replay, view, ghosts),
     }
 
 

@@ -81,7 +81,8 @@ class Road {
     }
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
-    this.from = replay.between("x", moment, replay.ego) - (EGO_AT * width) / this.scale;
+    const followed = replay.ghosts && moment > replay.frames - 1 ? replay.ghosts : replay;
+    this.from = followed.between("x", moment, replay.ego) - (EGO_AT * width) / this.scale;
     this.top = -replay.lane_m / 2 - SHOULDER_M;
     this.drawRoad(replay, width, roadPx);
     this.drawGhosts(replay, moment, width);

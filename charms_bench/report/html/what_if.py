@@ -6,8 +6,8 @@ from charms_bench import __version__
 from charms_bench.episodes.what_if import WhatIf
 from charms_bench.errors import InputError
 from charms_bench.report.figures.timelines import LEFT, RIGHT
+from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.page import render
-from charms_bench.report.html.report import for_page
 from charms_bench.report.html.sections import Section
 from charms_bench.report.what_if_table import what_if_table
 from charms_bench.world.files import write_bytes
@@ -31,24 +31,30 @@ def write_what_if(found: WhatIf, path: Path) -> None:
         RunFolderError: It cannot be written.
     """
     check_page(path)
-    recorded, table = found.recorded, what_if_table(found)
-    cell = recorded.cell
-    shown = for_page(f"what-if-{recorded.episode}", recorded, found.other)
-    facts = [
-        f"{cell.ego.title} in {cell.traffic.title}",
-        f"recorded: {recorded.what_happened()}",
-        f"what if: {found.other.what_happened()}",
-    ]
+    section = what_if_section(found, "futures")
+    shown = for_page(f"what-if-{found.recorded.episode}", found.recorded, found.other)
     page = render(
-        [Section("futures", "Two futures", facts, [table], [])],
-        title=table.title,
+        [section],
+        title=section.title,
         replays=[shown],
         packed={shown["id"]: shown.pop("packed")},
         named=1,
-        what_if=True,
+        is_report=False,
+        has_ghosts=True,
         provenance=[],
         version=__version__,
         cursor_from=LEFT,
         cursor_to=RIGHT,
     )
     write_bytes(path, page.encode())
+
+
+def what_if_section(found: WhatIf, name: str) -> Section:
+    """The section of two futures; links call it `name`."""
+    recorded, table = found.recorded, what_if_table(found)
+    facts = [
+        f"{recorded.cell.ego.title} in {recorded.cell.traffic.title}",
+        f"recorded: {recorded.what_happened()}",
+        f"what if: {found.other.what_happened()}",
+    ]
+    return Section(name, table.title, facts, [table], [])

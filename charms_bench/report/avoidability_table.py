@@ -1,0 +1,94 @@
+"""The table of avoidability: one row per collision of the ego."""
+
+from collections.abc import Sequence
+
+from charms_bench.episodes.avoidability import Avoidability
+from charms_bench.report.table import Column, Table
+from charms_bench.world.scene import SceneSettings
+
+COLUMNS = (
+    Column("collided_s", "s", "End of the decision interval in which the ego collided", form=".1f"),
+    Column(
+        "escape",
+        "",
+        "The last decision from which some sequence of the ego's meta-actions keeps it free of "
+        "collisions until 2 s after the recorded one; `spawn`: none does from the first decision "
+        "on; `unknown`: the budget of the search ended",
+    ),
+    Column("before_s", "s", "Time from that decision to the collision", form=".1f"),
+    Column("avoided_by", "", "How many of the agents avoid the collision from that decision on"),
+    Column(
+        "single_action",
+        "",
+        "The latest meta-action of one vehicle within 50 m of the ego whose replacement avoids the "
+        "collision: its decision, its vehicle, what it was and what avoids the collision",
+    ),
+)  # fmt: skip
+
+
+def avoidability_table(found: Sequence[Avoidability], settings: SceneSettings) -> Table:
+    """The table, with counts of the verdicts in its note."""
+    return Table.from_records(
+        [_record(each, settings) for each in found],
+        "avoidability",
+        "Which collisions could have been avoided",
+        ("agent", "traffic", "episode"),
+        COLUMNS,
+        note=in_words(found),
+    )
+
+
+def rescuers_table(found: Sequence[Avoidability]) -> Table:
+    """How many of the avoidable collisions each agent avoids from the last decision on."""
+    tried = sorted({name for each in found for name in (*each.avoided_by, *each.hit_by)})
+    records: list[dict[str, object]] = []
+    for name in tried:
+        avoided = sum(name in each.avoided_by for each in found)
+        of = avoided + sum(name in each.hit_by for each in found)
+        records.append({"agent": name, "avoided": avoided, "of": of})
+    records.sort(key=lambda record: -int(str(record["avoided"])))
+    columns = (
+        Column("avoided", "", "Collisions that the agent avoids", form=".0f"),
+        Column("of", "", "Collisions that it was tried on", form=".0f"),
+    )
+    title = "Who avoids them, driving the ego from the last decision with an escape"
+    return Table.from_records(records, "avoidability-agents", title, ("agent",), columns)
+
+
+def in_words(found: Sequence[Avoidability]) -> str:
+    """How many collisions have each verdict."""
+    count = dict.fromkeys(("avoidable", "spawn", "unknown"), 0)
+    for each in found:
+        count[each.verdict] += 1
+    single = sum(each.replacement is not None for each in found)
+    return (
+        f"{len(found)} collisions of the ego: {count['avoidable']} avoidable by its meta-actions, "
+        f"{count['spawn']} unavoidable from the first decision on (the spawn), {count['unknown']} "
+        f"unknown. In {single}, replacing a single meta-action of one vehicle avoids the collision."
+    )
+
+
+def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
+    record: dict[str, object] = {
+        "agent": each.ego,
+        "traffic": each.traffic,
+        "episode": each.episode,
+        "collided_s": each.step / settings.decision_hz,
+        "escape": each.verdict,
+        "avoided_by": "–",
+        "single_action": "–",
+    }
+    if each.last_step is not None:
+        tried = len(each.avoided_by) + len(each.hit_by)
+        record["escape"] = f"decision {each.last_step}"
+        record["before_s"] = (each.step - each.last_step + 1) / settings.decision_hz
+        record["avoided_by"] = f"{len(each.avoided_by)} of {tried}"
+    if (r := each.replacement) is not None:
+        who = "ego" if r.is_ego else f"vehicle {r.vehicle}"
+        was, instead = (_words(action) for action in (r.was, r.instead))
+        record["single_action"] = f"decision {r.step}, {who}: {instead} instead of {was}"
+    return record
+
+
+def _words(action: str) -> str:
+    return action.replace("_", " ").lower()

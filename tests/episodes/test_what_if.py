@@ -1,0 +1,124 @@
+"""What if: the prefix repeats exactly, and with the same agent the whole episode does."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charms_bench.episodes.replay import Replay
+from charms_bench.episodes.what_if import WhatIf, what_if
+from charms_bench.errors import InputError, RegistryError, RunFolderError
+from charms_bench.report.html.what_if import write_what_if
+from charms_bench.report.what_if_table import what_if_table
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.runner import run
+from charms_bench.runs.suite import Suite
+
+SUITE = {
+    "suite": "small",
+    "episodes": 4,
+    "seed": 10,
+    "scene": {"duration_s": 5.0, "traffic_vehicles": 8, "density": 1.5},
+    "egos": [{"agent": "outside_policy"}],
+    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+}
+ARRAYS = (
+    "x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "crashed",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
+    return run(Suite.model_validate(SUITE), tmp_path_factory.mktemp("run") / "small", workers=1)
+
+
+def asked(
+    finished: FinishedRun, step: int, agent: str, vehicle: int | None = None, episode: int = 12
+) -> WhatIf:
+    return what_if(finished, 0, episode, step, agent, vehicle, Path())
+
+
+def same_until(one: Replay, other: Replay, frame: int) -> bool:
+    return all(
+        np.array_equal(getattr(one, name)[: frame + 1], getattr(other, name)[: frame + 1])
+        for name in ARRAYS
+    )
+
+
+@pytest.mark.parametrize("vehicle", [None, 5])
+@pytest.mark.parametrize("agent", ["level_0", "stackelberg", "idm_mobil"])
+@pytest.mark.parametrize("step", [1, 6])
+def test_the_futures_part_at_the_decision_and_not_before(
+    finished: FinishedRun, step: int, agent: str, vehicle: int | None
+) -> None:
+    found = asked(finished, step, agent, vehicle)
+    assert found.start == (step - 1) * 5
+    assert same_until(found.recorded, found.other, found.start)
+    before = found.recorded.steps.filter(step=step - 1)
+    assert found.other.steps.filter(step=step - 1).equals(before)
+    assert found.other.agents[found.vehicle] == agent
+
+
+def test_another_agent_changes_what_follows(finished: FinishedRun) -> None:
+    found = asked(finished, 6, "stackelberg")
+    assert not same_until(found.recorded, found.other, len(found.recorded.t_s) - 1)
+
+
+@pytest.mark.parametrize("step", [1, 4, 15])
+@pytest.mark.parametrize("episode", [10, 11, 12, 13])
+def test_with_the_same_agent_the_whole_episode_repeats(
+    finished: FinishedRun, step: int, episode: int
+) -> None:
+    recorded = asked(finished, 1, "level_0", episode=episode).recorded
+    for vehicle, agent in enumerate(recorded.agents):
+        found = asked(finished, step, agent, vehicle, episode)
+        assert same_until(recorded, found.other, len(recorded.t_s))
+        assert found.other.steps.equals(recorded.steps)
+        assert found.other.episodes.equals(recorded.episodes)
+
+
+def test_the_table_compares_the_futures_of_the_ego_and_of_the_vehicle(
+    finished: FinishedRun,
+) -> None:
+    found = asked(finished, 4, "level_0", 5)
+    table = what_if_table(found)
+    assert [row.labels for row in table.rows] == [
+        ("ego", "recorded", "outside_policy"),
+        ("ego", "what if", "outside_policy"),
+        ("vehicle 5", "recorded", found.recorded.agents[5]),
+        ("vehicle 5", "what if", "level_0"),
+    ]
+    driven = found.recorded.speed[found.start :, found.recorded.ego]
+    crashed = found.recorded.crashed[:, found.recorded.ego]
+    assert not crashed.any()
+    at = [column.name for column in table.columns].index("speed_mps")
+    assert table.rows[0].numbers[at].value == pytest.approx(driven.mean(), rel=0.01)
+    assert table.rows[0].cells[0] == "time over at 5.0 s"
+
+
+def test_the_page_has_both_futures(finished: FinishedRun, tmp_path: Path) -> None:
+    write_what_if(asked(finished, 4, "level_0"), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "level_0 drives the ego from decision 4 on" in page
+    assert '"ghosts": {' in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((16, "level_0"), InputError, "episode 12 has the decisions 1 to 15, not 16"),
+        ((4, "level_0", 9), InputError, "episode 12 has the vehicles 0 to 8, not 9"),
+        ((4, "level_9"), RegistryError, "no agent named 'level_9'.*Did you mean 'level_0'"),
+        ((4, "level_0", 1, 99), RunFolderError, "holds the episodes 10 to 13, not 99"),
+    ],
+)
+def test_what_does_not_exist_is_named(
+    finished: FinishedRun, arguments: tuple[object, ...], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        asked(finished, *arguments)  # type: ignore[arg-type]
+
+
+def test_a_page_has_the_ending_of_a_page(finished: FinishedRun, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"page\.gif: expected a name that ends in \.html"):
+        write_what_if(asked(finished, 4, "level_0"), tmp_path / "page.gif")
