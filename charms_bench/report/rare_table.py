@@ -101,17 +101,21 @@ def _plain_episodes(number: Number) -> float | None:
 
 
 def _note(cells: Sequence[RareCell]) -> str:
-    """What to know of cells in which runs have not reached the event."""
+    """How to read the table, and what to know of runs that have not reached the event."""
+    meaning = (
+        "probability: in one episode, with its 95 % interval. episodes: simulated in all runs. "
+        "plain episodes: what plain simulation would need for an interval as narrow."
+    )
     lost = [each for each in cells if any(run.probability == 0 for run in each.runs)]
     if not lost:
-        return ""
+        return meaning
     which = "; ".join(
         f"{each.cell.ego.title} in {each.cell.traffic.title}: "
         f"{sum(run.probability == 0 for run in each.runs)} of {len(each.runs)}"
         for each in lost
     )
     return (
-        f"Runs that did not reach the event within {MOST_LEVELS} levels count as 0 ({which}). "
-        f"Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level is the same "
+        f"{meaning} Runs that did not reach the event within {MOST_LEVELS} levels count as 0 "
+        f"({which}). Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level is the same "
         "for too many episodes."
     )

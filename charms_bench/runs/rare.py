@@ -31,7 +31,10 @@ MANIFEST = "rare.json"
 RUNS = 10
 LEAST_RUNS = 5
 """With fewer, the interval says nothing."""
+MOST_RUNS = 1000
 SAMPLES = 1000
+DRAWS_LIMIT = 2**27
+"""Most random draws of a level, which are kept in memory."""
 RUN_LIMIT_S = 4 * 3600.0
 """Far longer than a run takes whose agents answer."""
 FILE_LIMIT_BYTES = 2**26
@@ -70,11 +73,13 @@ def run_rare(
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the runs finished so far.
     """
-    if runs < LEAST_RUNS:
-        raise InputError(f"runs is {runs}; expected at least {LEAST_RUNS}, for an interval")
-    if samples < 10 / SHARE or samples % round(1 / SHARE):
+    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
+    if not LEAST_RUNS <= runs <= MOST_RUNS:
+        raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
+    if not 10 / SHARE <= samples <= most or samples % round(1 / SHARE):
         raise InputError(
-            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {10 / SHARE:g}"
+            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {10 / SHARE:g} to "
+            f"{most:,}"
         )
     event_of(event)
     with _opened(output, suite, event, samples):

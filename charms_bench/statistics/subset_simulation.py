@@ -136,27 +136,32 @@ def _grow(
     Returns the points of all chains, their levels, the share of accepted moves (A,) and the
     adapted step size (A,).
     """
-    all_normal, all_seeds, all_levels = [normal], [seeds], [levels]
-    moves = np.zeros(len(size))
-    for step in range(1, length):
-        kept = np.sqrt(1 - size**2)
-        move = size[:, None, None] * rng.standard_normal(normal.shape)
-        candidate = kept[:, None, None] * normal + move
-        keeps = rng.random(seeds.shape) < kept[:, None]
-        new_seeds = np.where(keeps, seeds, _draw_seeds(rng, seeds.shape))
-        new_levels = _levels(level, candidate, new_seeds)
-        accepted = new_levels <= threshold[:, None]
-        normal = np.where(accepted[..., None], candidate, normal)
-        seeds = np.where(accepted, new_seeds, seeds)
-        levels = np.where(accepted, new_levels, levels)
-        all_normal.append(normal)
-        all_seeds.append(seeds)
-        all_levels.append(levels)
-        share = accepted.mean(axis=1)
-        moves += share / (length - 1)
-        size = np.minimum(1.0, size * np.exp((share - TARGET_ACCEPTANCE) / np.sqrt(step)))
-    joined = (np.concatenate(each, axis=1) for each in (all_normal, all_seeds, all_levels))
-    return (*joined, moves, size)  # type: ignore[return-value]
+    grown, chains = normal.shape[:2]
+    points = tuple(
+        np.empty((grown, chains * length, *each.shape[2:]), each.dtype)
+        for each in (normal, seeds, levels)
+    )
+    moves = np.zeros(grown)
+    for step in range(length):
+        if step:
+            kept = np.sqrt(1 - size**2)
+            candidate = rng.standard_normal(normal.shape)
+            candidate *= size[:, None, None]
+            candidate += kept[:, None, None] * normal
+            keeps = rng.random(seeds.shape) < kept[:, None]
+            new_seeds = np.where(keeps, seeds, _draw_seeds(rng, seeds.shape))
+            new_levels = _levels(level, candidate, new_seeds)
+            accepted = new_levels <= threshold[:, None]
+            np.copyto(normal, candidate, where=accepted[..., None])
+            np.copyto(seeds, new_seeds, where=accepted)
+            np.copyto(levels, new_levels, where=accepted)
+            share = accepted.mean(axis=1)
+            moves += share / (length - 1)
+            size = np.minimum(1.0, size * np.exp((share - TARGET_ACCEPTANCE) / np.sqrt(step)))
+        here = slice(step * chains, (step + 1) * chains)
+        for all_points, each in zip(points, (normal, seeds, levels), strict=True):
+            all_points[:, here] = each
+    return (*points, moves, size)  # type: ignore[return-value]
 
 
 def _finished(steps: list[tuple[float, ...]], samples: int, chains: int) -> SubsetRun:

@@ -33,6 +33,7 @@ NOT_RUN = {
 SHORTENED = [
     # 1,800 episodes take minutes.
     (r"charms-bench run suites/(?!train)\S+( --rows \S+)?", r"\g<0> --episodes 2"),
+    (r"charms-bench rare \S+.*", r"\g<0> --runs 5 --samples 100"),
     # An hour, and recordings that are not public: see `short_training` and `recordings`.
     (
         r"(charms-bench run suites/train.yaml) --recordings FOLDER",
