@@ -31,7 +31,10 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
         "episodes": len(search.failures),
         "scene": document.data.get("scene", {}),
         "egos": [
-            {"agent": each.agent.model_dump(mode="json", exclude_defaults=True), "label": each.title}
+            {
+                "agent": each.agent.model_dump(mode="json", exclude_defaults=True),
+                "label": each.title,
+            }
             for each in egos
         ],
         "traffics": [entry],

@@ -98,7 +98,9 @@ def default_cases() -> tuple[list[Case], int]:
 def cases_of(suite: Suite) -> list[Case]:
     """The cells of a suite."""
     return [
-        Case(scene=cell.scene, ego=cell.ego.agent, traffic=cell.traffic.traffic, folder=suite.folder)
+        Case(
+            scene=cell.scene, ego=cell.ego.agent, traffic=cell.traffic.traffic, folder=suite.folder
+        )
         for cell in suite.cells
     ]
 

@@ -61,7 +61,9 @@ def place(scenario: Scenario, c: Constants, numbers: NDArray[Any]) -> Placement:
     return place_at(scenario, c, values_at(scenario, numbers), numbers.size)
 
 
-def place_at(scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int) -> Placement:
+def place_at(
+    scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int
+) -> Placement:
     """Returns the concrete scenarios of points, given by the values (R,) of each parameter.
 
     Raises:

@@ -126,7 +126,8 @@ class Scenario(FrozenModel):
         Literal["sobol", "random", "grid"]
         | LatinHypercube
         | Annotated[
-            tuple[dict[str, Finite], ...], Field(min_length=1, max_length=POINTS_LIMIT, strict=False)
+            tuple[dict[str, Finite], ...],
+            Field(min_length=1, max_length=POINTS_LIMIT, strict=False),
         ]
     ) = "sobol"
     """Which points are the episodes; an episode's seed is the number of its point."""

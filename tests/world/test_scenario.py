@@ -155,5 +155,5 @@ def test_a_wrong_point_is_refused(points: Any, what: str) -> None:
     ],
 )
 def test_a_vehicle_is_placed_once_and_driven_once(changes: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="expected|vehicles? without an agent"):
+    with pytest.raises(ValueError, match=r"expected|vehicles? without an agent"):
         placed(changes)

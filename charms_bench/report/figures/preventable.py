@@ -41,7 +41,9 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     for axes, (ego, scenario) in zip(every, product(egos, points), strict=True):
         (across, x), (up, y) = points[scenario]
         unavoidable = has_crashed[suite.preventable_by, scenario]
-        edges = [np.linspace(each.min(), max(each.max(), each.min() + 1e-6), BINS) for each in (x, y)]
+        edges = [
+            np.linspace(each.min(), max(each.max(), each.min() + 1e-6), BINS) for each in (x, y)
+        ]
         total, *_ = np.histogram2d(x, y, edges)
         survived, *_ = np.histogram2d(x[~unavoidable], y[~unavoidable], edges)
         with np.errstate(invalid="ignore"):
