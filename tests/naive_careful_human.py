@@ -66,9 +66,7 @@ def deceleration(gap: np.ndarray, ego: np.ndarray, braking: np.ndarray, at_s: fl
     return others
 
 
-def overlap(
-    dx: np.ndarray, dy: np.ndarray, heading: np.ndarray, margin: np.ndarray
-) -> np.ndarray:
+def overlap(dx: np.ndarray, dy: np.ndarray, heading: np.ndarray, margin: np.ndarray) -> np.ndarray:
     """Whether a rectangle at (dx, dy) with a heading overlaps one at the origin without one.
 
     `margin` (2, R) makes the rectangles longer and wider.

@@ -14,7 +14,7 @@ from charms_bench.world import maths
 from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.placement import Placement, place
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
+from charms_bench.world.scene import Bools, Ints, Scene, SceneSettings
 
 TEMPERAMENT = 0.5
 """Of every vehicle of a scenario: nothing of a concrete scenario is left to chance."""

@@ -22,10 +22,13 @@ from charms_bench.runs.suite import Cell, EgoEntry, Suite
 from charms_bench.world.points import from_shares, sobol
 from charms_bench.world.scene import Floats
 
-POPULATION = 24
-"""Points of a generation. Chosen, like `GENERATIONS`, with seeds that no result uses."""
+FIRST_POINTS = 32
+"""Sobol points that every start of the search simulates. Chosen, like the other two numbers, with
+seeds that no result uses."""
+POPULATION = 8
+"""Points of a generation; at first, the best of the Sobol points."""
 GENERATIONS = 12
-"""Generations without a failure after which the search starts again, from other points."""
+"""Generations after which the search starts again, from the next Sobol points."""
 
 Point = dict[str, float]
 
@@ -61,12 +64,15 @@ class Search:
 
         for start in count():
             if is_over():
-                del self.failures[failures:]
-                return
+                break
+            first = sobol(dimensions, start * FIRST_POINTS, FIRST_POINTS, scramble=seed)
+            best = first[np.argsort(self.values(first))[:POPULATION]]
+            if is_over():
+                break
             differential_evolution(
                 lambda shares: self.values(shares.T),
                 [(0.0, 1.0)] * dimensions,
-                init=sobol(dimensions, start * POPULATION, POPULATION, scramble=seed),
+                init=best,
                 maxiter=GENERATIONS,
                 mutation=(0.4, 0.9),
                 recombination=0.9,
@@ -77,6 +83,7 @@ class Search:
                 callback=is_over,
                 rng=np.random.default_rng([seed, start]),
             )
+        del self.failures[failures:]
 
     def values(self, shares: Floats) -> Floats:
         """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 from numpy.typing import NDArray
+from pydantic import Field
 
 from charms_bench.errors import suggestion
 from charms_bench.world.fields import Finite, Line

@@ -75,11 +75,6 @@ def place_at(
 def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
     parameters, points, count = scenario.parameters, scenario.points, count_of(scenario)
     last = int(numbers.max(initial=0))
-    if count is not None and last >= count:
-        raise ScenarioError(
-            ("points",), f"has {count:,} points; episode {last} needs {last + 1:,}, because its "
-            "seed is the number of its point"
-        )  # fmt: skip
     for k, point in enumerate(points if isinstance(points, tuple) else ()):
         if set(point) != set(parameters):
             found, expected = ", ".join(point), ", ".join(parameters)
@@ -89,6 +84,11 @@ def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
             if not low <= value <= high:
                 what = f"{value:g} is out of range; expected {low:g} to {high:g}"
                 raise ScenarioError(("points", k, name), what)
+    if count is not None and last >= count:
+        raise ScenarioError(
+            ("points",), f"has {count:,} points; episode {last} needs {last + 1:,}, because its "
+            "seed is the number of its point"
+        )  # fmt: skip
 
 
 class _Placing:

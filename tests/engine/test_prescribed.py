@@ -1,0 +1,102 @@
+"""Prescribed motion: what a scenario asks for is what a vehicle does, in both engines."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from charms_baselines.idm_mobil import IdmMobil
+
+from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.testing.verify import Case, verify
+from charms_bench.world.scenario import Scenario
+from charms_bench.world.scene import SceneSettings
+
+PROFILE = {"name": "charms", "speed_min_mps": 0.0, "ego_control_rate": "simulation"}
+
+
+def settings_of(vehicles: list[dict[str, Any]], **parameters: Any) -> SceneSettings:
+    made = Scenario.model_validate(
+        {"parameters": parameters, "ego": {"lane": 2, "speed_mps": 20}, "vehicles": vehicles}
+    )
+    scene = SceneSettings.model_validate({"profile": PROFILE, "duration_s": 10.0})
+    return scene.of_scenario(made)
+
+
+def states(
+    vehicles: list[dict[str, Any]], engine: EngineName = "batched", **parameters: Any
+) -> dict[str, np.ndarray]:
+    """The states [T + 1, N] of the first point's episode, without the ego."""
+    settings = settings_of(vehicles, **parameters)
+    assert settings.scenario is not None
+    traffic = TrafficSpec(scenario=settings.scenario).make()
+    agents = {"idm_mobil": IdmMobil()}
+    simulation = Simulation(settings, 2, "idm_mobil", traffic, agents, engine)
+    simulation.reset(np.arange(2, dtype=np.uint64))
+    names = ("x", "y", "speed", "acceleration", "target_lane", "crashed")
+    frames = [{name: getattr(simulation.scene, name)[0, 1:].copy() for name in names}]
+    for _ in range(150):
+        simulation.advance()
+        frames.append({name: getattr(simulation.scene, name)[0, 1:].copy() for name in names})
+    return {name: np.stack([frame[name] for frame in frames]) for name in names}
+
+
+def leader(*actions: dict[str, Any], lane: int = 1) -> list[dict[str, Any]]:
+    at = {"name": "leader", "lane": lane, "ahead_of": "ego", "gap_m": 60, "speed_mps": 24}
+    return [{**at, "actions": list(actions)}]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_leader_brakes_at_6_mps2_after_3_s(engine: EngineName) -> None:
+    found = states(leader({"at_s": 3, "acceleration_mps2": -6}), engine)
+    speed, t = found["speed"][:, 0], np.arange(151) / 15
+    np.testing.assert_allclose(speed, np.clip(24 - 6 * (t - 3), 0, 24), atol=1e-9)
+    # 24 m/s for 3 s and 24^2 / 12 m to a standstill; the engine moves by the speed before a step.
+    stopped = found["x"][-1, 0] - found["x"][0, 0]
+    assert stopped == pytest.approx(72 + 48 + 24 / 15 / 2, abs=1e-6)
+
+
+def test_an_acceleration_ends_at_its_speed() -> None:
+    actions = ({"at_s": 1, "acceleration_mps2": -2, "until_mps": 20},
+               {"at_s": 6, "acceleration_mps2": 3, "until_mps": 21})  # fmt: skip
+    speed = states(leader(*actions))["speed"][:, 0]
+    assert speed[6 * 15] == pytest.approx(20, abs=1e-9)
+    assert speed[-1] == pytest.approx(21, abs=1e-9)
+    assert speed.min() == pytest.approx(20, abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_cut_in_follows_its_path(engine: EngineName) -> None:
+    actions = ({"at_s": 1, "lane": 1, "duration_s": 4}, {"at_s": 6, "lane": 0, "duration_s": 2})
+    found = states(leader(*actions, lane=0), engine)
+    t = np.arange(151) / 15
+    path = 4 * np.clip((t - 1) / 4, 0, 1) - 4 * np.clip((t - 6) / 2, 0, 1)
+    np.testing.assert_allclose(found["y"][:, 0], path, atol=1e-9)
+    assert found["target_lane"][[0, 30, 105], 0].tolist() == [0, 1, 0]
+
+
+def test_a_prescribed_vehicle_that_crashes_becomes_a_wreck() -> None:
+    wall = {"name": "wall", "lane": 1, "ahead_of": "leader", "gap_m": 20, "speed_mps": 0}
+    found = states([*leader(), wall])
+    assert found["crashed"][-1].all()
+    assert found["speed"][-1, 0] < 1.0
+
+
+def test_the_engines_agree_to_the_last_bit() -> None:
+    vehicles = [
+        {"name": "cutter", "lane": 1, "ahead_of": "ego", "gap_m": "gap", "speed_mps": 15,
+         "actions": [{"at_s": 0.5, "lane": 2, "duration_s": "4 / lateral"},
+                     {"at_s": 3, "acceleration_mps2": -6}]},
+        {"name": "other", "lane": 2, "behind": "ego", "gap_m": 15, "speed_mps": 21,
+         "agent": "idm_mobil"},
+        {"name": "standing", "lane": 0, "x_m": 220, "speed_mps": 0},
+    ]  # fmt: skip
+    settings = settings_of(vehicles, gap=[2, 40], lateral=[0.5, 3])
+    traffic = TrafficSpec(scenario=settings.scenario)
+    cases = [Case(scene=settings, ego=AgentSpec(name=ego), traffic=traffic)
+             for ego in ("idm_mobil", "level_0")]  # fmt: skip
+    found = verify(cases, 20, 0, workers=1)
+    assert [each.differences for each in found] == [(), ()]
+    assert [each.largest for each in found] == [0.0, 0.0]
+    assert sum(each.crashed for each in found) > 0
