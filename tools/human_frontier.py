@@ -146,7 +146,7 @@ def draw(found: dict[str, Outcome]) -> None:
     figure, every = panels(2, 5.2, 4.0)
     series = {
         "with rehearsal": [f"{pull:g}" for pull in PULLS],
-        "without rehearsal": [f"{pull:g}, no rehearsal" for pull in PULLS],
+        "without rehearsal": [name for name in found if name.endswith("no rehearsal")],
         "before": ["before"],
         "imitation": ["imitation"],
     }
@@ -171,7 +171,11 @@ def main(suite: Path, start: Path, recordings: Path) -> None:
     assert human is not None
     with tempfile.TemporaryDirectory() as cache:
         samples = SampleStore(recordings, Path(cache), human.samples).load()
-    found = outcomes(suite, start, samples)
+    finish(outcomes(suite, start, samples), samples)
+
+
+def finish(found: dict[str, Outcome], samples: Samples) -> None:
+    """Draws the figure, and writes and prints the table."""
     draw(found)
     rows = tuple(Row((name,), each.numbers) for name, each in found.items())
     text = markdown(Table("human-frontier", "", ("lambda",), COLUMNS, rows))
