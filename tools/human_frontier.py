@@ -161,6 +161,9 @@ def draw(found: dict[str, Outcome]) -> None:
                     text = name.partition(",")[0]
                     axes.annotate(text, at, (4, 3), textcoords="offset points", fontsize=7)
         axes.set(xlabel="episodes crashed", ylabel=f"{title}, held-out drivers", xscale="log")
+        shares = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+        axes.minorticks_off()
+        axes.set_xticks(shares, [f"{share:.0%}" for share in shares])
     every[0].legend(frameon=False, fontsize=8)
     save(figure, DOCS / "human-frontier.png")
 
