@@ -146,7 +146,7 @@ def draw(found: dict[str, Outcome]) -> None:
     figure, every = panels(2, 5.2, 4.0)
     series = {
         "with rehearsal": [f"{pull:g}" for pull in PULLS],
-        "without rehearsal": [f"{pull:g}, no rehearsal" for pull in PULLS],
+        "without rehearsal": [name for name in found if name.endswith("no rehearsal")],
         "before": ["before"],
         "imitation": ["imitation"],
     }
@@ -161,6 +161,9 @@ def draw(found: dict[str, Outcome]) -> None:
                     text = name.partition(",")[0]
                     axes.annotate(text, at, (4, 3), textcoords="offset points", fontsize=7)
         axes.set(xlabel="episodes crashed", ylabel=f"{title}, held-out drivers", xscale="log")
+        shares = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+        axes.minorticks_off()
+        axes.set_xticks(shares, [f"{share:.0%}" for share in shares])
     every[0].legend(frameon=False, fontsize=8)
     save(figure, DOCS / "human-frontier.png")
 
@@ -171,7 +174,11 @@ def main(suite: Path, start: Path, recordings: Path) -> None:
     assert human is not None
     with tempfile.TemporaryDirectory() as cache:
         samples = SampleStore(recordings, Path(cache), human.samples).load()
-    found = outcomes(suite, start, samples)
+    finish(outcomes(suite, start, samples), samples)
+
+
+def finish(found: dict[str, Outcome], samples: Samples) -> None:
+    """Draws the figure, and writes and prints the table."""
     draw(found)
     rows = tuple(Row((name,), each.numbers) for name, each in found.items())
     text = markdown(Table("human-frontier", "", ("lambda",), COLUMNS, rows))

@@ -27,6 +27,8 @@ NOT_RUN = {
     "pip install '.[train]'": "the extra is installed in the environment of this test",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
+    "python tools/human_frontier.py suites/train-seeds.yaml NETWORK FOLDER": "takes minutes, and "
+    "recordings that are not public",
     "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_train_your_own.py trains it",
 }
 """Commands that are not run here, with the reason."""
