@@ -64,6 +64,12 @@ class _WithGuests(Traffic):
         return self._traffic.assign(rng, scenes, vehicles)
 
 
+def drivers_in(run: FinishedRun, cell: int) -> set[str]:
+    """The names of the agents that drive in a cell."""
+    entry = run.suite.cells[cell]
+    return {driver.key for driver in drivers_of(entry.ego.agent, entry.traffic.traffic.make())}
+
+
 def networks_in(run: FinishedRun, cell: int, folder: Path) -> Networks:
     """Returns the files of the cell's networks: the copies in the run folder, if it has them."""
     ego, traffic = run.suite.cells[cell].ego.agent, run.suite.cells[cell].traffic.traffic.make()

@@ -14,7 +14,12 @@ import polars as pl
 
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.episodes.cell_simulation import Networks, networks_in, simulation_of
+from charms_bench.episodes.cell_simulation import (
+    Networks,
+    drivers_in,
+    networks_in,
+    simulation_of,
+)
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.finished import FinishedRun
@@ -199,7 +204,8 @@ def simulate(
 
     If there is a seat, its agent takes it in each episode.
     """
-    guests = {} if seat is None else {seat.agent: make_agent(seat.agent)}
+    is_guest = seat is not None and seat.agent not in drivers_in(run, cell)
+    guests = {seat.agent: make_agent(seat.agent)} if seat is not None and is_guest else {}
     simulation = simulation_of(run, cell, len(episodes), folder, guests)
     settings = simulation.settings
     simulation.reset(np.array(episodes, dtype=np.uint64))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import charms_bench
 
 from charms_bench.engine.kernels import locate
 from charms_bench.engine.simulation import Simulation
@@ -116,6 +117,16 @@ def test_the_tables_count_verdicts_and_agents(
     assert table.note.startswith("6 collisions of the ego: ")
     rescuers = rescuers_table(found)
     assert {row.labels[0] for row in rescuers.rows} == {"idm_mobil", "imitation"}
+
+
+def test_the_command_says_which_collisions_could_have_been_avoided(finished: FinishedRun) -> None:
+    folder = finished.folder.path
+    shown = charms_bench("edge-cases", folder, "--avoidable", "--top", 2, columns=160)
+    assert shown.returncode == 0, shown.stderr
+    assert "2 collisions of the ego: " in shown.stdout
+    said = charms_bench("edge-cases", folder, "--avoidable", "--kind", "near-miss")
+    assert said.returncode == 2
+    assert "--avoidable is about collisions, not --kind near-miss" in said.stderr
 
 
 def behind_a_leader(gap_m: float) -> tuple[Simulation, SceneState]:

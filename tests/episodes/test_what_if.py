@@ -1,9 +1,11 @@
 """What if: the prefix repeats exactly, and with the same agent the whole episode does."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import charms_bench
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.episodes.what_if import WhatIf, what_if
@@ -117,6 +119,57 @@ def test_what_does_not_exist_is_named(
 ) -> None:
     with pytest.raises(error, match=message):
         asked(finished, *arguments)  # type: ignore[arg-type]
+
+
+def test_the_command_prints_both_futures_and_writes_a_page(
+    finished: FinishedRun, tmp_path: Path
+) -> None:
+    folder, asked_for = finished.folder.path, ("--at", 4, "--agent", "stackelberg")
+    page = tmp_path / "page.html"
+    shown = charms_bench("what-if", folder, 12, *asked_for, "--output", page, columns=160)
+    assert shown.returncode == 0, shown.stderr
+    assert "Episode 12: stackelberg drives the ego from decision 4 on" in shown.stdout
+    assert page.exists()
+    found = json.loads(charms_bench("what-if", folder, 12, *asked_for, "--json").stdout)
+    assert (found["step"], found["agent"]) == (4, "stackelberg")
+    assert found["futures"][0]["what_if"]["agent"] == "stackelberg"
+    assert Path(found["page"]).parent == folder / "replays"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--at", 16, "--agent", "level_0"), "episode 12 has the decisions 1 to 15, not 16"),
+        (("--at", 4, "--agent", "level_9"), "no agent named 'level_9'"),
+        (("--at", 4, "--agent", "level_0", "--ego", "CHARMS"), "no ego called 'CHARMS'"),
+        (("--at", 4, "--agent", "level_0", "--output", "x.gif"), "x.gif: expected a name that"),
+    ],
+)
+def test_a_mistake_is_one_message(
+    finished: FinishedRun, options: tuple[object, ...], message: str
+) -> None:
+    said = charms_bench("what-if", finished.folder.path, 12, *options)
+    assert said.returncode == 2
+    assert message in said.stderr
+
+
+def test_a_report_shows_the_other_future_of_an_episode(
+    finished: FinishedRun, tmp_path: Path
+) -> None:
+    folder, output = finished.folder.path, tmp_path / "report.html"
+    assert charms_bench("rescore", folder).returncode == 0  # it writes the tables
+    shared = ("--output", output, "--top", 0)
+    other = ("--episode", 12, "--what-if", "4:level_0:5")
+    made = charms_bench("report", folder, *shared, *other)
+    assert made.returncode == 0, made.stderr
+    assert "level_0 drives vehicle 5 from decision 4 on" in output.read_text()
+    for wrong, message in (
+        (("--what-if", "4:level_0"), "needs the episodes that --episode names"),
+        (("--episode", 12, "--what-if", "level_0"), "expected STEP:AGENT[:VEHICLE]"),
+    ):
+        said = charms_bench("report", folder, *shared, *wrong)
+        assert said.returncode == 2
+        assert message in said.stderr
 
 
 def test_a_page_has_the_ending_of_a_page(finished: FinishedRun, tmp_path: Path) -> None:

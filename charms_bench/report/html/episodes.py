@@ -45,7 +45,7 @@ def choose(
     """The named episodes, then the `top` most critical of all runs, simulated again.
 
     An episode that two runs share is shown once. Relative paths of networks start at `folder`. The
-    names are those of links: the key of the run, the place of the cell, and the seed.
+    names are those of links.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
@@ -59,15 +59,15 @@ def choose(
         except RunFolderError as error:
             raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
         for each in replays:
-            name = f"{runs[index].key}-{cell}-{each.episode}"
-            found[index, cell, each.episode] = name, each
+            place = (index, cell, each.episode)
+            found[place] = _name(runs, place), each
     return [found[place] for place in wanted]
 
 
 def futures(
     text: str, runs: Sequence[Evaluation], named: Sequence[Place], folder: Path
-) -> list[WhatIf]:
-    """Another future of each named episode, as `STEP:AGENT[:VEHICLE]` says.
+) -> dict[str, WhatIf]:
+    """Another future of each named episode, as `STEP:AGENT[:VEHICLE]` says, by its name.
 
     Raises:
         InputError: It is written in another way, no episode is named, or one has no such decision,
@@ -80,10 +80,18 @@ def futures(
     if not named:
         raise InputError("--what-if needs the episodes that --episode names")
     step, agent, vehicle = int(found[1]), found[2], None if found[3] is None else int(found[3])
-    return [
-        what_if(runs[index].run, cell, seed, step, agent, vehicle, folder)
-        for index, cell, seed in named
-    ]
+    return {
+        _name(runs, place): what_if(
+            runs[place[0]].run, *place[1:], step=step, agent=agent, vehicle=vehicle, folder=folder
+        )
+        for place in named
+    }
+
+
+def _name(runs: Sequence[Evaluation], place: Place) -> str:
+    """What links call an episode: the key of its run, the place of its cell, and its seed."""
+    index, cell, seed = place
+    return f"{runs[index].key}-{cell}-{seed}"
 
 
 def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:

@@ -47,10 +47,9 @@ def write_report(
     if episodes and not runs:
         raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
-    others = [] if what_if is None else futures(what_if, runs, named, suite_folder)
-    ghosts = {(each.recorded.cell, each.recorded.episode): each.other for each in others}
+    others = {} if what_if is None else futures(what_if, runs, named, suite_folder)
     shown = [
-        for_page(name, each, ghosts.get((each.cell, each.episode)))
+        for_page(name, each, others[name].other if name in others else None)
         for name, each in choose(runs, top, named, suite_folder)
     ]
     sections = [
@@ -59,7 +58,7 @@ def write_report(
         else training_section(source)
         for source in sources
     ]
-    sections += [what_if_section(each, f"what-if-{k}") for k, each in enumerate(others, 1)]
+    sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(
         sections,
         title=sections[0].title if len(sources) == 1 else "Driving behaviour, measured",
