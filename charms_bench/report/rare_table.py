@@ -116,6 +116,6 @@ def _note(cells: Sequence[RareCell]) -> str:
     )
     return (
         f"{meaning} Runs that did not reach the event within {MOST_LEVELS} levels count as 0 "
-        f"({which}). Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level is the same "
-        "for too many episodes."
+        f"({which}). Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level "
+        "is the same for too many episodes."
     )
