@@ -2,8 +2,8 @@
 
     python tools/search_against_sobol.py suites/r157.yaml Cut-in idm_mobil --repetitions 20
 
-Both simulate the agent at every point, and the careful driver where the agent collides. Their
-episodes up to the first failure are counted, with the seeds 0 to `repetitions` - 1.
+The episodes up to the first failure are counted, with the seeds 0 to `repetitions` - 1. Those of
+the search include the episodes of the careful driver, and those of Sobol points do not.
 """
 
 import argparse
@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from charms_bench.episodes.search import FIRST_POINTS, Search, ego_of, scenario_of
+from charms_bench.episodes.search import Search, ego_of, scenario_of
 from charms_bench.runs.suite import Cell, load_suite
 from charms_bench.world.points import sobol
 
+AT_ONCE = 256
 SHARE_POINTS = 4096
 """Sobol points from which the share of failures is estimated."""
 
@@ -44,8 +45,8 @@ def main() -> None:
         return Search(cell, reference, suite.folder)
 
     whole = started()
-    for first in range(0, SHARE_POINTS, 256):
-        whole.values(sobol(dimensions, first, 256))
+    for first in range(0, SHARE_POINTS, AT_ONCE):
+        whole.values(sobol(dimensions, first, AT_ONCE))
     failures = len(whole.failures)
     print(f"failures: {failures} of {SHARE_POINTS} Sobol points ({failures / SHARE_POINTS:.2%})")
 
@@ -53,12 +54,15 @@ def main() -> None:
     for seed in range(options.repetitions):
         search, points = started(), started()
         search.run(1, options.budget, seed)
-        first = 0
-        while not points.failures and points.simulations < options.budget:
-            points.values(sobol(dimensions, first, FIRST_POINTS, scramble=seed))
-            first += FIRST_POINTS
-        for name, made in (("search", search), ("sobol", points)):
-            needed[name].append(made.simulations_to_first or options.budget)
+        needed["search"].append(search.simulations_to_first or options.budget)
+        asked = options.budget
+        for first in range(0, options.budget, AT_ONCE):
+            is_failure = points.values(sobol(dimensions, first, AT_ONCE, scramble=seed)) < 0
+            if is_failure.any():
+                asked = first + int(is_failure.argmax()) + 1
+                break
+        needed["sobol"].append(asked)
+        print(f"seed {seed}: {needed['search'][-1]} and {asked} episodes", flush=True)
     for name, episodes in needed.items():
         quartiles = np.quantile(episodes, [0.25, 0.5, 0.75])
         print(f"{name}: mean {np.mean(episodes):.0f}, quartiles {quartiles}, {sorted(episodes)}")
