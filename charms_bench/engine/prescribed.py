@@ -27,8 +27,8 @@ class Script:
         self._scenario, self._constants = scenario, settings.constants
         self.is_prescribed = np.array([False, *(each.agent is None for each in scenario.vehicles)])
         """[N] whether the motion of each vehicle is prescribed."""
-        first = place(scenario, self._constants, np.zeros(1, dtype=np.int64))
-        self._placement = Placement(*(np.repeat(each, scenes, axis=0) for each in first))
+        first = np.zeros(scenes, dtype=np.int64)
+        self._placement = place(scenario, self._constants, first)
 
     def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""

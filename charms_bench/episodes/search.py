@@ -23,8 +23,8 @@ from charms_bench.world.points import from_shares, sobol
 from charms_bench.world.scene import Floats
 
 FIRST_POINTS = 32
-"""Sobol points that every start of the search simulates. Chosen, like the other two numbers, with
-seeds that no result uses."""
+"""Sobol points that every start of the search simulates. Chosen, like the other numbers and the
+strategy, with seeds that no result uses."""
 POPULATION = 8
 """Points of a generation; at first, the best of the Sobol points."""
 GENERATIONS = 12
@@ -72,6 +72,7 @@ class Search:
             differential_evolution(
                 lambda shares: self.values(shares.T),
                 [(0.0, 1.0)] * dimensions,
+                strategy="randtobest1bin",
                 init=best,
                 maxiter=GENERATIONS,
                 mutation=(0.4, 0.9),

@@ -42,7 +42,9 @@ def _value(node: ast.expr, formula: str, values: Mapping[str, NDArray[np.float64
         if node.id not in values:
             raise ValueError(f"no parameter named '{node.id}'. {suggestion(node.id, values)}")
         return values[node.id]
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        if isinstance(node.value, bool):  # an int for Python
+            raise ValueError(_expected(formula))
         return np.float64(node.value)
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATIONS:
         sides = (_value(side, formula, values) for side in (node.left, node.right))

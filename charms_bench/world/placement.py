@@ -10,7 +10,7 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.world.formula import Formula, evaluate
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
-from charms_bench.world.scenario import EGO, Action, Scenario
+from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
 
 Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
@@ -105,13 +105,20 @@ class _Placing:
         actions = max((len(each.actions) for each in vehicles), default=0)
         shape = (self._count, len(vehicles) + 1)
         made = Placement(
-            *(np.zeros(shape, dtype) for dtype in (np.float64, np.int64, np.float64)),
-            *(np.full((*shape, actions), np.inf) if name.endswith("_at")
-              else np.zeros((*shape, actions), np.int64 if name == "moves_to" else np.float64)
-              for name in Placement._fields[3:]),
-        )  # fmt: skip
+            x=np.zeros(shape),
+            lane=np.zeros(shape, dtype=np.int64),
+            speed=np.zeros(shape),
+            brakes_at=np.full((*shape, actions), np.inf),
+            acceleration=np.zeros((*shape, actions)),
+            until=np.zeros((*shape, actions)),
+            moves_at=np.full((*shape, actions), np.inf),
+            duration=np.ones((*shape, actions)),
+            moves_to=np.zeros((*shape, actions), dtype=np.int64),
+            moves_by=np.zeros((*shape, actions)),
+        )
         names: dict[str, int] = {}
-        for i, vehicle in enumerate((scenario.ego, *vehicles)):
+        starts: tuple[EgoStart | PlacedVehicle, ...] = (scenario.ego, *vehicles)
+        for i, vehicle in enumerate(starts):
             at: Location = ("vehicles", i - 1) if i else (EGO,)
             name = vehicles[i - 1].name if i else EGO
             if name in names:

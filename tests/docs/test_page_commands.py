@@ -44,6 +44,8 @@ SHORTENED = [
     # The built-in cases are 1,026 episodes of highway-env.
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
+    # 20 repetitions take minutes.
+    (r"python tools/search_against_sobol.py .*", r"\g<0> --repetitions 1"),
     # The shortened run has only two episodes.
     (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
     (r"(charms-bench what-if \S+) \d+ (.*) --at \d+ (.*)", r"\1 0 \2 --at 2 \3"),

@@ -28,6 +28,7 @@ traffics:
   - traffic: idm_mobil
 columns: []
 pairs: false
+preventable_by: idm_mobil
 references: []
 """
 TRAINING = """\
@@ -152,6 +153,15 @@ FIELDS = {
     if (field, value) != ("hidden_layers", "[]")
 }
 
+
+def _scenario(lane: str = "1", points: str = "sobol", range: str = "[0, 1]", more: str = "") -> str:
+    """Returns a scenario with a wrong value."""
+    at = f"{{name: a, lane: {lane}, x_m: 50, speed_mps: 25{', ' * bool(more)}{more}}}"
+    ego = "ego: {lane: 0, speed_mps: 25}"
+    parameters = f"parameters: {{p: {range}}}, points: {points}"
+    return f"{{scenario: {{{parameters}, {ego}, vehicles: [{at}]}}}}"
+
+
 _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
     (BASE, "suite", ("../up", "/etc/passwd", "..", "a/b", "-x", '"a\\n"', "x" * 65, "[]", "~")),
     (BASE, "density", ("-1", "0", ".nan", ".inf", "1.0e-300", "1.0e+300", "[]", "true")),
@@ -198,7 +208,21 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
         "{name: pch, options: {styles: {safe-egoistic: nowhere.onnx}}}",
         '{name: pch, options: {styles: {safe-egoistic: "a\\e[2J.onnx"}}}',
         "{name: pch, options: {styles: {safe-egoistic: " + "x" * 9000 + ".onnx}}}",
+        "{scenario: 3}", "{scenario: {}}", _scenario(lane="5"), _scenario(lane="99"),
+        _scenario(lane=".nan"), _scenario(lane='"1 / 0"'), _scenario(lane='"__import__"'),
+        _scenario(lane='"' + "(" * 99 + '"'), _scenario(lane='"' + "-" * 99 + '"'),
+        _scenario(lane='"p ** p"'), _scenario(lane='"0x' + "f" * 90 + '"'),
+        _scenario(points="[]"), _scenario(points="[{p: 7}]"), _scenario(points="often"),
+        _scenario(points="{latin_hypercube: 0}"), _scenario(points="{latin_hypercube: .inf}"),
+        _scenario(range="[2, 1]"), _scenario(range="[1]"), _scenario(range="[.nan, 1]"),
+        _scenario(range="{range: [0, 1], normal: [0.5, 0]}"), _scenario(more="agent: nobody"),
+        _scenario(more="agent: /dev/zero"), _scenario(more="behind: ego"),
+        _scenario(more="actions: [{at_s: -1, acceleration_mps2: 1}]"),
+        _scenario(more="actions: [{at_s: 1, acceleration_mps2: 1.0e+300}]"),
+        _scenario(more="actions: [{at_s: 0, lane: 1, duration_s: 0}]"),
+        _scenario(more="actions: [{at_s: 0, lane: -1, duration_s: 1}]"),
     )),
+    (BASE, "preventable_by", ("nobody", "3", "[]")),
     (BASE, "columns", ("[nothing]", "[3]", "nothing", "[" + "x" * 50_000 + "]")),
     (BASE, "pairs", ("true", "3", '"yes"')),
     (BASE, "references", (
@@ -226,7 +250,7 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
 )  # fmt: skip
 
 VALUES = {
-    f"{field}: {value[:60]}": _with(text, field, value)
+    f"{field}: {value[:200]}": _with(text, field, value)
     for text, field, values in _VALUES
     for value in values
 }

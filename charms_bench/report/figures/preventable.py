@@ -54,8 +54,8 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
             axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **look)
         axes.set_title(f"{ego}: {scenario}", fontsize=8)
         axes.tick_params(labelsize=7)
-        axes.set_xlabel(across.replace("_", " "), fontsize=8)
-        axes.set_ylabel(up.replace("_", " "), fontsize=8)
+        axes.set_xlabel(across, fontsize=8)
+        axes.set_ylabel(up, fontsize=8)
     dots = [
         Line2D([], [], linestyle="", label=label, **look)
         for label, look in (("preventable", PREVENTABLE), ("not preventable", UNAVOIDABLE))

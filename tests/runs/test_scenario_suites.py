@@ -1,0 +1,164 @@
+"""Suites of scenarios: errors with lines, runs, replays, comparisons, preventable collisions."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import charms_bench
+from charms_bench.errors import InputError, SuiteError
+from charms_bench.report.preventable_table import crashed
+from charms_bench.runs.suite import load_suite
+from charms_bench.world.points import values_at
+
+SUITE = """\
+suite: small
+episodes: 12
+scene:
+  profile: {name: charms, speed_min_mps: 0.0, ego_control_rate: simulation}
+  duration_s: 8.0
+egos:
+  - {agent: careful_human, label: Careful}
+  - {agent: level_0, label: Level 0}
+traffics:
+  - label: Braking
+    traffic:
+      scenario:
+        parameters: {gap: [5, 70], braking: [5.5, 9]}
+        ego: {lane: 1, speed_mps: 30}
+        vehicles:
+          - name: leader
+            lane: 1
+            ahead_of: ego
+            gap_m: gap
+            speed_mps: 30
+            actions: [{at_s: 1, acceleration_mps2: -braking}]
+  - {traffic: idm_mobil, label: Traffic}
+preventable_by: Careful
+"""
+
+
+def written(folder: Path, text: str = SUITE, name: str = "small.yaml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("line", "instead", "error"),
+    [
+        ("gap_m: gap", "gap_m: gap - 30", "19: .*gap_m: .*at the point gap"),
+        ("lane: 1\n            ahead", "lane: 4\n            ahead", "17: .*lane: lane 4 is not"),
+        ("ahead_of: ego", "ahead_of: egg", "18: .*ahead_of: no vehicle named 'egg'.*'ego'"),
+        ("gap: [5, 70]", "gap: [70, 5]", "13: .*gap: range: 70 exceeds 5"),
+        ("-braking}", "-brake}", "21: .*acceleration_mps2: no parameter named 'brake'"),
+        ("by: Careful", "by: Carefull", "preventable_by: no ego called 'Carefull'"),
+        ("        ego: {", "        points: grid\n        ego: {", "14: .*points: has 25 points"),
+        (
+            "        ego: {",
+            "        points: [{gap: 80, braking: 6}]\n        ego: {",
+            r"14: .*points\[0\].gap: 80 is out of range; expected 5 to 70",
+        ),
+    ],
+)
+def test_a_mistake_in_a_scenario_names_its_line(
+    tmp_path: Path, line: str, instead: str, error: str
+) -> None:
+    text = SUITE.replace(line, instead).replace("episodes: 12", "episodes: 30")
+    with pytest.raises(SuiteError, match=error):
+        load_suite(written(tmp_path, text))
+
+
+def test_a_scene_of_a_suite_cannot_place_vehicles_itself(tmp_path: Path) -> None:
+    scenario = "  scenario: {ego: {lane: 0, speed_mps: 9}, vehicles: [{name: a, lane: 1, x_m: 9, "
+    text = SUITE.replace("  duration_s", f"{scenario}speed_mps: 9}}]}}\n  duration_s")
+    with pytest.raises(SuiteError, match="give the scenario as a traffic"):
+        load_suite(written(tmp_path, text))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
+    folder = tmp_path_factory.mktemp("scenarios")
+    return charms_bench.run(written(folder), folder / "run", workers=1)
+
+
+def test_each_point_is_an_episode_and_vehicles_start_where_they_are_placed(
+    run: charms_bench.Run,
+) -> None:
+    scenario = run.suite.traffics[0].traffic.scenario
+    assert scenario is not None
+    gaps = values_at(scenario, np.arange(12))["gap"]
+    first = run.steps.filter(
+        (pl.col("step") == 1) & (pl.col("traffic") == "Braking") & (pl.col("agent") == "Careful")
+    ).sort("episode")
+    # In the first third of a second, nobody brakes; vehicles are 5 m long.
+    np.testing.assert_allclose(first["leader_distance"], gaps + 5, atol=1e-3)
+
+
+def test_a_scenario_is_replayed_as_it_was_run(run: charms_bench.Run) -> None:
+    replay = run.replay(3, "Level 0", "Braking")
+    assert replay.agents == ("level_0", "prescribed")
+    scenario = run.suite.traffics[0].traffic.scenario
+    assert scenario is not None
+    braking = values_at(scenario, np.array([3]))["braking"][0]
+    expected = np.clip(30 - braking * (replay.t_s - 1), 0, 30)
+    is_intact = ~replay.crashed[:, 1]
+    np.testing.assert_allclose(replay.speed[is_intact, 1], expected[is_intact], atol=1e-9)
+    assert is_intact.sum() > 30
+
+
+def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
+    run: charms_bench.Run,
+) -> None:
+    cells = {(cell.agent, cell.traffic): crashed(cell) for cell in run.cells}
+    careful, other = cells["Careful", "Braking"], cells["Level 0", "Braking"]
+    assert careful.any()
+    assert (other & ~careful).any()
+    table = run.tables["small-preventable"]
+    shares = {row.labels: [number.value for number in row.numbers] for row in table.rows}
+    found = [other.mean(), (other & ~careful).mean(), (other & careful).mean()]
+    assert shares["Level 0", "Braking"] == pytest.approx(found)
+    assert shares["Careful", "Braking"][1] == 0
+    assert (run.path / "figures" / "small-preventable.png").stat().st_size > 10_000
+
+
+def test_agents_in_scenarios_are_compared(run: charms_bench.Run) -> None:
+    table = run.compare(agents=("Careful", "Level 0"), metrics=["crashed_episodes"])
+    assert {"Braking", "Traffic"} <= {label for row in table.rows for label in row.labels}
+
+
+def test_a_search_finds_failures_that_run_as_a_suite(tmp_path: Path) -> None:
+    found = tmp_path / "found.yaml"
+    suite = written(tmp_path)
+    made = charms_bench.search(suite, "Level 0", "Braking", found, failures=3, budget=400)
+    assert len(made.failures) == 3
+    assert made.simulations_to_first is not None
+    again = charms_bench.run(found, tmp_path / "again", workers=1)
+    cells = {cell.agent: crashed(cell) for cell in again.cells}
+    assert cells["Level 0"].tolist() == [True] * 3
+    assert cells["Careful"].tolist() == [False] * 3
+
+
+def test_a_search_without_failures_writes_nothing(tmp_path: Path) -> None:
+    text = SUITE.replace("gap: [5, 70]", "gap: [300, 400]")
+    made = charms_bench.search(
+        written(tmp_path, text), "Level 0", "Braking", tmp_path / "found.yaml", budget=40
+    )
+    assert made.failures == []
+    assert not (tmp_path / "found.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("agent", "traffic", "error"),
+    [
+        ("Level 9", "Braking", "no agent named 'Level 9'.*Did you mean 'Level 0'"),
+        ("Level 0", "Brakes", "no scenario called 'Brakes'.*Known: Braking"),
+        ("Level 0", "Traffic", "no scenario called 'Traffic'"),
+    ],
+)
+def test_a_search_names_what_it_can_search(
+    tmp_path: Path, agent: str, traffic: str, error: str
+) -> None:
+    with pytest.raises(InputError, match=error):
+        charms_bench.search(written(tmp_path), agent, traffic, tmp_path / "found.yaml")
