@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -16,8 +17,8 @@ from charms_bench.world.points import values_at
 
 BINS = 14
 REGION = "#8cc9a1"
-PREVENTABLE = {"color": "#c2122d", "marker": "o"}
-UNAVOIDABLE = {"color": "#7a8290", "marker": "x"}
+PREVENTABLE: dict[str, Any] = {"color": "#c2122d", "marker": "o"}
+UNAVOIDABLE: dict[str, Any] = {"color": "#7a8290", "marker": "x"}
 
 
 def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
@@ -38,9 +39,9 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     egos = [ego.title for ego in suite.egos]
     count = len(egos) * len(points)
     figure, every = panels(count, 3.1, 2.15, len(points))
-    for axes, (ego, scenario) in zip(every, product(egos, points), strict=True):
-        (across, x), (up, y) = points[scenario]
-        unavoidable = has_crashed[suite.preventable_by, scenario]
+    for axes, (ego, title) in zip(every, product(egos, points), strict=True):
+        (across, x), (up, y) = points[title]
+        unavoidable = has_crashed[suite.preventable_by, title]
         edges = [
             np.linspace(each.min(), max(each.max(), each.min() + 1e-6), BINS) for each in (x, y)
         ]
@@ -49,10 +50,10 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
         with np.errstate(invalid="ignore"):
             share = np.ma.masked_invalid(survived / total)
         axes.pcolormesh(*edges, share.T, cmap=_from_white(), vmin=0, vmax=1)
-        mine = has_crashed[ego, scenario]
+        mine = has_crashed[ego, title]
         for look, chosen in ((UNAVOIDABLE, mine & unavoidable), (PREVENTABLE, mine & ~unavoidable)):
             axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **look)
-        axes.set_title(f"{ego}: {scenario}", fontsize=8)
+        axes.set_title(f"{ego}: {title}", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.set_xlabel(across, fontsize=8)
         axes.set_ylabel(up, fontsize=8)

@@ -152,7 +152,7 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
     if suite.preventable_by is not None and (figure := draw_preventable(suite, source.run.cells())):
         title = "Preventable collisions"
         caption = f"Green: {suite.preventable_by} survives. Points: collisions of the ego."
-        found.append(_picture(f"{key}-preventable", title, caption, figure, wide=True))
+        found.append(_picture(f"{key}-preventable", title, caption, drawn, wide=True))
     if not suite.references:
         return found
     following = source.run.following()
