@@ -42,12 +42,6 @@ def human() -> Human:
     return SUITE.human
 
 
-def scene_of(made: dict[str, Any]) -> dict[str, Any]:
-    """The scene of a manifest, with what was fixed when the profile had no such fields."""
-    fixed = {"ego_control_rate": "simulation", "sums_time": False}
-    return {**made["scene"], "profile": fixed | made["scene"]["profile"]}
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_each_is_small_and_the_one_its_manifest_describes(name: str) -> None:
     assert (POLICIES / f"{name}.onnx").stat().st_size < 1_000_000
@@ -63,7 +57,7 @@ def test_each_was_trained_as_the_suite_says(name: str) -> None:
     assert made["style"]["svo"] == stage.svo
     weights = SUITE.weights[stage.weights].model_dump()
     assert made["style"]["weights"] == {"name": stage.weights, **weights}
-    assert scene_of(made) == stage.scene.model_dump(mode="json")
+    assert made["scene"] == stage.scene.model_dump(mode="json")
     assert made["hyperparameters"] == SUITE.hyperparameters_of(stage).inputs
     first_seed = FIRST_TRAINING_SEED + SUITE.seed * EPISODES_OF_A_SEED
     assert (made["seed"], made["first_episode_seed"]) == (SUITE.seed, first_seed)
@@ -73,7 +67,10 @@ def test_each_was_trained_as_the_suite_says(name: str) -> None:
 def test_each_learnt_among_the_packaged_ones_it_was_trained_against(name: str) -> None:
     spec, made = SUITE.stages[name].traffic, manifest(name)["traffic"]
     assert made.get("mixture", {}) == spec.mixture
-    hashes = made["weights_sha256"] if spec.mixture else {made["agent"]: made["weights_sha256"]}
+    assert made.get("options", {}) == spec.options
+    hashes = made["weights_sha256"]
+    if "agent" in made:
+        hashes = {made["agent"]: hashes}
     for before in SUITE.needs[name]:
         assert hashes[before] == sha256(before)
 
@@ -101,9 +98,13 @@ def test_learning_from_people_made_each_decide_more_like_them(name: str) -> None
     assert after["log_likelihood"] > before["log_likelihood"]
 
 
-@pytest.mark.parametrize("agent", ["imitation", "prior_level_k", "prior_level_k_safe", *STYLES])
+@pytest.mark.parametrize(
+    "agent", ["imitation", "prior_level_k", "prior_level_k_safe", "charms-best-response", *STYLES]
+)
 def test_each_agent_is_its_packaged_network(agent: str) -> None:
-    stage = "charms_{}_{}".format(*STYLES[agent]) if agent in STYLES else agent
+    stage = agent.removeprefix("charms-").replace("-", "_")
+    if agent in STYLES:
+        stage = "charms_{}_{}".format(*STYLES[agent])
     made = make_agent(agent)
     assert isinstance(made, OnnxPolicy)
     assert made.weights_sha256 == sha256(stage)
