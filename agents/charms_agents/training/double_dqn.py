@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.vec_env import VecEnv
-from torch.nn import Module, Sequential
+from torch.nn import Linear, Module, Sequential
 
 from charms_agents.training.backpropagation import squared_error
 from charms_agents.training.network import Arrays, load_state, state_arrays
@@ -94,7 +94,9 @@ class DoubleDQN(DQN):
         rewards = buffer.rewards[:size][~has_failed]
         with torch.no_grad():
             for network in (self.q_net.q_net, self.q_net_target.q_net):
-                network[-1].bias.add_(float(rewards.mean()) / (1 - self.gamma))
+                last = network[-1]
+                assert isinstance(last, Linear)
+                last.bias.add_(float(rewards.mean()) / (1 - self.gamma))
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
