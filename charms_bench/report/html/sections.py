@@ -149,7 +149,8 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
         caption += "(Holm-corrected p < 0.05)."
         found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
-    if suite.preventable_by is not None and (figure := draw_preventable(suite, source.run.cells())):
+    drawn = None if suite.preventable_by is None else draw_preventable(suite, source.run.cells())
+    if drawn is not None:
         title = "Preventable collisions"
         caption = f"Green: {suite.preventable_by} survives. Points: collisions of the ego."
         found.append(_picture(f"{key}-preventable", title, caption, drawn, wide=True))
