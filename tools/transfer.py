@@ -60,7 +60,7 @@ def with_worst(table: Table, runs: Path) -> Table:
     for row in table.rows:
         shares = [numbers[row.labels[0]] for numbers in conditions if row.labels[0] in numbers]
         worst = max(shares, key=lambda number: number.value or 0.0, default=Number())
-        rows.append(replace(row, numbers=(row.numbers[0], worst, *row.numbers[1:])))
+        rows.append(Row(row.labels, (row.numbers[0], worst, *row.numbers[1:])))
     column = Column("crashed in the worst of other conditions", form=".1%")
     columns = (table.columns[0], column, *table.columns[1:])
     return replace(table, columns=columns, rows=tuple(rows))
