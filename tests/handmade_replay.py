@@ -37,9 +37,10 @@ def replay_of(
         for k, row in enumerate(steps or [{}], start=1)
     ]
     head = {"episode": 7, "ending": ending, "steps": len(rows), "duration_s": len(rows) / 3}
+    settings = SceneSettings(traffic_vehicles=shape[1] - 1, ego_slots=1)
     return Replay(
-        cell=Cell(ego=EGO, traffic=TRAFFIC),
-        settings=SceneSettings(traffic_vehicles=shape[1] - 1, ego_slots=1),
+        cell=Cell(ego=EGO, traffic=TRAFFIC, scene=settings),
+        settings=settings,
         episode=7,
         ego=0,
         agents=("somebody",) + ("other",) * (shape[1] - 1),

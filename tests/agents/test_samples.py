@@ -178,8 +178,11 @@ def test_no_driver_of_us_101_is_on_both_sides() -> None:
     assert both["sides"].max() == 1
 
 
-def test_a_single_recording_is_all_for_training(tmp_path: Path) -> None:
-    assert not collect(write_trio(tmp_path, busy_road())).held_out.any()
+def test_a_driver_of_a_single_recording_is_on_one_side_too(tmp_path: Path) -> None:
+    found = collect(write_trio(tmp_path, busy_road()))
+    sides = found.rows.with_columns(held_out=found.held_out).group_by("vehicle", "direction")
+    assert sides.agg(pl.col("held_out").n_unique())["held_out"].max() == 1
+    assert 0 < found.held_out.sum() < len(found.labels)
 
 
 def test_the_seed_decides_on_what_is_drawn_and_held_out(folder: Path) -> None:

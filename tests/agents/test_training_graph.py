@@ -279,7 +279,7 @@ def test_recordings_of_no_use_are_named_before_anything_is_trained(
             "kind.like: no stage named 'level_2'",
         ),
         ("{like: level_1, svo", "{like: selfish, svo", "that is not itself like another"),
-        ("epochs: 2}", "epochs: 0}", "human.stages.charms_selfish.settings.epochs"),
+        ("epochs: 2, r", "epochs: 0, r", "human.stages.charms_selfish.settings.epochs"),
         ("  recordings: recordings\n", "", "human.recordings: Field required"),
     ],
 )

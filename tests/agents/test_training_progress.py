@@ -35,8 +35,8 @@ def test_on_a_terminal_every_stage_has_a_bar_until_it_is_done() -> None:
     [
         (Point(200, 10, 30.0, 50.0, 0.2, 0.0, 1.0, 0.05), "return 30.0, 20% crashed"),
         (Point(200, 0, None, None, None, None, 1.0, 0.05), ""),
-        (Epoch(1, 1.5, -1.2, 0.25), "loss 1.500, agrees with 25.0%"),
-        (Epoch(1, 1.5, None, None), "loss 1.500"),
+        (Epoch(1, 1.5, 1.0, -1.2, 0.25), "loss 1.500, agrees with 25.0%"),
+        (Epoch(1, 1.5, 1.0, None, None), "loss 1.500"),
     ],
 )
 def test_a_point_of_a_curve_in_words(point: Point | Epoch, words: str) -> None:

@@ -44,6 +44,7 @@ def test_a_suite_differs_from_its_counterpart_in_its_networks_and_seeds(name: st
     assert theirs["suite"] == f"released-{name}"
     assert (theirs["seed"], theirs["episodes"]) == (5_000_000, ours["episodes"])
     assert theirs["columns"] == ours["columns"]
+    ours["egos"] = [each for each in ours["egos"] if "best response" not in each["label"]]
     for entries in ("egos", "traffics"):
         for one, other in zip(theirs[entries], ours[entries], strict=True):
             assert one["label"] == other["label"]
