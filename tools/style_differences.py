@@ -1,10 +1,8 @@
-"""How well the styles of CHARMS can be told apart, from a finished run of `suites/styles.yaml`.
+"""The paper's statements about the styles, from a finished run of `suites/styles.yaml`.
 
 Each of the paper's statements about the styles is a difference between two groups of styles, given
 as an effect size: the difference of the means of episodes in pooled standard deviations (Cohen
-1988), with a bootstrap interval over episodes. Then the style of single episodes is guessed by
-linear discriminant analysis (Fisher 1936) from the first half of the episodes' seeds, and the share
-of right guesses among the others is shown beside chance.
+1988), with a bootstrap interval over episodes.
 """
 
 import sys
@@ -21,6 +19,7 @@ from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.finished import open_finished
 
 REPLICATES = 2_000
+HARSH_MPS2 = 2.5
 STATEMENTS = (
     # statement, feature, styles that have more of it, styles that have less
     ("efficient styles are faster", "speed_mean", "efficient", "safe"),
@@ -42,20 +41,16 @@ STATEMENTS = (
 FEATURES = {
     "speed_mean": pl.col("speed").mean(),
     "speed_std": pl.col("speed").std(),
-    "acc_mean": pl.col("acceleration").mean(),
     "acc_std": pl.col("acceleration").std(),
-    "harsh": (pl.col("acceleration").abs() > 2.5).mean(),
+    "harsh": (pl.col("acceleration").abs() > HARSH_MPS2).mean(),
     "dhw_mean": pl.col("leader_distance").mean(),
-    "dhw_min": pl.col("leader_distance").min(),
-    "lateral": pl.col("y").diff().abs().sum(),
-    "decisions": pl.len().cast(pl.Float64),
 }
 """What is measured of each episode, in the decisions with a leader within 50 m."""
 Values = NDArray[np.float64]
 
 
 def style_differences(run: Path) -> str:
-    """Both tables as Markdown."""
+    """A statement per row, as Markdown."""
     finished = open_finished(run)
     tables = {}
     for cell in finished.cells():
@@ -64,7 +59,7 @@ def style_differences(run: Path) -> str:
         aggregated = [each.alias(name) for name, each in FEATURES.items()]
         tables[cell.agent.lower()] = rows.group_by("episode").agg(aggregated).sort("episode")
     rng = np.random.default_rng(finished.suite.seed)
-    return f"{markdown(_effects(tables, rng))}\n{_accuracy(tables)}\n"
+    return markdown(_effects(tables, rng))
 
 
 def _effects(tables: Mapping[str, pl.DataFrame], rng: np.random.Generator) -> Table:
@@ -94,35 +89,6 @@ def _effect(more: Sequence[Values], less: Sequence[Values]) -> float:
     difference = np.mean([each.mean() for each in more]) - np.mean([each.mean() for each in less])
     variance = np.mean([each.var(ddof=1) for each in (*more, *less)])
     return float(difference / np.sqrt(variance))
-
-
-def _accuracy(tables: Mapping[str, pl.DataFrame]) -> str:
-    seeds = next(iter(tables.values()))["episode"]
-    half = seeds.sort()[len(seeds) // 2]
-    learnt = [table.filter(pl.col("episode") < half) for table in tables.values()]
-    fill = pl.concat(learnt).select(pl.col(name).median() for name in FEATURES)
-
-    def values(table: pl.DataFrame) -> Values:
-        filled = (table[name].fill_nan(None).fill_null(fill[name].item()) for name in FEATURES)
-        return np.column_stack([column.to_numpy() for column in filled])
-
-    groups = [values(table) for table in learnt]
-    means = np.array([group.mean(axis=0) for group in groups])
-    pooled = np.mean([np.cov(group, rowvar=False) for group in groups], axis=0)
-    weights = np.linalg.solve(pooled, means.T)
-    offsets = -0.5 * (means.T * weights).sum(axis=0)
-    tested = [values(table.filter(pl.col("episode") >= half)) for table in tables.values()]
-    right = [
-        (group @ weights + offsets).argmax(axis=1) == style for style, group in enumerate(tested)
-    ]
-    shares = {style: each.mean() for style, each in zip(tables, right, strict=True)}
-    every = np.concatenate(right)
-    lines = ", ".join(f"{style} {share:.0%}".replace("%", " %") for style, share in shares.items())
-    told, chance = (f"{share:.1%}".replace("%", " %") for share in (every.mean(), 1 / len(tables)))
-    return (
-        f"From one episode, the style is guessed right in {told} of {every.size:,} episodes, "
-        f"where chance would be right in {chance}: {lines}."
-    )
 
 
 if __name__ == "__main__":
