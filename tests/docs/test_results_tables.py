@@ -36,7 +36,8 @@ def test_a_page_has_the_tables_that_were_written_last(tool: ModuleType, page: Pa
 def test_every_table_is_on_a_page(tool: ModuleType) -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     used = {found[2] for found in tool.BLOCK.finditer(text)}
-    assert used == set(tool.TABLES) == {path.stem for path in tool.RESULTS.glob("*.md")}
+    written = {*tool.TABLES, "human-frontier"}  # the latter by tools/human_frontier.py
+    assert used == written == {path.stem for path in tool.RESULTS.glob("*.md")}
 
 
 def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> None:
