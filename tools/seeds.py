@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import PercentFormatter
 from scipy.stats import trim_mean
 
 from charms_bench.metrics import METRIC_SETS
@@ -34,8 +35,8 @@ COLUMNS = {
     "lane changes per km": ("standard", "lane_changes_per_km", ".1f"),
 }
 """Header, metric set, metric and format of each column."""
-PROFILES = {"episodes crashed": 0.2, "TTC < 3 s": 0.3}
-"""The columns with a performance profile, and the largest value that is drawn."""
+PROFILES = {"episodes crashed": (0.002, 1.0), "TTC < 3 s": (0.01, 1.0)}
+"""The columns with a performance profile, and the smallest and largest value that are drawn."""
 
 
 def seeds_table(run: Path) -> str:
@@ -46,7 +47,7 @@ def seeds_table(run: Path) -> str:
     rng = np.random.default_rng(finished.suite.seed)
     values: dict[str, list[list[float]]] = {}
     spreads: dict[str, list[list[np.ndarray]]] = {}
-    minutes: dict[str, list[float]] = {}
+    minutes: dict[str, list[float | None]] = {}
     for cell in finished.cells():
         recipe = cell.agent.rpartition(", seed ")[0]
         sums = cell.sums(metrics, finished.suite.scene)
@@ -72,7 +73,8 @@ def seeds_table(run: Path) -> str:
             low, high = np.quantile(trim_mean(picked, TRIMMED, axis=1), [tail, 1 - tail])
             mean = trim_mean([each[m] for each in of_seeds], TRIMMED)
             numbers.append(Number(float(mean), float(low), float(high), n))
-        numbers.append(Number(float(np.mean(minutes[recipe])), None, None, n))
+        known_minutes = [each for each in minutes[recipe] if each is not None]
+        numbers.append(Number(float(np.mean(known_minutes))) if known_minutes else Number())
         rows.append(Row((recipe,), tuple(numbers)))
     columns = (
         *(Column(header, form=form) for header, (_, _, form) in COLUMNS.items()),
@@ -91,15 +93,14 @@ def _network(suite: Suite, label: str) -> str:
     return next(ego.agent.name for ego in suite.egos if ego.title == label)
 
 
-def _process_minutes(network: Path) -> float:
-    """What it took to train a network: its own stage, and that of the network it fine-tunes.
-
-    It is processor time, or for networks without it the duration of their training.
-    """
+def _process_minutes(network: Path) -> float | None:
+    """The processor time of the training of a network and of the one that it fine-tunes."""
     made = json.loads(network.with_suffix(".json").read_text(encoding="utf-8"))
     before = made.get("starts_from", {}).get("stage")
     start = _process_minutes(network.with_stem(before)) if before else 0.0
-    return start + float(made.get("cpu_s", made.get("wall_s"))) / 60
+    if start is None or "cpu_s" not in made:
+        return None  # trained before it was recorded
+    return start + float(made["cpu_s"]) / 60
 
 
 def _draw_profiles(
@@ -107,8 +108,8 @@ def _draw_profiles(
 ) -> None:
     """Draws performance profiles: the share of seeds below each value, with bootstrap bands."""
     figure, axes = panels(len(PROFILES), 4.2, 3.2)
-    for ax, (header, limit) in zip(axes, PROFILES.items(), strict=True):
-        m, levels = list(COLUMNS).index(header), np.linspace(0, limit, 201)
+    for ax, (header, ends) in zip(axes, PROFILES.items(), strict=True):
+        m, levels = list(COLUMNS).index(header), np.geomspace(*ends, 201)
         for k, (recipe, of_seeds) in enumerate(spreads.items()):
             spread = np.stack([each[m] for each in of_seeds])
             n = len(spread)
@@ -124,7 +125,9 @@ def _draw_profiles(
             )
             ax.fill_between(levels, low, high, color=f"C{k}", alpha=0.12, linewidth=0)
         ax.set_xlabel(header)
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=1))
         ax.set_ylim(0, 1.02)
     axes[0].set_ylabel("share of training seeds at or below")
-    axes[-1].legend(fontsize="x-small", frameon=False)
+    axes[-1].legend(fontsize="x-small", frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
