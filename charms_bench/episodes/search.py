@@ -95,14 +95,16 @@ class Search:
             {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
         ]
         found = self._margins(self.cell.ego.agent, points)
-        collides = np.nonzero(found <= 0)[0]
+        collides = np.nonzero(found < 0)[0]
         if collides.size and self.reference is not None:
             asked = [points[k] for k in collides]
             theirs = self._margins(self.reference.agent, asked)
             found[collides] = np.maximum(found[collides], -theirs)
-            collides = collides[theirs > 0]
-        if collides.size:
-            self.failures += [points[k] for k in collides]
+            collides = collides[theirs >= 0]
+        # Each generation begins with points that were simulated before.
+        new = [points[k] for k in collides if points[k] not in self.failures]
+        if new:
+            self.failures += new
             self.simulations_to_first = self.simulations_to_first or self.simulations
             self.found()
         return found

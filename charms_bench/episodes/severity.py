@@ -6,12 +6,16 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.world.compiled import compiled
 from charms_bench.world.scene import Floats, Ints, Scene
 
+TOUCH = -0.1
+"""The margin of a collision without a relative speed."""
+
 
 def margins(simulation: Simulation, seeds: Ints) -> Floats:
     """Simulates one episode in each of the B scenes, and returns the margin (B,) of each.
 
     Without a collision, it is the ego's least distance to another vehicle in m: the larger one of
-    the gaps along and across the road. With a collision, it is the negative relative speed in m/s.
+    the gaps along and across the road, and 0 if both are negative, since vehicles that turn can be
+    that close. With a collision, it is the negative relative speed in m/s, and at most `TOUCH`.
     """
     simulation.reset(seeds.astype(np.uint64))
     found = np.full(seeds.size, np.inf)
@@ -21,7 +25,7 @@ def margins(simulation: Simulation, seeds: Ints) -> Floats:
             simulation.advance()
             _lower(simulation.scene, speed, found)
         simulation.finish_step()
-    return np.where(simulation.failed, np.minimum(found, 0.0), found)
+    return np.where(simulation.failed, np.minimum(found, TOUCH), found)
 
 
 @compiled
@@ -38,6 +42,6 @@ def _lower(scene: Scene, speed: Floats, found: Floats) -> None:
             if j != i and max(along, across) < least:
                 least, nearest = max(along, across), j
         if scene.crashed[b, i]:
-            found[b] = -max(0.1, abs(speed[b, i] - speed[b, nearest]))
+            found[b] = min(TOUCH, -abs(speed[b, i] - speed[b, nearest]))
         else:
             found[b] = min(found[b], max(least, 0.0))

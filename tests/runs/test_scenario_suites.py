@@ -140,6 +140,17 @@ def test_a_search_finds_failures_that_run_as_a_suite(tmp_path: Path) -> None:
     assert cells["Careful"].tolist() == [False] * 3
 
 
+def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path: Path) -> None:
+    found = tmp_path / "found.yaml"
+    suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
+    made = charms_bench.search(suite, "CHARMS", "Cut-in", found, failures=5)
+    points = [tuple(point.values()) for point in made.failures]
+    assert len(points) == len(set(points)) == 5
+    run = charms_bench.run(found, tmp_path / "run", workers=1)
+    rows = run.tables["found-preventable"].rows
+    assert {row.labels[0]: row.numbers[1].value for row in rows}["CHARMS"] == 1.0
+
+
 def test_a_search_without_failures_writes_nothing(tmp_path: Path) -> None:
     text = SUITE.replace("gap: [5, 70]", "gap: [300, 400]")
     made = charms_bench.search(
