@@ -493,6 +493,10 @@ def rare(
         raise InputError(f"{suite}: is a training suite; expected an evaluation")
     document.data |= {} if seed is None else {"seed": seed}
     loaded, definition = suite_of(document), event_of(event).definition
+    for index, entry in enumerate(loaded.traffics):
+        if entry.traffic.scenario is not None:
+            what = "rare draws where vehicles start, and a scenario places them; expected a traffic"
+            raise document.error(("traffics", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
     folder = Path(output or Path("runs") / name)

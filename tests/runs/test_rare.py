@@ -159,3 +159,10 @@ def test_a_training_suite_is_refused(tmp_path: Path) -> None:
     (tmp_path / "train.yaml").write_text("pipeline: charms\n", encoding="utf-8")
     with pytest.raises(InputError, match="training suite"):
         api.rare(tmp_path / "train.yaml")
+
+
+def test_a_scenario_is_refused_because_nothing_of_it_is_drawn(tmp_path: Path) -> None:
+    suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
+    with pytest.raises(InputError, match=r"r157.yaml:\d+: traffics\[0\].traffic.scenario: rare"):
+        api.rare(suite, output=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
