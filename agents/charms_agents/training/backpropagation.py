@@ -1,6 +1,6 @@
 """Backpropagation of the squared error, without autograd.
 
-For layers as narrow as ours, autograd's bookkeeping takes a quarter of a gradient step. The
+For layers as narrow as ours, autograd's bookkeeping takes a large part of a gradient step. The
 gradients have the same bits as autograd's.
 """
 
