@@ -180,6 +180,8 @@ def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
     """
     if found is expected or found == expected:
         return
+    if found.scenario != expected.scenario:
+        raise InputError("the state is of another scenario; use the one with which it was saved")
     field, one, other = _first_difference(found.model_dump(), expected.model_dump())
     raise InputError(
         f"the state is of another scene: {field} is {one}, and here it is {other}; use the scene "

@@ -34,8 +34,11 @@ def save_state(state: SceneState, path: str | Path) -> None:
     """Writes a state, one line per field.
 
     Raises:
+        InputError: The state is of a scenario, which the file does not hold.
         RunFolderError: The folder cannot be written to.
     """
+    if state.settings.scenario is not None:
+        raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
     fields = {
         "format": FORMAT,
         "version": VERSION,

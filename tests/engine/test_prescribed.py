@@ -1,5 +1,6 @@
 """Prescribed motion: what a scenario asks for is what a vehicle does, in both engines."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,9 @@ from charms_baselines.idm_mobil import IdmMobil
 
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state import check_settings
+from charms_bench.engine.state_file import save_state
+from charms_bench.errors import InputError
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.testing.verify import Case, verify
 from charms_bench.world.scenario import Scenario
@@ -100,3 +104,36 @@ def test_the_engines_agree_to_the_last_bit() -> None:
     assert [each.differences for each in found] == [(), ()]
     assert [each.largest for each in found] == [0.0, 0.0]
     assert sum(each.crashed for each in found) > 0
+
+
+@pytest.mark.parametrize("saved_in", ENGINES)
+@pytest.mark.parametrize("continued_in", ENGINES)
+def test_a_scenario_continues_from_a_state_as_if_never_interrupted(
+    saved_in: EngineName, continued_in: EngineName, tmp_path: Path
+) -> None:
+    settings = settings_of(
+        leader({"at_s": 2, "acceleration_mps2": -6}, {"at_s": 1, "lane": 2, "duration_s": 3}),
+        distance=[40, 80],
+    )
+    assert settings.scenario is not None
+    traffic = TrafficSpec(scenario=settings.scenario).make()
+    original, later = (
+        Simulation(settings, 2, "idm_mobil", traffic, {"idm_mobil": IdmMobil()}, engine)
+        for engine in (saved_in, continued_in)
+    )
+    original.reset(np.array([4, 5], dtype=np.uint64))
+    for _ in range(20):
+        original.advance()
+    state = original.state()
+    later.restore(state)
+    for _ in range(60):
+        original.advance()
+        later.advance()
+    for name in ("x", "y", "speed", "heading"):
+        found, expected = (getattr(each.scene, name) for each in (later, original))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    with pytest.raises(InputError, match="a state of a scenario stays in memory"):
+        save_state(state, tmp_path / "state.json")
+    other = settings_of(leader(), distance=[40, 80])
+    with pytest.raises(InputError, match="another scenario"):
+        check_settings(state.settings, other)
