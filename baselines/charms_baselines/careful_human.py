@@ -19,7 +19,7 @@ accelerates, so the model is for single scenarios.
 import numpy as np
 
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import clip, compiled, index
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375
@@ -42,7 +42,7 @@ class CarefulHuman(DriverModel):
         return _drive(scene, vehicles[0], vehicles[1])
 
 
-@compiled
+@compiled_of_scenes
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     c, timer_s, speed = scene.constants, scene.timer_s, scene.speed
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)

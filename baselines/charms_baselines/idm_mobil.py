@@ -16,7 +16,7 @@ from charms_baselines.idm import (
     on_own_lane,
 )
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import clip, compiled, index
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -38,7 +38,7 @@ class IdmMobil(DriverModel):
         return _drive(scene, vehicles[0], vehicles[1])
 
 
-@compiled
+@compiled_of_scenes
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     """[`IDMVehicle.act`] A vehicle sees the target lanes of the vehicles that acted before it."""
     targets, p = scene.target_lane.copy(), scene.constants.idm_mobil

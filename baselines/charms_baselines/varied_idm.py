@@ -4,7 +4,7 @@ import numpy as np
 
 from charms_baselines.idm_mobil import drive_block
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, compiled_of_scenes
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
@@ -24,7 +24,7 @@ class VariedIdmMobil(DriverModel):
         return _drive(scene, vehicles[0], vehicles[1])
 
 
-@compiled
+@compiled_of_scenes
 def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     targets = scene.target_lane.copy()
     acceleration, target_lane = np.empty(rows.size), np.empty(rows.size, dtype=np.int64)

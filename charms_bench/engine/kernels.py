@@ -19,7 +19,7 @@ import numpy as np
 from charms_bench.engine.draws import DISTANCE, LANE, SPEED, TEMPERAMENT
 from charms_bench.world import maths
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
-from charms_bench.world.compiled import clip, compiled, index, not_zero
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index, not_zero
 from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length, is_reachable
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
@@ -485,7 +485,7 @@ def nearest_target_speed(speed: float, change: int, speeds: Floats) -> float:
     return float(speeds[min(max(nearest + change, 0), last)])
 
 
-@compiled
+@compiled_of_scenes
 def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: CommandRule) -> None:
     """Carries out the meta-actions (M,) of M vehicles [`ControlledVehicle.act`]."""
     c, target_speed, target_lane = scene.constants, scene.target_speed, scene.target_lane
@@ -516,7 +516,7 @@ def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floa
                 scene.target_speed[b, i] = nearest
 
 
-@compiled
+@compiled_of_scenes
 def egos_off_road(scene: Scene) -> Bools:
     """[B] whether the ego's centre is outside its lane [`RoadObject.on_road`]."""
     off_road = np.empty(scene.ego.size, dtype=np.bool_)
@@ -565,7 +565,7 @@ def blocks_of(active: Bools, vehicles: int) -> list[tuple[int, int]]:
     return blocks
 
 
-@compiled
+@compiled_of_scenes
 def advance(scene: Scene, modelled: Bools, held: Bools) -> None:
     """One simulation step of every active scene, after the driver models have acted; see `move`."""
     vehicles = scene.x.shape[1]
@@ -626,7 +626,7 @@ def mark_seats(
             is_modelled[b, i] = agent < models.size and models[agent]
 
 
-@compiled
+@compiled_of_scenes
 def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
     """Places new vehicles in the scenes `rows` (R,) by their draws (R, 4 N + 1); see `draws`.
 

@@ -177,9 +177,9 @@ class Simulation:
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
             self._command((rows, self.scene.ego[rows]), ego_actions[rows])
-        frames = self.steps * self.settings.steps_per_decision + self.phase
         decisions = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
+            frames = self.steps * self.settings.steps_per_decision + self.phase
             period = round(self.settings.simulation_hz / policy.decision_hz)
             now = active & (frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)

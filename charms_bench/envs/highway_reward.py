@@ -4,15 +4,17 @@ import numpy as np
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
-from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 20.0, 30.0
 
 
+@compiled
 def highway_reward(
-    forward: Floats, target_lane: Ints, crashed: Bools, off_road: Bools, lanes: int
-) -> Floats:
+    forward: float, target_lane: int, crashed: bool, off_road: bool, lanes: int
+) -> float:
     """The reward of highway-env 1.12's `highway-v0`, in [0, 1] (Leurent 2018).
 
     -1 for a crash, 0.1 for the share of lanes to the left of the target lane, 0.4 for the forward
@@ -20,17 +22,26 @@ def highway_reward(
     [`HighwayEnv._reward`].
 
     Args:
-        forward: (...) speed along the road, m/s; the others have its shape.
+        forward: Speed along the road, m/s.
         target_lane: 0 is the leftmost.
         crashed: Whether the vehicle has collided.
         off_road: Whether the vehicle has left the road.
         lanes: The road's number of lanes.
     """
-    fast = ((forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS)).clip(0.0, 1.0)
+    fast = clip((forward - SPEED_LOW_MPS) / (SPEED_HIGH_MPS - SPEED_LOW_MPS), 0.0, 1.0)
     right = target_lane / (lanes - 1)
     raw = COLLISION * crashed + RIGHT_LANE * right + HIGH_SPEED * fast
-    normalised = (raw - COLLISION) / (HIGH_SPEED + RIGHT_LANE - COLLISION)
-    return np.where(off_road, 0.0, normalised)
+    return 0.0 if off_road else (raw - COLLISION) / (HIGH_SPEED + RIGHT_LANE - COLLISION)
+
+
+@compiled_of_scenes
+def _rewards(scene: Scene, rows: Ints, places: Ints, off_road: Bools, rewards: Floats) -> None:
+    lanes = scene.constants.lanes
+    for m in range(rows.size):
+        b, i = rows[m], places[m]
+        forward = scene.speed[b, i] * scene.direction_x[b, i]
+        lane, crashed = scene.target_lane[b, i], scene.crashed[b, i]
+        rewards[m] = highway_reward(forward, lane, crashed, off_road[m], lanes)
 
 
 class HighwayReward:
@@ -41,11 +52,7 @@ class HighwayReward:
 
     def __call__(self, simulation: Simulation, prepared: None) -> Floats:
         """The rewards (B,) of the scene after the decisions."""
-        scene, egos = simulation.scene, simulation.ego_vehicles
-        return highway_reward(
-            forward=scene.speed[egos] * scene.direction_x[egos],
-            target_lane=scene.target_lane[egos],
-            crashed=scene.crashed[egos],
-            off_road=simulation.is_off_road,
-            lanes=scene.constants.lanes,
-        )
+        rows, places = simulation.ego_vehicles
+        rewards = np.empty(rows.size)
+        _rewards(simulation.scene, rows, places, simulation.is_off_road, rewards)
+        return rewards

@@ -65,12 +65,12 @@ def _nearest(distance: Floats, among: Bools) -> tuple[Ints, Floats]:
 
 def _rewards(replay: Replay) -> Floats:
     ego, frames = replay.ego, np.arange(len(replay.t_s))
-    at_each = highway_reward(
-        forward=replay.speed[:, ego] * np.cos(replay.heading[:, ego]),
-        target_lane=replay.target_lane[:, ego],
-        crashed=replay.crashed[:, ego],
-        off_road=(frames == frames[-1]) & (replay.ending == "off_road"),
-        lanes=replay.settings.lanes,
+    at_each = np.vectorize(highway_reward)(
+        replay.speed[:, ego] * np.cos(replay.heading[:, ego]),
+        replay.target_lane[:, ego],
+        replay.crashed[:, ego],
+        (frames == frames[-1]) & (replay.ending == "off_road"),
+        replay.settings.lanes,
     )
     interval = replay.frame_of(1)
     last: Floats = at_each[frames - frames % interval].copy()

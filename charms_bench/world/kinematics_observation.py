@@ -4,13 +4,14 @@ It has one row per vehicle: first the observing vehicle, then the vehicles withi
 their distance along the road [`KinematicObservation`, highway-env 1.12].
 """
 
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from charms_bench.errors import suggestion
-from charms_bench.world.compiled import clip, compiled
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.world.fields import Finite, FrozenModel
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
@@ -107,8 +108,16 @@ class Kinematics(FrozenModel):
         back_m = np.inf if self.see_behind else 2 * scene.constants.length
         _find_nearest(scene.x, scene.y, rows, places, back_m, nearest)
         observations = np.zeros((rows.size, *self.shape), dtype=np.float32)
-        _fill(scene, rows, nearest, self._columns(scene.constants.lanes), self.clip, observations)
+        lanes = scene.constants.lanes
+        if (columns := self._columns_by_lanes.get(lanes)) is None:
+            columns = self._columns_by_lanes[lanes] = self._columns(lanes)
+        _fill(scene, rows, nearest, columns, self.clip, observations)
         return observations
+
+    @cached_property
+    def _columns_by_lanes(self) -> dict[int, Floats]:
+        """What `_columns` has returned so far."""
+        return {}
 
     def _columns(self, lanes: int) -> Floats:
         """What is done to each feature: its index, whether it is relative, and its range.
@@ -158,7 +167,7 @@ def _feature(feature: int, b: int, i: int, scene: Scene) -> float:
     return 0.0
 
 
-@compiled
+@compiled_of_scenes
 def _fill(
     scene: Scene,
     rows: Ints,

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.errors import InputError, first_problem, suggestion
-from charms_bench.world.compiled import clip, compiled
+from charms_bench.world.compiled import clip, compiled_of_scenes
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
@@ -114,7 +114,7 @@ def observation_described(text: str) -> Neighbours | Kinematics:
         raise InputError(f"observation: is not JSON: {error}") from error
 
 
-@compiled
+@compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
     x, y, speed, lanes = scene.x, scene.y, scene.speed, scene.constants.lanes
     direction_x, direction_y = scene.direction_x, scene.direction_y
