@@ -7,16 +7,16 @@ import pytest
 from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
-from charms_bench.episodes.animation import (
+from charms_bench.drawing.picture import (
     AGENTS,
     ASPHALT,
     BRAKE,
     EGO,
     INDICATOR,
     WRECK,
-    animate,
     picture,
 )
+from charms_bench.episodes.animation import animate, moment_of
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
@@ -45,7 +45,7 @@ def test_a_replay_animates_itself_above_what_happened(tmp_path: Path) -> None:
 
 
 def drawn(replay: Replay) -> Image.Image:
-    return picture(replay, ego_view(replay), 0)
+    return picture(moment_of(replay, ego_view(replay), 0))
 
 
 def pixel(image: Image.Image, ahead_m: float, lane: int) -> tuple[int, int, int]:

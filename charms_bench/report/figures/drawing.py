@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from charms_bench.episodes.palette import INK
+from charms_bench.drawing.palette import INK
 from charms_bench.errors import InputError
 from charms_bench.report.table import Number
 from charms_bench.world.files import write_atomically

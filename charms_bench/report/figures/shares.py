@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charms_bench.episodes.palette import SERIES
+from charms_bench.drawing.palette import SERIES
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.report.figures.drawing import panels, save
 

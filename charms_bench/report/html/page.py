@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from charms_bench.episodes.palette import AGENTS, VEHICLES
+from charms_bench.drawing.palette import AGENTS, VEHICLES
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
 from charms_bench.report.table import Column

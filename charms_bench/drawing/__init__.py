@@ -1,0 +1,1 @@
+"""What animations and environments draw: the picture of a scene, its colours, and a window."""

@@ -1,0 +1,207 @@
+"""Draws one moment of an episode: the road around the ego, and the ego's state."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from charms_bench.drawing import palette
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
+
+FINE = 2
+"""Pictures are drawn this many times larger and then reduced, so that edges are smooth."""
+WIDTH = 800 * FINE
+BEHIND_M = 38.0
+AHEAD_M = 62.0
+SCALE = WIDTH / (BEHIND_M + AHEAD_M)
+"""Pixels per metre, along and across the road; all lengths are before the reduction."""
+HEADER, SHOULDER_M, MARKS, STATUS = 76, 1.0, 40, 92
+LINE, MARGIN, LEGEND_COLUMNS = 44, 32, 3
+BRAKE_LIGHT_MPS2 = 0.5
+"""Deceleration above which the brake lights are on."""
+TTC_SHOWN_S = 100.0
+"""A time to collision from here on is not shown."""
+
+INK, PALE, PAPER = "#20242a", "#737b86", "#ffffff"
+EGO, WRECK, BRAKE, INDICATOR, ASPHALT, PAINT = (
+    palette.VEHICLES[name][0] for name in ("ego", "wreck", "brake", "indicator", "asphalt", "paint")
+)
+AGENTS = [light for light, _ in palette.AGENTS]
+"""Colours of the agents in the traffic, in the order of `Moment.traffic`."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One moment of an episode with N vehicles."""
+
+    settings: SceneSettings
+    title: str
+    episode: int
+    """Seed of the episode."""
+    t_s: float
+    """Time since the start."""
+    ego: int
+    """Index of the ego in the order of spawning."""
+    agents: Sequence[str]
+    """N names of agents; the ego's is empty if it is driven from outside."""
+    traffic: Sequence[str]
+    """The names of the agents that the legend lists beside the ego's."""
+    x: Floats
+    """[N], as all arrays below; units as in `scene.Scene`."""
+    y: Floats
+    heading: Floats
+    speed: Floats
+    acceleration: Floats
+    lane: Ints
+    target_lane: Ints
+    crashed: Bools
+    action: Ints
+    """The last meta-action, only meaningful where `has_action` is true."""
+    has_action: Bools
+    gap_ahead: float
+    """m, from the ego's front to its leader's rear; NaN if there is no leader."""
+    ttc: float
+    """s, to the leader at constant speeds; NaN unless the ego closes in."""
+
+
+def picture(moment: Moment, caption: str = "") -> Image.Image:
+    """Returns the picture of a moment, with a line of text below the road if there is a caption.
+
+    A vehicle's colour is that of its agent; the ego has its own colour. The number on a vehicle is
+    its index in the order of spawning. Red lights mean braking, amber lights a lane change, and a
+    cross a vehicle that has crashed.
+    """
+    settings = moment.settings
+    colours = {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(moment.traffic)}
+    road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * SCALE)
+    status = HEADER + road + MARKS
+    caption_at = status + STATUS
+    legend = caption_at + (LINE if caption else 0)
+    height = legend + LINE * (1 + len(colours) // LEGEND_COLUMNS) + 12
+    image = Image.new("RGB", (WIDTH, height), PAPER)
+    draw = ImageDraw.Draw(image)
+    _draw_road(draw, moment)
+    for vehicle, agent in enumerate(moment.agents):
+        colour = EGO if vehicle == moment.ego else colours[agent]
+        _draw_vehicle(draw, moment, vehicle, colour)
+    _draw_header(draw, moment)
+    _draw_status(draw, moment, status)
+    sentence = caption[:1].upper() + caption[1:]
+    draw.text((MARGIN, caption_at + 22), sentence, INK, _font(26, "-Bold"), "lm")
+    driver = moment.agents[moment.ego]
+    entries = [(f"ego, {driver}" if driver else "ego", EGO), *colours.items()]
+    for k, (name, colour) in enumerate(entries):
+        x = MARGIN + k % LEGEND_COLUMNS * (WIDTH - 2 * MARGIN) / LEGEND_COLUMNS
+        y = legend + 22 + k // LEGEND_COLUMNS * LINE
+        draw.rectangle([x, y - 10, x + 32, y + 10], colour)
+        draw.text((x + 44, y), name, PALE, _font(24), "lm")
+    return image.reduce(FINE)
+
+
+@lru_cache
+def _font(size: int, weight: str = "") -> ImageFont.FreeTypeFont:
+    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{weight}.ttf"
+    return ImageFont.truetype(path, size)
+
+
+def _place(moment: Moment, x: Floats, y: Floats) -> list[float]:
+    """Returns where points of the road (K,) are in the picture, as x, y, x, y and so on."""
+    start = moment.x[moment.ego] - BEHIND_M
+    edge = -moment.settings.profile.lane_width_m / 2 - SHOULDER_M
+    places = np.stack([(x - start) * SCALE, HEADER + (y - edge) * SCALE], axis=-1)
+    return list(places.ravel().tolist())
+
+
+def _draw_road(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
+    width, lanes = moment.settings.profile.lane_width_m, moment.settings.lanes
+    start = moment.x[moment.ego] - BEHIND_M
+    end = start + BEHIND_M + AHEAD_M
+    borders = np.arange(lanes + 1) * width - width / 2
+    sides = np.array([borders[0] - SHOULDER_M, borders[-1] + SHOULDER_M])
+    road = _place(moment, np.array([start, end]), sides)
+    draw.rectangle(road, ASPHALT)
+    for border in borders:
+        solid = border in (borders[0], borders[-1])
+        # Dashes of 6 m and gaps of 12 m, as on a motorway.
+        dashes = np.array([start]) if solid else np.arange(np.floor(start / 18) * 18, end, 18)
+        for dash in dashes:
+            ends = np.array([dash, end if solid else dash + 6.0])
+            draw.line(_place(moment, ends, np.full(2, border)), PAINT, 4)
+    for mark in np.arange(np.ceil(start / 20) * 20, end, 20):
+        x, bottom = _place(moment, np.array([mark]), sides[1:])
+        draw.line([x, bottom, x, bottom + 8], PALE, 2)
+        draw.text((x, bottom + 22), f"{mark:,.0f} m", PALE, _font(20), "mm")
+
+
+def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colour: str) -> None:
+    x, y = moment.x[vehicle], moment.y[vehicle]
+    if not -10 < x - moment.x[moment.ego] + BEHIND_M < BEHIND_M + AHEAD_M + 10:
+        return
+    profile, heading = moment.settings.profile, moment.heading[vehicle]
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    aside = np.array([-ahead[1], ahead[0]])
+    half_length, half_width = profile.vehicle_length_m / 2, profile.vehicle_width_m / 2
+
+    def shape(*corners: tuple[float, float]) -> list[float]:
+        """Returns a shape whose corners are given in halves of the vehicle's length and width."""
+        along, across = (np.array(corners) * (half_length, half_width)).T[..., None]
+        away = along * ahead + across * aside
+        return _place(moment, x + away[:, 0], y + away[:, 1])
+
+    crashed = moment.crashed[vehicle]
+    body = [(-1.0, -1.0), (0.9, -1.0), (1.0, -0.6), (1.0, 0.6), (0.9, 1.0), (-1.0, 1.0)]
+    draw.polygon(shape(*body), colour)
+    if moment.acceleration[vehicle] < -BRAKE_LIGHT_MPS2:
+        for side in (-1.0, 1.0):
+            light = [(-1.0, side), (-0.8, side), (-0.8, side * 0.3), (-1.0, side * 0.3)]
+            draw.polygon(shape(*light), BRAKE)
+    aim = moment.target_lane[vehicle] * profile.lane_width_m - y
+    if abs(aim) > 0.2 * profile.lane_width_m and not crashed:
+        side = float(np.sign(aim))
+        for end in (-1.0, 0.6):
+            light = [(end, side * 1.4), (end + 0.4, side * 1.4), (end + 0.4, side), (end, side)]
+            draw.polygon(shape(*light), INDICATOR)
+    if crashed:
+        draw.line(shape((-1.1, -1.3), (1.1, 1.3)), WRECK, 6)
+        draw.line(shape((-1.1, 1.3), (1.1, -1.3)), WRECK, 6)
+    label = "ego" if vehicle == moment.ego else str(vehicle)
+    middle_x, middle_y = shape((0.0, 0.0))
+    draw.text((middle_x, middle_y), label, PAPER, _font(21, "-Bold"), "mm")
+
+
+def _draw_header(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
+    title, font = moment.title, _font(30, "-Bold")
+    draw.text((MARGIN, HEADER / 2), title, INK, font, "lm")
+    end = MARGIN + font.getlength(title)
+    draw.text((end + 24, HEADER / 2 + 2), f"episode {moment.episode}", PALE, _font(26), "lm")
+    time = f"{moment.t_s:.1f} s"
+    draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, _font(34, "-Bold"), "rm")
+
+
+def _draw_status(draw: ImageDraw.ImageDraw, moment: Moment, top: int) -> None:
+    """Draws the ego's state, each quantity with its unit."""
+    ego = moment.ego
+    aside = int(moment.target_lane[ego] - moment.lane[ego])
+    if moment.crashed[ego]:
+        doing = "crashed"
+    elif moment.has_action[ego]:
+        doing = ACTIONS[moment.action[ego]].replace("_", " ").lower()
+    else:  # before the first decision, and under a driver model, which takes no meta-actions
+        doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
+    gap, ttc = moment.gap_ahead, moment.ttc
+    status = {
+        "ego's speed": f"{moment.speed[ego]:.1f} m/s",
+        "acceleration": f"{moment.acceleration[ego]:+.1f} m/s²",
+        "action": doing,
+        "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
+        "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",
+    }
+    for k, (what, value) in enumerate(status.items()):
+        x = MARGIN + k * (WIDTH - 2 * MARGIN) / len(status)
+        draw.text((x, top + 20), what, PALE, _font(22), "lm")
+        draw.text((x, top + 58), value, INK, _font(32), "lm")
