@@ -5,12 +5,14 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.vector_env import (
     HighwayVectorEnv,
     Reward,
@@ -42,30 +44,33 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         traffic: Assigns a driver to each of the other vehicles.
         reward: The reward of a decision; by default highway-env's, see `HighwayReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
+        render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
     Raises:
-        InputError: The traffic is not installed, or the scene or the observation is wrong.
-        TypeError: A render mode is given; Stable-Baselines3 then tries again without one.
+        InputError: The traffic is not installed, or the scene, the observation or the render mode
+            is wrong.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's
 
     def __init__(
         self,
         traffic: TrafficLike = "idm_mobil",
         reward: Reward[Any] | None = None,
         observation: ObservationLike = "neighbours",
+        render_mode: str | None = None,
         **scene: Any,
     ) -> None:
-        if "render_mode" in scene:
-            raise TypeError("render_mode is not supported; `charms-bench replay` draws episodes")
         settings = _settings(scene)
         self._observation = observation_of(observation)
         self.observation_space, self.action_space = spaces_of(settings, self._observation)
         self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
         self._reward = reward or HighwayReward()
+        self._renderer = Renderer(self.simulation, render_mode)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -81,10 +86,13 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         """
         super().reset(seed=seed)
         if (state := state_in(options)) is not None:
-            return self.set_state(state), {"seed": int(state.seeds[0])}
-        if seed is None:
-            seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
-        self.simulation.reset(np.array([seed], dtype=np.uint64))
+            seed = int(state.seeds[0])
+            continue_from(self.simulation, state)
+        else:
+            if seed is None:
+                seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
+            self.simulation.reset(np.array([seed], dtype=np.uint64))
+        self._renderer.show()
         return self._observe(), {"seed": seed}
 
     def step(
@@ -104,7 +112,24 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         reward = float(self._reward(self.simulation, prepared)[0])
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
         info = {"ending": ENDINGS[self.simulation.ending[0]]} if failed or truncated else {}
+        self._renderer.show()
         return self._observe(), reward, failed, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene as animations of replays draw it, (height, width, 3), if asked for.
+
+        In the render mode `human`, `reset` and `step` show the scene in a window after each
+        decision, in real time, and nothing is returned.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        frames = self._renderer.render()
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def get_state(self) -> SceneState:
         """The state of the episode, for `set_state`."""
@@ -129,12 +154,19 @@ def ego_vector_env(
     traffic: TrafficLike = "idm_mobil",
     reward: Reward[Any] | None = None,
     observation: ObservationLike = "neighbours",
+    render_mode: str | None = None,
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
-    drivers, shown = _drivers(traffic), observation_of(observation)
-    rule = reward or HighwayReward()
-    return HighwayVectorEnv(_settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown)
+    return HighwayVectorEnv(
+        _settings(scene),
+        num_envs,
+        *_drivers(traffic),
+        reward or HighwayReward(),
+        EVALUATION_SEEDS,
+        observation_of(observation),
+        render_mode,
+    )
 
 
 def _settings(scene: dict[str, Any]) -> SceneSettings:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
@@ -108,12 +109,18 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         reward: The reward of a decision.
         first_seed: The first episode's seed, unless a seed is given to `reset`.
         observation: The egos' observation.
+        render_mode: `rgb_array` or `human`; see `render`.
+
+    Raises:
+        InputError: There is no such render mode.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
         "autoreset_mode": AutoresetMode.SAME_STEP,
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
     }
+    autoreset_mode = AutoresetMode.SAME_STEP
+    """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
 
     def __init__(
         self,
@@ -124,6 +131,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         reward: Reward[C],
         first_seed: int = 0,
         observation: Observation = neighbours,
+        render_mode: str | None = None,
     ) -> None:
         self.num_envs = scenes
         self.single_observation_space, self.single_action_space = spaces_of(settings, observation)
@@ -134,6 +142,9 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         self._observation = observation
         self._next_seed = first_seed
         self._returns = np.zeros(scenes)
+        self._renderer = Renderer(self.simulation, render_mode)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -155,6 +166,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         else:
             continue_from(self.simulation, state)
             self._returns[:] = 0
+        self._renderer.show()
         return self._observe(), {}
 
     def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
@@ -169,6 +181,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         simulation = self.simulation
         prepared = self._reward.prepare(simulation, actions)
         simulation.step(actions)
+        self._renderer.show()
         rewards = self._reward(simulation, prepared)
         self._returns += rewards
         terminations, truncations = simulation.failed, simulation.truncated
@@ -182,6 +195,22 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             started = (rows, simulation.scene.ego[rows])
             observations[rows] = self._observation(simulation.scene, started)
         return observations, rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The scenes as animations of replays draw them, B times (height, width, 3), if asked for.
+
+        Where an episode has just ended, this is the start of the next one. In the render mode
+        `human`, `reset` and `step` show the first scenes in a window after each decision, in real
+        time and with the ends of their episodes, and nothing is returned.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        return self._renderer.render()
+
+    def close_extras(self, **_: Any) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def get_state(self) -> EpisodesState:
         """The state of every episode, for `set_state`."""
