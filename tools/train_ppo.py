@@ -23,10 +23,10 @@ from charms_agents.training.settings import (
     TrainingSuite,
     load_training,
 )
-from charms_agents.training.vec_env import EpisodesVecEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
+from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent

@@ -12,10 +12,10 @@ pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.rewards import StyleReward, Weights
-from charms_agents.training.vec_env import EpisodesVecEnv
 from handmade_scene import Idle
 from stable_baselines3.common.callbacks import BaseCallback
 
+from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scene import SceneSettings

@@ -18,8 +18,8 @@ from charms_agents.training.settings import (
     Stage,
     TrainingSuite,
 )
-from charms_agents.training.vec_env import EpisodesVecEnv
 from charms_bench.engine.state_file import check_state
+from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
 from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations

@@ -1,14 +1,14 @@
-"""The vector environment as a Stable-Baselines3 `VecEnv`."""
+"""The vector environment as a Stable-Baselines3 `VecEnv`; the only module that imports it."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.world.scene import Observations
 
 ENDED = ("ending", "steps", "episode_return", "seed")
@@ -16,23 +16,25 @@ ENDED = ("ending", "steps", "episode_return", "seed")
 
 
 class EpisodesVecEnv(VecEnv):
-    """Adapts a `HighwayVectorEnv` to Stable-Baselines3.
+    """Adapts a `HighwayVectorEnv`, such as one from `gymnasium.make_vec`, to Stable-Baselines3.
 
     The last observation of an ended episode is `infos[i]["terminal_observation"]`.
     `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.
+    `seed` changes nothing: the episodes follow from the first seed of the environment.
     """
 
-    def __init__(self, episodes: HighwayVectorEnv[Any]) -> None:
+    def __init__(self, episodes: VectorEnv[Any, Any, Any]) -> None:
         self.episodes = episodes
-        self.render_mode = None
+        self.render_mode = episodes.render_mode
         super().__init__(
             episodes.num_envs, episodes.single_observation_space, episodes.single_action_space
         )
+        self.metadata = episodes.metadata
         self._actions: NDArray[Any] = np.zeros(episodes.num_envs, dtype=np.int64)
 
     def reset(self) -> Observations:
         observations, _ = self.episodes.reset()
-        return observations
+        return np.asarray(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
@@ -64,5 +66,12 @@ class EpisodesVecEnv(VecEnv):
     def env_method(self, *_: Any, **__: Any) -> list[Any]:
         raise NotImplementedError("episodes have no methods of their own")
 
+    def render(self, mode: str | None = None) -> NDArray[Any] | None:
+        if self.render_mode == "human":  # the environment has one window for all episodes
+            self.episodes.render()
+            return None
+        return super().render(mode)
+
     def get_images(self) -> Sequence[NDArray[Any] | None]:
-        raise NotImplementedError("episodes are not drawn")
+        frames: Any = self.episodes.render()
+        return frames or ()

@@ -5,27 +5,21 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
-from charms_agents.training.rewards import StyleReward, Weights
-from charms_agents.training.vec_env import EpisodesVecEnv
-from handmade_scene import Idle
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecMonitor
 
 from charms_bench.engine.kernels import locate
 from charms_bench.engine.simulation import OFF_ROAD, TIME
-from charms_bench.envs.vector_env import HighwayVectorEnv
-from charms_bench.plugins.traffic import OneAgent
+from charms_bench.envs.ego_env import ego_vector_env
+from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.world.actions import IDLE
-from charms_bench.world.scene import SceneSettings
 
-WEIGHTS = Weights(safety=1.0, efficiency=1.0, comfort=0.0)
+SHORT = {"traffic_vehicles": 2, "ego_slots": 1, "duration_s": 1.0, "traffic": "level_0"}
 
 
-def environment(scenes: int, duration_s: float = 1.0) -> EpisodesVecEnv:
-    settings = SceneSettings(traffic_vehicles=2, ego_slots=1, duration_s=duration_s)
-    reward = StyleReward(WEIGHTS, 0.0)
-    agents = {"idle": Idle()}
-    return EpisodesVecEnv(HighwayVectorEnv(settings, scenes, OneAgent("idle"), agents, reward))
+def environment(scenes: int, render_mode: str | None = None) -> EpisodesVecEnv:
+    return EpisodesVecEnv(ego_vector_env(scenes, render_mode=render_mode, **SHORT))
 
 
 def test_an_ended_episode_leaves_its_last_observation_and_why_it_ended() -> None:
@@ -46,10 +40,8 @@ def test_an_ended_episode_leaves_its_last_observation_and_why_it_ended() -> None
 
 
 def test_the_replay_buffer_tells_the_end_of_time_from_a_failure() -> None:
-    from charms_agents.training.double_dqn import DoubleDQN
-
-    agent = DoubleDQN(environment(4), 0, learning_starts=100, buffer_size=400)
-    agent.learn(40, log_interval=None)  # type: ignore[arg-type]  # which it allows
+    agent = DQN("MlpPolicy", environment(4), learning_starts=100, buffer_size=400, device="cpu")
+    agent.learn(40)
     buffer = agent.replay_buffer
     assert buffer is not None
     last = np.arange(10) % 3 == 2  # of episodes of three decisions
@@ -62,3 +54,31 @@ def test_other_algorithms_and_wrappers_take_it() -> None:
     agent.learn(64)
     assert agent.ep_info_buffer is not None
     assert {info["l"] for info in agent.ep_info_buffer} == {3}
+
+
+def test_what_is_drawn_of_several_episodes_is_one_picture() -> None:
+    env = environment(4, "rgb_array")
+    env.reset()
+    frames = env.episodes.render()
+    tiles = env.render()
+    assert env.metadata["render_fps"] == 3
+    height, width, _ = frames[0].shape
+    assert tiles.shape == (2 * height, 2 * width, 3)
+    np.testing.assert_array_equal(tiles[height:, :width], frames[2])
+
+
+def test_a_window_shows_what_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = environment(2, "human")
+    env.reset()
+    assert env.render() is None
+    env.close()
+
+
+def test_training_is_evaluated_by_a_callback() -> None:
+    callback = EvalCallback(VecMonitor(environment(2)), eval_freq=8, n_eval_episodes=4, verbose=0)
+    agent = PPO("MlpPolicy", VecMonitor(environment(4)), n_steps=8, batch_size=16, device="cpu")
+    agent.learn(64, callback)
+    assert callback.n_calls == 16
+    # Highway-env's rewards lie in [0, 1], and an episode has at most three decisions.
+    assert 0.0 < callback.best_mean_reward <= 3.0
