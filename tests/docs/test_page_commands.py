@@ -20,6 +20,7 @@ ELSEWHERE = {
     "highway-env.md": "tests/agents/test_stock_dqn.py",
     "cluster.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",
+    "training-libraries.md": "tests/docs/test_training_libraries.py",
 }
 """Pages whose examples depend on one another, and the test that runs all of them."""
 NOT_RUN = {
