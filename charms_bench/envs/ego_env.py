@@ -165,7 +165,7 @@ def ego_vector_env(
         reward or HighwayReward(),
         EVALUATION_SEEDS,
         observation_of(observation),
-        render_mode,
+        render_mode=render_mode,
     )
 
 
