@@ -1,6 +1,6 @@
 """CommonRoad scenarios: the trajectories of a replay, in CommonRoad's axes.
 
-commonroad-io reads them in `tests/episodes/test_against_crime.py`, which `tox -e crime` runs.
+commonroad-io reads them in `test_commonroad_against_crime.py`, which `tox -e crime` runs.
 """
 
 from pathlib import Path
