@@ -104,10 +104,10 @@ def _new_folder(path: Path) -> Iterator[Path]:
         InputError: The folder exists.
         RunFolderError: It cannot be written to.
     """
-    if path.exists():
-        raise InputError(f"{path}: already exists; delete it, or choose another with --output")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
+        if path.exists():
+            raise InputError(f"{path}: already exists; delete it, or choose another with --output")
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
         try:
             partial.mkdir(parents=True)
             yield partial

@@ -27,6 +27,10 @@ BESIDE = {"left": -1, "right": 1}
 """By how much the lane on either side differs from a vehicle's own."""
 
 
+PAIRS_AT_ONCE = 2**21
+"""Pairs of vehicles compared together; limits the memory that large scenes need."""
+
+
 def write_recording(replay: Replay, folder: Path) -> None:
     """Writes the three files of an episode; its seed is the number of the recording.
 
@@ -72,7 +76,12 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     along, across = (np.diff(each, axis=0, prepend=each[:1]) * hz for each in velocity)
     # A centre on a marking belongs to the lane to its left, as in `people.highd`.
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1
-    neighbours = _neighbours(x, lane, length)
+    some = max(1, PAIRS_AT_ONCE // vehicles**2)
+    parts = [
+        _neighbours(x[first : first + some], lane[first : first + some], length)
+        for first in range(0, frames, some)
+    ]
+    neighbours = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     preceding = neighbours["precedingId"]
     exists = preceding != NO_NEIGHBOUR
     leader = np.maximum(preceding - 1, 0)

@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 from handmade_replay import replay_of
 
+from charms_bench.episodes import highd_format
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.highd_format import drivers, write_recording
 from charms_bench.episodes.replay import Replay, replay
@@ -131,6 +132,14 @@ def test_the_egos_gap_and_ttc_are_those_of_its_metrics(
         np.testing.assert_allclose(rows["ttc"].to_numpy()[closing], view.ttc[closing])
         compared += int(closing.sum())
     assert compared > 10
+
+
+def test_large_scenes_are_compared_some_frames_at_a_time(
+    replays: list[Replay], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = tracks_of(replays[0], tmp_path)
+    monkeypatch.setattr(highd_format, "PAIRS_AT_ONCE", 7 * 11**2)
+    assert tracks_of(replays[0], tmp_path).equals(whole)
 
 
 def test_neighbours_are_named_as_in_highd(tmp_path: Path) -> None:
