@@ -37,7 +37,7 @@ def dataset(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="New folder; the default is one in the run folder."),
+        typer.Option(help="New folder; the default is one in the run folder."),
     ] = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
