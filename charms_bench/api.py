@@ -33,6 +33,7 @@ from charms_bench.runs.suite import Cell, Suite, check_networks, suite_of
 if TYPE_CHECKING:
     from charms_bench.episodes.avoidability import Avoidability
     from charms_bench.episodes.criticality import Kind
+    from charms_bench.episodes.dataset import Format
     from charms_bench.episodes.edge_cases import EdgeCase
     from charms_bench.episodes.replay import Replay
     from charms_bench.episodes.search import Search
@@ -203,6 +204,44 @@ class Run:
 
         cell = find_cell(self._finished, agent, traffic)
         return replay(self._finished, cell, [episode], self._suite_folder)[0]
+
+    def dataset(
+        self,
+        format: "Format",
+        output: PathLike | None = None,
+        *,
+        agent: str | None = None,
+        traffic: str | None = None,
+        episodes: int | None = None,
+    ) -> Path:
+        """Simulates episodes again and writes them as a dataset for other tools.
+
+        Args:
+            format: `minari`, what the ego observed, did and gained, which needs the extra
+                `dataset`; or `highd`, the trajectories of all vehicles in highD's format.
+            output: The folder to write; by default one in the run folder.
+            agent: Label of the ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+            episodes: How many, from the first; by default all.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: The labels leave several egos, the folder exists, or the ego chooses no
+                actions that a Minari dataset could have.
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.dataset import write_dataset
+        from charms_bench.episodes.replay import find_cell
+
+        run, path = self._finished, None if output is None else Path(output)
+        cell = find_cell(run, agent, traffic)
+        with progress("episodes", episodes or run.suite.episodes) as tell:
+            title = run.suite.cells[cell].ego.title
+            return write_dataset(
+                run, cell, format, episodes, path, self._suite_folder, lambda n: tell(title, n)
+            )
 
     def what_if(
         self,

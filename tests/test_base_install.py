@@ -25,7 +25,8 @@ SUITE = Path(__file__).parent.parent / "suites" / "ego.yaml"
 @pytest.fixture
 def without_torch(tmp_path: Path) -> dict[str, str]:
     """An environment in which importing a library of an extra fails."""
-    for name in ("torch", "stable_baselines3", "onnx", "tensorboard", "dask", "distributed"):
+    extras = "torch stable_baselines3 onnx tensorboard dask distributed minari h5py"
+    for name in extras.split():
         missing = f"raise ModuleNotFoundError('{name} is not installed', name='{name}')\n"
         (tmp_path / f"{name}.py").write_text(missing)
     return {**os.environ, "PYTHONPATH": str(tmp_path)}

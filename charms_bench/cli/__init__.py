@@ -11,7 +11,7 @@ from charms_bench.cli.terminal import app, err, say
 from charms_bench.errors import CharmsBenchError
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
-from charms_bench.cli import evaluations, rare, episodes, plugins, engines, data  # isort: skip # noqa: F401
+from charms_bench.cli import evaluations, rare, episodes, plugins, engines, data, dataset  # isort: skip # noqa: F401
 
 MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""

@@ -120,16 +120,23 @@ def replay(
             help="File of the animation; the trajectories are written beside it.",
         ),
     ] = None,
+    commonroad: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.xml", help="Also write the episode as a CommonRoad scenario."),
+    ] = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
     """Simulate an episode again and write an animation and trajectories."""
     from charms_bench import api
     from charms_bench.episodes.animation import check_animation
+    from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.world.files import write_atomically
 
     if output is not None:
         check_animation(output)
+    if commonroad is not None:
+        check_commonroad(commonroad)
     replayed = api.open_run(run, suite_folder).replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
     animation = output or run / "replays" / f"{_name_of(replayed)}.gif"
@@ -137,19 +144,26 @@ def replay(
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)
     replayed.animate(animation)
+    files = {"animation": str(animation), "trajectories": str(trajectories)}
+    if commonroad is not None:
+        replayed.write_commonroad(commonroad)
+        files["commonroad"] = str(commonroad)
     if as_json:
         facts = {"ego": ego, "traffic": around, "episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
-        print_json({**facts, "animation": str(animation), "trajectories": str(trajectories)})
+        print_json({**facts, **files})
         return
     say(f"{ego} in {around}, episode {episode}: {what}")
-    say(f"Animation: {animation}\nTrajectories: {trajectories}")
+    titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
+    for kind, file in files.items():
+        say(f"{titles[kind]}: {file}")
 
 
 def _name_of(replayed: "Replay") -> str:
     """The name of an episode's files."""
-    titles = (replayed.cell.ego.title, replayed.cell.traffic.title)
-    return f"{'-in-'.join(map(_slug, titles))}-{replayed.episode}"
+    from charms_bench.episodes.dataset import name_of
+
+    return f"{name_of(replayed.cell)}-{replayed.episode}"
 
 
 def _slug(text: str) -> str:

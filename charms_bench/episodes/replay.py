@@ -14,16 +14,11 @@ import polars as pl
 
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.episodes.cell_simulation import (
-    Networks,
-    drivers_in,
-    networks_in,
-    simulation_of,
-)
+from charms_bench.episodes.cell_simulation import drivers_in, simulation_of
+from charms_bench.episodes.recorded import check_steps, recorded_steps
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.finished import FinishedRun
-from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
 
@@ -111,6 +106,22 @@ class Replay:
 
         return what_happened(self)
 
+    def write_commonroad(self, path: str | Path) -> None:
+        """Writes the episode as a CommonRoad scenario with one time step per simulation step.
+
+        Vehicle k, the ego included, is the dynamic obstacle 1001 + k, and lane k is the lanelet
+        k + 1. The planning problem has the ego's initial state and the duration of the episode.
+
+        Args:
+            path: The file; its name ends in `.xml`.
+
+        Raises:
+            InputError: The file's name does not end in `.xml`, or the file cannot be written.
+        """
+        from charms_bench.episodes.commonroad import write_commonroad
+
+        write_commonroad(self, Path(path))
+
     def trajectories(self) -> pl.DataFrame:
         """Returns one row per frame and vehicle, sorted by both (`TRAJECTORY_SCHEMA`)."""
         frames, vehicles = self.x.shape
@@ -179,11 +190,10 @@ def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -
         RunFolderError: The run has no such episode, or the new rows differ from those of the run.
         CharmsBenchError: An agent cannot be made.
     """
-    stored = _stored(run, cell, episodes)
+    stored = recorded_steps(run, cell, episodes)
     replays = simulate(run, cell, episodes, folder)
     for each in replays:
-        mine = stored.filter(pl.col("episode") == each.episode)
-        _check(run, cell, networks_in(run, cell, folder), mine, each.steps)
+        check_steps(run, cell, folder, stored.filter(episode=each.episode), each.steps)
     return replays
 
 
@@ -245,58 +255,7 @@ def simulate(
     return replays
 
 
-def _stored(run: FinishedRun, cell: int, episodes: Sequence[int]) -> pl.DataFrame:
-    """Returns the step rows of these episodes from the run folder."""
-    first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
-    for episode in episodes:
-        if not first <= episode <= last:
-            raise RunFolderError(
-                f"{run.folder.path}: holds the episodes {first} to {last}, not {episode}"
-            )
-    shards = [
-        shard
-        for shard in run.shards
-        if shard.cell == cell
-        and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
-    ]
-    return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
-
-
 def _frame(simulation: Simulation) -> dict[str, Any]:
     """Returns copies of the arrays `[B, N]` that a replay keeps."""
     scene = {name: getattr(simulation.scene, name).copy() for name in _OF_SCENE}
     return scene | {name: getattr(simulation, name).copy() for name in ("action", "has_action")}
-
-
-def _check(
-    run: FinishedRun, cell: int, networks: Networks, stored: pl.DataFrame, again: pl.DataFrame
-) -> None:
-    """Raises an error if the rows of a replay differ from those of the run."""
-    if again.equals(stored):
-        return
-    both = stored.join(again, on=["episode", "step"], how="full", suffix="_now")
-    differing = [
-        (row["step"] or row["step_now"], name, row[name], row[f"{name}_now"])
-        for row in both.iter_rows(named=True)
-        for name in stored.columns
-        if row[name] != row[f"{name}_now"]
-    ]
-    step, name, then, now = min(differing, key=lambda difference: difference[0])
-    raise RunFolderError(
-        f"{run.folder.path}: episode {stored['episode'][0]} of {run.suite.cells[cell].ego.title} "
-        f"no longer follows the recorded trajectory: step {step}, {name} was {then}, now {now}. "
-        f"{_reason(run, cell, networks)}"
-    )
-
-
-def _reason(run: FinishedRun, cell: int, networks: Networks) -> str:
-    """Says which versions the run was made with, agents first."""
-    manifest, chosen = run.folder.manifest(), run.suite.cells[cell]
-    agents = identify_agents(chosen.ego.agent, chosen.traffic.traffic, networks)
-    recorded = manifest.get("agents", {})
-    changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
-    made = (
-        f"was made with charms-bench {manifest.get('charms_bench')} and {manifest.get('versions')}"
-    )
-    used = f"used other versions of {', '.join(changed)}" if changed else made
-    return f"The run {used}; install those to replay it"

@@ -26,6 +26,9 @@ ELSEWHERE = {
 NOT_RUN = {
     "pip install .": "the package is installed in the environment of this test",
     "pip install '.[train]'": "the extra is installed in the environment of this test",
+    "pip install '.[dataset]'": "the extra is installed in the environment of this test",
+    "python -m venv d3rlpy-env": "tox -e data makes this environment",
+    "d3rlpy-env/bin/pip install torch d3rlpy 'minari[hdf5]' pillow": "tox -e data runs it",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
     "python tools/human_frontier.py suites/train-seeds.yaml NETWORK FOLDER": "takes minutes, and "
@@ -49,6 +52,7 @@ SHORTENED = [
     (r"python tools/search_against_sobol.py .*", r"\g<0> --repetitions 1"),
     # The shortened run has only two episodes.
     (r"(charms-bench replay \S+) \d+ (.*)", r"\1 0 \2"),
+    (r"(charms-bench dataset .*) --episodes \d+(.*)", r"\1\2"),
     (r"(charms-bench what-if \S+) \d+ (.*) --at \d+ (.*)", r"\1 0 \2 --at 2 \3"),
     (r"(charms-bench report .* --episode) \d+(.* --what-if) \d+(.*)", r"\1 0\2 2\3"),
 ]

@@ -1,0 +1,143 @@
+"""A replayed episode as a CommonRoad scenario [Althoff et al. 2017], in the XML format 2020a.
+
+The file is written here and not by commonroad-io, which pins protobuf to a version that onnx and
+newer releases of onnxruntime rule out; a run is replayed with the onnxruntime that it was run with.
+CommonRoad's y axis points to the left and its headings are positive to the left.
+"""
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from charms_bench.episodes.replay import Replay
+from charms_bench.errors import InputError
+from charms_bench.world.files import write_bytes
+
+FIRST_VEHICLE = 1001
+"""Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""
+PLANNING_PROBLEM = 1_000_000
+DATE = "1970-01-01"
+"""The format requires a date; with this one, the same episode is always the same file."""
+MARGIN_M = 100.0
+"""How far lanelets reach beyond the vehicles."""
+POINT_DISTANCE_M = 10.0
+
+
+def check_commonroad(path: Path) -> None:
+    """Checks the name of a scenario file.
+
+    Raises:
+        InputError: It does not end in `.xml`.
+    """
+    if path.suffix != ".xml":
+        raise InputError(f"{path}: expected the name of a CommonRoad scenario, ending in .xml")
+
+
+def write_commonroad(replay: Replay, path: Path) -> None:
+    """Writes an episode with one time step per simulation step; see `Replay.write_commonroad`.
+
+    Raises:
+        InputError: The file's name does not end in `.xml`, or the file cannot be written.
+    """
+    check_commonroad(path)
+    root = ElementTree.Element(
+        "commonRoad",
+        commonRoadVersion="2020a",
+        benchmarkID=f"ZAM_CharmsBench-{replay.settings.lanes}_{replay.episode + 1}_T-1",
+        date=DATE,
+        author="charms-bench",
+        affiliation="",
+        source=f"{replay.cell.ego.title} in {replay.cell.traffic.title}, episode {replay.episode}",
+        timeStepSize=_decimal(1 / replay.settings.simulation_hz),
+    )
+    # No place on Earth has these coordinates, which CommonRoad uses for an invented road.
+    place = {"geoNameId": "-999", "gpsLatitude": "999", "gpsLongitude": "999"}
+    location = ElementTree.SubElement(root, "location")
+    for name, value in place.items():
+        ElementTree.SubElement(location, name).text = value
+    tags = ElementTree.SubElement(root, "scenarioTags")
+    for tag in ("highway", "multi_lane", "no_oncoming_traffic", "simulated"):
+        ElementTree.SubElement(tags, tag)
+    _add_lanelets(root, replay)
+    for vehicle in range(len(replay.agents)):
+        _add_vehicle(root, replay, vehicle)
+    _add_planning_problem(root, replay)
+    ElementTree.indent(root)
+    write_bytes(path, ElementTree.tostring(root, "utf-8", xml_declaration=True))
+
+
+def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
+    lanes, width = replay.settings.lanes, replay.settings.profile.lane_width_m
+    start, end = replay.x.min() - MARGIN_M, replay.x.max() + MARGIN_M
+    along = np.linspace(start, end, int((end - start) // POINT_DISTANCE_M) + 2)
+    for lane in range(lanes):
+        lanelet = ElementTree.SubElement(root, "lanelet", id=str(lane + 1))
+        bounds = {
+            "leftBound": (lane - 0.5, lane == 0),
+            "rightBound": (lane + 0.5, lane + 1 == lanes),
+        }
+        for name, (edge, is_outer) in bounds.items():
+            bound = ElementTree.SubElement(lanelet, name)
+            for x in along:
+                _add_point(bound, float(x), edge * width)
+            marking = "solid" if is_outer else "dashed"
+            ElementTree.SubElement(bound, "lineMarking").text = marking
+        for name, other in (("adjacentLeft", lane), ("adjacentRight", lane + 2)):
+            if 1 <= other <= lanes:
+                ElementTree.SubElement(lanelet, name, ref=str(other), drivingDir="same")
+        ElementTree.SubElement(lanelet, "laneletType").text = "highway"
+        ElementTree.SubElement(lanelet, "userOneWay").text = "vehicle"
+
+
+def _add_vehicle(root: ElementTree.Element, replay: Replay, vehicle: int) -> None:
+    number = str(FIRST_VEHICLE + vehicle)
+    obstacle = ElementTree.SubElement(root, "dynamicObstacle", id=number)
+    ElementTree.SubElement(obstacle, "type").text = "car"
+    shape = ElementTree.SubElement(ElementTree.SubElement(obstacle, "shape"), "rectangle")
+    profile = replay.settings.profile
+    ElementTree.SubElement(shape, "length").text = _decimal(profile.vehicle_length_m)
+    ElementTree.SubElement(shape, "width").text = _decimal(profile.vehicle_width_m)
+    initial = ElementTree.SubElement(obstacle, "initialState")
+    _add_state(initial, replay, vehicle, 0)
+    trajectory = ElementTree.SubElement(obstacle, "trajectory")
+    for frame in range(1, len(replay.t_s)):
+        _add_state(ElementTree.SubElement(trajectory, "state"), replay, vehicle, frame)
+
+
+def _add_planning_problem(root: ElementTree.Element, replay: Replay) -> None:
+    """Adds the ego's start, and the time until the end of the episode as its goal."""
+    problem = ElementTree.SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
+    _add_state(ElementTree.SubElement(problem, "initialState"), replay, replay.ego, 0)
+    goal = ElementTree.SubElement(problem, "goalState")
+    time = ElementTree.SubElement(goal, "time")
+    last = str(len(replay.t_s) - 1)
+    for name in ("intervalStart", "intervalEnd"):
+        ElementTree.SubElement(time, name).text = last
+
+
+def _add_state(state: ElementTree.Element, replay: Replay, vehicle: int, frame: int) -> None:
+    place = frame, vehicle
+    _add_point(ElementTree.SubElement(state, "position"), replay.x[place], replay.y[place])
+    values: dict[str, Any] = {
+        "orientation": _decimal(-replay.heading[place]),
+        "time": str(frame),
+        "velocity": _decimal(replay.speed[place]),
+        "acceleration": _decimal(replay.acceleration[place]),
+    }
+    if frame == 0:  # a vehicle starts along the road
+        values |= {"yawRate": "0.0", "slipAngle": "0.0"}
+    for name, value in values.items():
+        ElementTree.SubElement(ElementTree.SubElement(state, name), "exact").text = value
+
+
+def _add_point(parent: ElementTree.Element, x: float, y: float) -> None:
+    point = ElementTree.SubElement(parent, "point")
+    ElementTree.SubElement(point, "x").text = _decimal(x)
+    ElementTree.SubElement(point, "y").text = _decimal(-y)
+
+
+def _decimal(value: float) -> str:
+    """Returns the shortest decimal that gives this number again; the format has no exponents."""
+    return np.format_float_positional(value + 0.0, trim="0")  # + 0.0 turns -0.0 into 0.0

@@ -1,0 +1,118 @@
+"""Episodes of a run as a dataset for other tools, simulated again."""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import polars as pl
+
+from charms_bench.episodes.edge_cases import AT_ONCE
+from charms_bench.episodes.highd_format import drivers, write_recording
+from charms_bench.episodes.minari_dataset import check_name, check_policy, write_minari
+from charms_bench.episodes.replay import replay
+from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.suite import Cell
+
+Format = Literal["minari", "highd"]
+FORMATS: tuple[Format, ...] = ("minari", "highd")
+DRIVERS = "drivers.csv"
+"""Beside the recordings in highD's format: which agent drives which vehicle."""
+
+
+def write_dataset(
+    run: FinishedRun,
+    cell: int,
+    kind: Format,
+    count: int | None,
+    output: Path | None,
+    folder: Path,
+    tell: Callable[[int], object],
+) -> Path:
+    """Writes the first episodes of a cell into a new folder, and returns the folder.
+
+    Args:
+        run: A finished run.
+        cell: The index of the cell.
+        kind: One of `FORMATS`.
+        count: How many episodes; by default all.
+        output: The folder; by default one in the run folder.
+        folder: Where relative paths of networks in the suite start.
+        tell: Called with the number of episodes that have been written.
+
+    Raises:
+        InputError: The folder exists, or the format does not fit.
+        RunFolderError: An episode no longer runs as it was recorded, or the folder cannot be
+            written to.
+    """
+    if kind not in FORMATS:
+        raise InputError(f"no format '{kind}'. {suggestion(kind, dict.fromkeys(FORMATS))}")
+    suite = run.suite
+    if count is not None and not 1 <= count <= suite.episodes:
+        raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")
+    path = output or run.folder.path / "datasets" / _default_name(suite.cells[cell], kind)
+    if kind == "minari":
+        check_name(path)
+        check_policy(run, cell, folder)
+    episodes = range(suite.seed, suite.seed + (count or suite.episodes))
+    with _new_folder(path) as partial:
+        if kind == "minari":
+            write_minari(run, cell, episodes, folder, partial, path.name, tell)
+        else:
+            _write_highd(run, cell, episodes, folder, partial, tell)
+    return path
+
+
+def name_of(cell: Cell) -> str:
+    """Returns a name for files about a cell: its titles in small letters, digits and hyphens."""
+    titles = (cell.ego.title, cell.traffic.title)
+    return "-in-".join(re.sub(r"\W+", "-", title).strip("-").lower() for title in titles)
+
+
+def _default_name(cell: Cell, kind: Format) -> str:
+    # Minari takes the end of a name for the version of a dataset.
+    return f"{name_of(cell)}-{'v0' if kind == 'minari' else kind}"
+
+
+def _write_highd(
+    run: FinishedRun,
+    cell: int,
+    episodes: Sequence[int],
+    folder: Path,
+    path: Path,
+    tell: Callable[[int], object],
+) -> None:
+    names = []
+    for first in range(0, len(episodes), AT_ONCE):
+        some = episodes[first : first + AT_ONCE]
+        for replayed in replay(run, cell, some, folder):
+            write_recording(replayed, path)
+            names.append(drivers(replayed))
+            tell(1)
+    pl.concat(names).write_csv(path / DRIVERS)
+
+
+@contextmanager
+def _new_folder(path: Path) -> Iterator[Path]:
+    """Yields an empty folder, which becomes `path` at the end or is deleted.
+
+    Raises:
+        InputError: The folder exists.
+        RunFolderError: It cannot be written to.
+    """
+    try:
+        if path.exists():
+            raise InputError(f"{path}: already exists; delete it, or choose another with --output")
+        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        try:
+            partial.mkdir(parents=True)
+            yield partial
+            partial.rename(path)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,189 @@
+"""What the ego of a run observed, did and gained, as a Minari dataset.
+
+The actions are meta-actions and the rewards those of `charms_bench/Ego-v0`, so an environment that
+starts with an episode's seed and takes its actions gives the same observations and rewards.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from charms_bench import __version__
+from charms_bench.engine.recording import Recording
+from charms_bench.engine.simulation import ENDINGS
+from charms_bench.envs import ID
+from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.vector_env import spaces_of
+from charms_bench.episodes.cell_simulation import networks_in, simulation_of
+from charms_bench.episodes.recorded import check_steps, recorded_steps
+from charms_bench.errors import InputError
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.registry import is_network
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.suite import Cell
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import Neighbours, Observation, observation_of
+
+if TYPE_CHECKING:
+    from minari.data_collector import EpisodeBuffer
+
+AT_ONCE = 150
+"""Episodes simulated together, as in a shard."""
+
+
+def check_name(path: Path) -> None:
+    """Checks that Minari can load a dataset from this folder.
+
+    Raises:
+        InputError: The name has no version or characters that Minari does not allow, or Minari is
+            not installed.
+    """
+    try:
+        import h5py  # noqa: F401  # only whether it is installed
+        import minari  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            f"Minari datasets need Minari ({error}); pip install 'charms-bench[dataset]'"
+        ) from error
+    if not re.fullmatch(r"[\w-]+-v\d+", path.name):
+        raise InputError(
+            f"{path}: is not a name of a Minari dataset; expected letters, digits, - and _, and a "
+            "version at the end, as in charms-v0"
+        )
+
+
+def check_policy(run: FinishedRun, cell: int, folder: Path) -> Policy:
+    """Returns the ego's policy, if its actions are those of an environment.
+
+    Raises:
+        InputError: The ego is a driver model, or decides at another rate than the suite.
+    """
+    chosen = run.suite.cells[cell]
+    policy, title = chosen.ego.agent.make(networks_in(run, cell, folder)), chosen.ego.title
+    if not isinstance(policy, Policy):
+        raise InputError(
+            f"{run.folder.path}: {title} is a driver model, which chooses no meta-actions; choose "
+            "an ego that is a policy, or --format highd, which has the trajectories of all egos"
+        )
+    if policy.decision_hz != chosen.scene.decision_hz:
+        raise InputError(
+            f"{run.folder.path}: {title} decides {policy.decision_hz:g} times per second and the "
+            f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates"
+        )
+    return policy
+
+
+def write_minari(
+    run: FinishedRun,
+    cell: int,
+    episodes: Sequence[int],
+    folder: Path,
+    path: Path,
+    name: str,
+    tell: Callable[[int], object],
+) -> None:
+    """Writes a dataset into an empty folder.
+
+    Args:
+        run: A finished run.
+        cell: The index of the cell; `check_policy` accepts its ego.
+        episodes: The seeds.
+        folder: Where relative paths of networks in the suite start.
+        path: The folder of the dataset.
+        name: The name by which Minari will load it.
+        tell: Called with the number of episodes that have been written.
+
+    Raises:
+        RunFolderError: An episode no longer runs as it was recorded.
+    """
+    import minari
+    from minari.dataset.minari_storage import MinariStorage
+
+    chosen = run.suite.cells[cell]
+    observation = observation_of(check_policy(run, cell, folder).observation)
+    observations, actions = spaces_of(chosen.scene, observation)
+    # `minari.create_dataset_from_buffers` keeps all episodes in memory and takes no folder.
+    data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
+    spec = environment_of(chosen, observation)
+    storage = MinariStorage.new(data, observations, actions, spec)
+    title = f"{chosen.ego.title} in {chosen.traffic.title}"
+    storage.update_metadata(
+        {
+            "dataset_id": name,
+            "algorithm_name": chosen.ego.title,
+            "author": {"charms-bench"},
+            "description": f"{title}, {len(episodes)} episodes of suite {run.suite.suite}",
+            "requirements": [f"charms-bench=={__version__}"],
+            "minari_version": minari.__version__,
+        }
+    )
+    for first in range(0, len(episodes), AT_ONCE):
+        some = episodes[first : first + AT_ONCE]
+        buffers, endings = _simulated(run, cell, some, folder, observation)
+        storage.update_episodes(buffers)
+        numbers = range(first, first + len(some))
+        storage.update_episode_metadata([{"ending": each} for each in endings], numbers)
+        tell(len(some))
+
+
+def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
+    """Returns what `gymnasium.make` needs to make the environment of a cell's episodes.
+
+    It is None where plain values cannot describe the environment: for a scenario, a traffic with
+    options, a network given by path, or an observation of a plugin.
+    """
+    traffic = cell.traffic.traffic
+    is_plain = not (traffic.options or traffic.scenario)
+    is_plain &= not any(map(is_network, (traffic.name or "", *traffic.mixture)))
+    if not is_plain or not isinstance(observation, Neighbours | Kinematics):
+        return None
+    spec = deepcopy(gymnasium.spec(ID))
+    spec.kwargs = {
+        "traffic": traffic.name or traffic.mixture,
+        "observation": {"type": observation.name, **observation.model_dump(mode="json")},
+        **cell.scene.model_dump(mode="json"),
+    }
+    return spec
+
+
+def _simulated(
+    run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, observation: Observation
+) -> tuple[list["EpisodeBuffer"], list[str]]:
+    """Returns the egos' episodes, and how each ended."""
+    from minari.data_collector import EpisodeBuffer
+
+    simulation = simulation_of(run, cell, len(episodes), folder)
+    simulation.reset(np.array(episodes, dtype=np.uint64))
+    recording, reward, egos = Recording(simulation), HighwayReward(), simulation.ego_vehicles
+    observed = [observation(simulation.scene, egos)]
+    taken, gained = [], []
+    while simulation.scene.active.any():
+        simulation.step()
+        recording.note()
+        taken.append(simulation.action[egos])
+        gained.append(reward(simulation, None))
+        observed.append(observation(simulation.scene, egos))
+    check_steps(run, cell, folder, recorded_steps(run, cell, episodes), recording.steps())
+    observations, actions, rewards = np.stack(observed), np.stack(taken), np.stack(gained)
+    failed, truncated = simulation.failed, simulation.truncated
+    buffers = []
+    for b, episode in enumerate(episodes):
+        length = int(simulation.steps[b])
+        is_last = np.arange(length) == length - 1
+        buffers.append(
+            EpisodeBuffer(
+                seed=episode,
+                observations=observations[: length + 1, b],
+                actions=actions[:length, b],
+                rewards=rewards[:length, b],
+                terminations=is_last & failed[b],
+                truncations=is_last & truncated[b],
+            )
+        )
+    return buffers, [ENDINGS[ending] for ending in simulation.ending]

@@ -1,0 +1,87 @@
+"""CommonRoad scenarios: the trajectories of a replay, in CommonRoad's axes.
+
+commonroad-io reads them in `test_commonroad_against_crime.py`, which `tox -e crime` runs.
+"""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from handmade_replay import replay_of
+
+from charms_bench.errors import InputError
+
+REPLAY = replay_of(
+    x=[[100.0, 130.0], [102.0, 131.5]],
+    y=[[4.0, 0.0], [4.1, 0.0]],
+    heading=[[0.0, 0.0], [0.05, 1e-7]],
+    speed=[[30.0, 22.5], [30.0, 22.5]],
+    acceleration=[[0.0, 0.0], [-1.5, 0.0]],
+)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> ElementTree.Element:
+    REPLAY.write_commonroad(tmp_path / "episode.xml")
+    return ElementTree.parse(tmp_path / "episode.xml").getroot()
+
+
+def test_positions_and_headings_are_positive_to_the_left(root: ElementTree.Element) -> None:
+    ego = root.find("dynamicObstacle[@id='1001']")
+    assert ego is not None
+    state = ego.find("trajectory/state")
+    assert state is not None
+    found = {
+        name: state.findtext(path)
+        for name, path in {
+            "x": "position/point/x",
+            "y": "position/point/y",
+            "orientation": "orientation/exact",
+            "time": "time/exact",
+            "velocity": "velocity/exact",
+            "acceleration": "acceleration/exact",
+        }.items()
+    }
+    assert found == {
+        "x": "102.0",
+        "y": "-4.1",
+        "orientation": "-0.05",
+        "time": "1",
+        "velocity": "30.0",
+        "acceleration": "-1.5",
+    }
+
+
+def test_no_number_has_an_exponent_or_loses_digits(root: ElementTree.Element) -> None:
+    other = root.findall("dynamicObstacle")[1]
+    assert other.findtext("trajectory/state/orientation/exact") == "-0.0000001"
+    assert root.get("timeStepSize") == repr(1 / 15)
+
+
+def test_lanelets_are_the_lanes_from_left_to_right(root: ElementTree.Element) -> None:
+    lanelets = root.findall("lanelet")
+    edges = [
+        [float(lanelet.findtext(f"{side}Bound/point/y", "")) for side in ("left", "right")]
+        for lanelet in lanelets
+    ]
+    assert edges == [[2.0, -2.0], [-2.0, -6.0], [-6.0, -10.0]]
+    along = [float(x.text or "") for x in lanelets[0].iterfind("leftBound/point/x")]
+    assert (along[0], along[-1]) == (0.0, 231.5)
+    assert max(np.diff(along)) <= 10.0
+    middle = {side: lanelets[1].find(f"adjacent{side}") for side in ("Left", "Right")}
+    assert {side: each.get("ref") for side, each in middle.items() if each is not None} == {
+        "Left": "1",
+        "Right": "3",
+    }
+
+
+def test_the_same_episode_is_always_the_same_file(tmp_path: Path) -> None:
+    for name in ("one.xml", "two.xml"):
+        REPLAY.write_commonroad(tmp_path / name)
+    assert (tmp_path / "one.xml").read_bytes() == (tmp_path / "two.xml").read_bytes()
+
+
+def test_another_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"episode\.json: expected .* ending in \.xml"):
+        REPLAY.write_commonroad(tmp_path / "episode.json")

@@ -1,0 +1,98 @@
+"""Datasets: whole or not at all, and what is refused."""
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+from command_line import charms_bench as called
+
+import charms_bench
+from charms_bench.episodes import dataset, minari_dataset
+from charms_bench.errors import InputError
+
+SUITE = """\
+suite: small
+episodes: 4
+seed: 900000000
+scene: {duration_s: 3.0, traffic_vehicles: 5}
+egos:
+  - {agent: idm_mobil, label: IDM+MOBIL}
+  - {agent: outside_policy, label: Keep right}
+traffics: [{traffic: idm_mobil}]
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "suite.yaml").write_text(SUITE)
+    return charms_bench.run(folder / "suite.yaml", folder / "run", workers=1)
+
+
+def test_recordings_of_the_first_episodes_are_written(
+    run: charms_bench.Run, tmp_path: Path
+) -> None:
+    made = called(
+        "dataset", run.path, "--format", "highd", "--agent", "Keep right", "--episodes", 2
+    )
+    assert made.returncode == 0, made.stderr
+    folder = run.path / "datasets" / "keep-right-in-idm_mobil-highd"
+    assert str(folder) in made.stdout.replace("\n", "")
+    recordings = [path.name for path in sorted(folder.glob("*_tracks.csv"))]
+    assert recordings == ["900000000_tracks.csv", "900000001_tracks.csv"]
+    assert pl.read_csv(folder / "drivers.csv").height == 2 * 6
+    assert called("data", folder).returncode == 0
+
+
+def test_an_existing_folder_is_never_touched(run: charms_bench.Run, tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    options = ("--format", "highd", "--agent", "Keep right", "--output", tmp_path / "kept")
+    refused = called("dataset", run.path, *options)
+    assert refused.returncode == 2
+    assert "already exists; delete it, or choose another with --output" in refused.stderr
+    assert not list((tmp_path / "kept").iterdir())
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_an_interrupted_dataset_leaves_nothing(
+    run: charms_bench.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def stop(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(dataset, "drivers", stop)  # after the first recording has been written
+    with pytest.raises((KeyboardInterrupt, InputError)):
+        run.dataset("highd", tmp_path / "highd", agent="Keep right")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"agent": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
+        ({}, "choose one with agent and traffic"),
+        ({"agent": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
+        ({"agent": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
+    ],
+)
+def test_what_minari_cannot_hold_is_refused(
+    run: charms_bench.Run, options: dict[str, object], message: str
+) -> None:
+    pytest.importorskip("minari", reason="needs the extra 'dataset'")
+    with pytest.raises(InputError, match=message):
+        run.dataset("minari", **options)
+
+
+def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:
+    with pytest.raises(
+        InputError, match=r"no format 'minary'\. Known: minari, highd\. Did you mean"
+    ):
+        run.dataset("minary", agent="Keep right")  # type: ignore[arg-type]
+
+
+def test_without_minari_the_message_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "minari", None)
+    with pytest.raises(InputError, match=r"pip install 'charms-bench\[dataset\]'"):
+        minari_dataset.check_name(tmp_path / "charms-v0")

@@ -1,0 +1,106 @@
+"""Minari datasets: the episodes that the environment of the dataset gives."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import charms_bench
+from charms_bench.envs import ID
+from charms_bench.episodes.minari_dataset import environment_of
+from charms_bench.runs.suite import Suite
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import neighbours
+
+SUITE = """\
+suite: small
+episodes: 8
+seed: 900000000
+scene: {duration_s: 8.0, traffic_vehicles: 10, density: 2.0, profile: highway-env}
+egos: [{agent: outside_policy}]
+traffics: [{traffic: {mixture: {idm_mobil: 0.5, outside_policy: 0.5}}}]
+"""
+
+
+@pytest.fixture(scope="module")
+def minari() -> Any:
+    return pytest.importorskip("minari", reason="needs the extra 'dataset'")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "suite.yaml").write_text(SUITE)
+    return charms_bench.run(folder / "suite.yaml", folder / "run", workers=1)
+
+
+@pytest.fixture(scope="module")
+def loaded(minari: Any, run: charms_bench.Run) -> Iterator[Any]:
+    path = run.dataset("minari", run.path / "datasets" / "keep-right-v3")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(path.parent))
+        yield minari.load_dataset("keep-right-v3")
+
+
+def test_minari_loads_all_episodes_with_their_seeds_and_endings(
+    loaded: Any, run: charms_bench.Run
+) -> None:
+    stored = run.episodes.sort("episode")
+    assert loaded.total_episodes == 8
+    assert loaded.total_steps == stored["steps"].sum()
+    told = list(loaded.storage.get_episode_metadata(range(8)))
+    assert [each["seed"] for each in told] == stored["episode"].to_list()
+    assert [each["ending"] for each in told] == stored["ending"].to_list()
+    assert (loaded.spec.dataset_name, loaded.spec.version) == ("keep-right", 3)
+    assert {"time"} < set(stored["ending"]), "some crash"
+
+
+def test_its_environment_gives_the_same_episodes_to_the_last_bit(loaded: Any) -> None:
+    env = loaded.recover_environment()
+    for episode, told in zip(loaded, loaded.storage.get_episode_metadata(range(8)), strict=True):
+        observation, _ = env.reset(seed=int(told["seed"]))
+        steps = [env.step(action) for action in episode.actions]
+        observations = [observation, *(step[0] for step in steps)]
+        np.testing.assert_array_equal(episode.observations, observations)
+        np.testing.assert_array_equal(episode.rewards, [step[1] for step in steps])
+        np.testing.assert_array_equal(episode.terminations, [step[2] for step in steps])
+        np.testing.assert_array_equal(episode.truncations, [step[3] for step in steps])
+        assert episode.terminations[-1] != episode.truncations[-1]
+
+
+def test_its_spaces_are_those_of_its_environment(loaded: Any) -> None:
+    env = loaded.recover_environment()
+    assert loaded.observation_space == env.observation_space
+    assert loaded.action_space == env.action_space
+    assert all(each in loaded.observation_space for each in loaded[0].observations)
+
+
+@pytest.mark.parametrize(
+    ("traffic", "is_plain"),
+    [
+        ("pch", True),
+        ({"mixture": {"idm_mobil": 0.5, "stackelberg": 0.5}}, True),
+        ({"name": "pch", "options": {"tau": 0.3}}, False),
+        ({"mixture": {"a.onnx": 1.0}}, False),
+    ],
+)
+def test_only_a_traffic_of_plain_values_has_an_environment(traffic: Any, is_plain: bool) -> None:
+    entries = {"egos": [{"agent": "charms"}], "traffics": [{"traffic": traffic}]}
+    (cell,) = Suite.model_validate({"suite": "s", "episodes": 1, **entries}).cells
+    assert (environment_of(cell, neighbours) is not None) == is_plain
+
+
+def test_highway_envs_observation_is_that_of_the_environment(run: charms_bench.Run) -> None:
+    shown = Kinematics(vehicles_count=3, features_range={"x": (-50.0, 50.0)})
+    spec = environment_of(run.suite.cells[0], shown)
+    assert spec is not None
+    again = gymnasium.envs.registration.EnvSpec.from_json(spec.to_json())
+    env = gymnasium.make(again)
+    scene = {"duration_s": 8.0, "traffic_vehicles": 10, "density": 2.0, "profile": "highway-env"}
+    plain = gymnasium.make(
+        ID, traffic={"idm_mobil": 0.5, "outside_policy": 0.5}, observation=shown, **scene
+    )
+    np.testing.assert_array_equal(env.reset(seed=5)[0], plain.reset(seed=5)[0])
+    assert env.observation_space.shape == (3, 5)
