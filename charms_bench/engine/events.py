@@ -3,7 +3,7 @@
 import numpy as np
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import AgentError, InputError
+from charms_bench.errors import PLUGIN_ERRORS, AgentError, InputError, raised
 from charms_bench.plugins.event import Event
 from charms_bench.world.compiled import compiled, inlined
 from charms_bench.world.scene import Floats, Ints, Scene
@@ -86,8 +86,8 @@ def lowest_levels(simulation: Simulation, event: Event) -> Floats:
 def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
     try:
         levels = np.asarray(event.level(scene, rows), dtype=np.float64)
-    except Exception as error:
-        what = f"raised {type(error).__name__}: {error}"
+    except PLUGIN_ERRORS as error:
+        what = raised(error)
     else:
         if levels.shape == rows.shape and not np.isnan(levels).any():
             return levels
