@@ -84,14 +84,16 @@ def raised(error: BaseException) -> str:
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
-    return f"raised {type(error).__name__}: {_text_of(error)}{where}"
+    return f"raised {named(error)}{where}"
 
 
-def _text_of(error: BaseException) -> str:
+def named(error: BaseException) -> str:
+    """The type of a plugin's exception, and its text if it has one."""
     try:
-        return str(error)
+        text = str(error)
     except Exception:  # a plugin's exception can have any method
-        return "its text cannot be read"
+        text = "its text cannot be read"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def suggestion(name: str, known: Mapping[str, object]) -> str:

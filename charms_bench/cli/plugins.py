@@ -22,7 +22,8 @@ def agents(as_json: Json = False) -> None:
 
     facts = ("role", "version", "distribution")
     found = [
-        {"name": plugin.name, **{fact: getattr(plugin, fact) for fact in (*facts, "rival")}}
+        {"name": plugin.name, **{fact: getattr(plugin, fact) for fact in facts}}
+        | ({"rival": plugin.rival} if plugin.rival else {})
         for group in (AGENTS, TRAFFIC)
         for plugin in plugins(group).values()
     ]
@@ -30,7 +31,7 @@ def agents(as_json: Json = False) -> None:
         print_json(found)
         return
     for record in found:
-        if record["rival"]:
+        if "rival" in record:
             record["distribution"] += f" and {record['rival']}: unusable, uninstall one"
     print_records("name", found, dict.fromkeys(facts, ""))
 

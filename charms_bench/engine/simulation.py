@@ -234,7 +234,7 @@ class Simulation:
         try:
             with np.errstate():  # what a plugin sets is for itself
                 observations = observation_of(policy.observation)(self._shown, vehicles)
-                actions = np.array(policy.decide(observations))
+                actions = np.asarray(policy.decide(observations))
         except BrokenWordError as error:
             raise self.blame(name, vehicles, str(error), error.vehicle) from error
         except PLUGIN_ERRORS as error:
@@ -242,9 +242,11 @@ class Simulation:
         shape, wrong, what = vehicles[0].shape, 0, ""
         if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
             what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
-        elif (out := (actions < 0) | (actions >= len(ACTIONS))).any():
-            wrong = int(out.argmax())
-            what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
+        else:
+            actions = actions.copy()  # the policy may keep the array, and change it
+            if (out := (actions < 0) | (actions >= len(ACTIONS))).any():
+                wrong = int(out.argmax())
+                what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
         if what:
             raise self.blame(name, vehicles, f"decide returned {what}", wrong)
         return actions
@@ -294,8 +296,9 @@ class _CheckedModel(DriverModel):
         try:
             with np.errstate():  # what a plugin sets is for itself
                 answer = self._model.drive(scene, vehicles)
-            acceleration = np.array(answer[0], dtype=np.float64)
-            target_lane = np.array(answer[1])
+            acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
+            if acceleration.shape == target_lane.shape == vehicles[0].shape:
+                acceleration, target_lane = acceleration.astype(np.float64), target_lane.copy()
         except BrokenWordError as error:
             what = str(error)
             raise self._simulation.blame(self._name, vehicles, what, error.vehicle) from error

@@ -9,13 +9,14 @@ A plugin that remembers its own answers, or changes other code of its process, c
 
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, raised
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
+from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.scene_questions import (
     Answers,
@@ -30,12 +31,20 @@ from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, ObservationLike
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
 
+P = TypeVar("P")
+"""The kind of a plugin."""
 ROWS = 64
 """Most vehicles that are asked about again in another order."""
+ALONE = 3
+"""Most vehicles that are asked about alone."""
+CHOSEN = 4
+"""About how many calls of a shard are asked again, besides the first."""
+AT_THE_END = 10
+"""How often a question is asked again after the last call."""
 KEPT = 20
 """Most questions that are kept for the end."""
-ASSIGNMENTS = 50
-"""Every how many episodes a traffic is asked again, about."""
+ASSIGNMENTS = 150
+"""About how many episodes a shard has."""
 NETWORK_ROUNDING = 1e-4
 """Largest difference of a network's values between two sizes of a batch, relative to the largest
 value. onnxruntime adds in another order; the networks in the package differ by at most 2e-6."""
@@ -43,29 +52,35 @@ NEARBY = 1e-6
 """Relative changes of an observation that move a network's values about as much as rounding."""
 
 
-class Held:
+class Held(Generic[P]):
     """A plugin of which some calls are asked again.
 
     Args:
+        plugin: The plugin.
+        other: Another instance of it, made in the same way.
         rng: Chooses the calls and the vehicles.
-        calls: About how many calls a shard has; the first and about two others are chosen.
+        calls: About how many calls a shard has; the first and about `CHOSEN` others are chosen.
     """
 
-    def __init__(self, rng: np.random.Generator, calls: int) -> None:
-        self._rng, self._calls = rng, max(1, calls)
+    def __init__(self, plugin: P, other: P, rng: np.random.Generator, calls: int) -> None:
+        self._plugin, self._other = plugin, other
+        self._rng, self._longest = rng, max(1, 2 * calls // CHOSEN)
         self._left = 0
-        self._kept: list[Callable[[], None]] = []
+        self._kept: list[Callable[[P, str], None]] = []
 
     def _is_chosen(self) -> bool:
         self._left -= 1
         if self._left >= 0:
             return False
-        self._left = int(self._rng.integers(self._calls))
+        self._left = int(self._rng.integers(self._longest))
         return True
 
-    def _keep(self, ask_again: Callable[[], None]) -> None:
-        """Keeps a question for the end; a long simulation keeps only the latest ones."""
-        self._kept = [*self._kept[-KEPT:], ask_again]
+    def _keep(self, check: Callable[[P, str], None]) -> None:
+        """Keeps a question for the end; a long simulation keeps only the latest ones.
+
+        `check` asks a plugin, the one or the other, in a way that it is told in words.
+        """
+        self._kept = [*self._kept[1 - KEPT :], check]
 
     def finish(self, whose: str) -> None:
         """Asks the chosen questions again, after all others.
@@ -74,17 +89,21 @@ class Held:
             AgentError: An answer differs; the message begins with `whose`.
         """
         kept, self._kept = self._kept, []
-        for ask_again in reversed(kept):
-            try:
-                ask_again()
-            except BrokenWordError as error:
-                raise AgentError(f"{whose}: {error}") from error
-            except PLUGIN_ERRORS as error:
-                raise AgentError(f"{whose}: {raised(error)}") from error
+        try:
+            for check in reversed(kept):
+                check(self._other, "another instance of it is asked")
+                for _ in range(AT_THE_END):
+                    check(self._plugin, "asked again after the last call")
+        except BrokenWordError as error:
+            raise AgentError(f"{whose}: {error}") from error
+        except PLUGIN_ERRORS as error:
+            raise AgentError(f"{whose}: {raised(error)}") from error
 
 
-def hold(agent: Agent, other: Agent, settings: SceneSettings, rng: np.random.Generator) -> Any:
-    """An agent that is asked again now and then, as a `Held` of the same kind.
+def hold(
+    agent: Agent, other: Agent, settings: SceneSettings, rng: np.random.Generator
+) -> "HeldPolicy | HeldNetwork | HeldModel":
+    """An agent that is asked again now and then.
 
     Args:
         agent: The agent.
@@ -92,42 +111,40 @@ def hold(agent: Agent, other: Agent, settings: SceneSettings, rng: np.random.Gen
         settings: The scene, which decides how often it is called.
         rng: Chooses the calls.
     """
-    steps = settings.decisions * settings.steps_per_decision
     if isinstance(agent, DriverModel):
-        return HeldModel(agent, other, rng, steps)
-    decisions = settings.decisions
+        assert isinstance(other, DriverModel)
+        return HeldModel(agent, other, rng, settings.decisions * settings.steps_per_decision)
     if type(agent) is OnnxPolicy:
-        return HeldNetwork(agent, rng, decisions)
-    return HeldPolicy(agent, other, rng, decisions)
+        return HeldNetwork(agent, rng, settings.decisions)
+    assert isinstance(other, Policy)
+    return HeldPolicy(agent, other, rng, settings.decisions)
 
 
-class HeldPolicy(Held, Policy):
+class HeldPolicy(Held[Policy], Policy):
     """A policy of a plugin."""
 
-    def __init__(self, policy: Policy, other: Agent, rng: np.random.Generator, calls: int) -> None:
-        super().__init__(rng, calls)
-        assert isinstance(other, Policy)
-        self._policy, self._other = policy, other
+    def __init__(self, policy: Policy, other: Policy, rng: np.random.Generator, calls: int) -> None:
+        super().__init__(policy, other, rng, calls)
         self.observation = _held_observation(policy.observation, rng, calls)
         self.decision_hz = policy.decision_hz
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
-            return self._policy.decide(observations)
+            return self._plugin.decide(observations)
         before = observations.copy()
-        answer = np.array(self._policy.decide(observations))
+        answer = np.asarray(self._plugin.decide(observations))
         if not _equal(observations, before):
             raise BrokenWordError("decide changed its observations")
         if answer.shape != (len(before),):
             return answer  # the simulation says what is wrong
-        some = self._rng.permutation(len(before))[:ROWS]
-        one = some[:1]
-        check_actions(self._policy, before, answer, "asked again")
-        check_actions(self._policy, before[some], answer[some], _among(len(some)), some)
-        check_actions(self._policy, before[one], answer[one], "about this vehicle alone", one)
+        answer = answer.copy()
+        some = _some(len(before), self._rng)
+        check_actions(self._plugin, before, answer, "asked again")
+        check_actions(self._plugin, before[some], answer[some], _among(len(some)), some)
+        for one in some[:ALONE, None]:
+            check_actions(self._plugin, before[one], answer[one], _ALONE, one)
         mine, said = before[some], answer[some]
-        self._keep(lambda: check_actions(self._other, mine, said, _BY_ANOTHER))
-        self._keep(lambda: check_actions(self._policy, mine, said, _AT_THE_END))
+        self._keep(lambda policy, how: check_actions(policy, mine, said, how))
         return answer
 
 
@@ -146,14 +163,14 @@ def check_actions(
     Raises:
         BrokenWordError: An action differs.
     """
-    again = np.array(policy.decide(observations.copy()))
+    again = np.asarray(policy.decide(observations.copy()))
     if again.shape != expected.shape:
         raise BrokenWordError(f"decide returned shape {again.shape} when {how}")
     differing = np.nonzero(again != expected)[0]
     if not differing.size:
         return
     at = int(differing[0])
-    if differing.size == 1 and _is_between(policy, observations[at], expected[at], again[at]):
+    if differing.size == 1 and is_between(policy, observations[at], expected[at], again[at]):
         return
     raise BrokenWordError(
         f"decide returned {expected[at]}, and {again[at]} when {how}",
@@ -161,31 +178,33 @@ def check_actions(
     )
 
 
-def _is_between(policy: Policy, observation: Observations, one: int, other: int) -> bool:
-    """Whether observations that hardly differ from this one get both actions."""
+def is_between(policy: Policy, observation: Observations, *actions: int) -> bool:
+    """Whether rounding explains that an observation gets one action or another.
+
+    It does if observations that hardly differ from this one get all of these actions.
+    """
     noise = np.random.default_rng(0).uniform(-NEARBY, NEARBY, (ROWS, *observation.shape))
     nearby = (observation * (1 + noise)).astype(observation.dtype)
-    return {int(one), int(other)} <= set(np.asarray(policy.decide(nearby)).tolist())
+    return {*map(int, actions)} <= set(np.asarray(policy.decide(nearby)).tolist())
 
 
-class HeldNetwork(Held, Policy):
+class HeldNetwork(Held[OnnxPolicy], Policy):
     """A network in an ONNX file, which has neither state nor random numbers.
 
     It could still calculate across its batch, so its values are compared.
     """
 
     def __init__(self, network: OnnxPolicy, rng: np.random.Generator, calls: int) -> None:
-        super().__init__(rng, calls)
-        self._network = network
+        super().__init__(network, network, rng, calls)
         self.observation, self.decision_hz = network.observation, network.decision_hz
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
-            return self._network.decide(observations)
-        values = self._network.values(observations)
-        some = self._rng.permutation(len(observations))[:ROWS]
-        check_values(self._network, observations[some], values[some], some)
-        check_values(self._network, observations[some[:1]], values[some[:1]], some[:1])
+            return self._plugin.decide(observations)
+        values = self._plugin.values(observations)
+        some = _some(len(observations), self._rng)
+        for rows in (some, *some[:ALONE, None]):
+            check_values(self._plugin, observations[rows], values[rows], rows)
         return np.asarray(np.argmax(values, axis=1))
 
 
@@ -205,64 +224,62 @@ def check_values(
     if too_large.any():
         at = int(too_large.argmax())
         raise BrokenWordError(
-            f"the network's values differ by {difference[at]:.2g} when {_among(len(rows))}; a "
+            f"the network's values differ by {difference[at]:.2g} in a batch of {len(rows)}; a "
             "vehicle's values must not depend on the other vehicles in the batch",
             int(rows[at]),
         )
 
 
-class HeldModel(Held, DriverModel):
+class HeldModel(Held[DriverModel], DriverModel):
     """A driver model of a plugin."""
 
     def __init__(
-        self, model: DriverModel, other: Agent, rng: np.random.Generator, calls: int
+        self, model: DriverModel, other: DriverModel, rng: np.random.Generator, calls: int
     ) -> None:
-        super().__init__(rng, calls)
-        assert isinstance(other, DriverModel)
-        self._model, self._other = model, other
+        super().__init__(model, other, rng, calls)
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         if not self._is_chosen():
-            return self._model.drive(scene, vehicles)
+            return self._plugin.drive(scene, vehicles)
         before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        answer = self._model.drive(scene, vehicles)
-        acceleration, lane, timers = np.array(answer[0]), np.array(answer[1]), scene.timer_s.copy()
-        _check_scene("drive", scene, before, vehicles, asked)
+        answer = self._plugin.drive(scene, vehicles)
+        acceleration, lane, timers = np.asarray(answer[0]), np.asarray(answer[1]), scene.timer_s
+        _check_scene("drive", scene, before, vehicles, asked, asked)
         if acceleration.shape == lane.shape == asked[0].shape:  # else the simulation says it
+            acceleration, lane = acceleration.copy(), lane.copy()
             question = SceneQuestion("drive", before, asked, (acceleration, lane, timers[asked]))
-            part = question.check_order(_driving(self._model), self._rng)
-            self._keep(lambda: part.check(_driving(self._other), _BY_ANOTHER))
-            self._keep(lambda: part.check(_driving(self._model), _AT_THE_END))
+            part = question.check_order(driving(self._plugin), self._rng)
+            self._keep(lambda model, how: part.check(driving(model), how))
         return acceleration, lane
 
 
-def _driving(model: DriverModel) -> Ask:
+def driving(model: DriverModel) -> Ask:
     """Asks a driver model for accelerations and lanes, and for the timers that it leaves."""
 
     def ask(scene: Scene, vehicles: Vehicles) -> Answers:
         answer = model.drive(scene, vehicles)
-        return np.array(answer[0]), np.array(answer[1]), scene.timer_s[vehicles]
+        return np.asarray(answer[0]), np.asarray(answer[1]), scene.timer_s[vehicles]
 
     return ask
 
 
-class _HeldObservation(Held):
+class _HeldObservation(Held[Any]):
     """An observation of a plugin."""
 
     def __init__(self, observation: Any, rng: np.random.Generator, calls: int) -> None:
-        super().__init__(rng, calls)
-        self._observation, self.shape = observation, observation.shape
+        super().__init__(observation, observation, rng, calls)
+        self.shape = observation.shape
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
         if not self._is_chosen():
-            return np.asarray(self._observation(scene, vehicles))
+            return np.asarray(self._plugin(scene, vehicles))
         before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        seen = np.array(self._observation(scene, vehicles))
+        seen = np.array(self._plugin(scene, vehicles))
         _check_scene("the observation", scene, before, vehicles, asked)
 
         def ask(scene: Scene, vehicles: Vehicles) -> Answers:
-            return (np.array(self._observation(scene, vehicles)),)
+            return (np.array(self._plugin(scene, vehicles)),)
 
         if len(seen) == asked[0].size:  # else the policy cannot answer
             question = SceneQuestion("the observation", before, asked, (seen,))
@@ -275,46 +292,78 @@ def _held_observation(like: ObservationLike, rng: np.random.Generator, calls: in
     return like if is_ours else _HeldObservation(like, rng, calls)
 
 
-class HeldTraffic(Held, Traffic):
+class HeldTraffic(Held[Traffic], Traffic):
     """A traffic of a plugin."""
 
     def __init__(self, traffic: Traffic, other: Traffic, rng: np.random.Generator) -> None:
-        super().__init__(rng, ASSIGNMENTS)
-        self._traffic, self._other, self.agents = traffic, other, traffic.agents
+        super().__init__(traffic, other, rng, ASSIGNMENTS)
+        self.agents = tuple(traffic.agents)
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         if not self._is_chosen():
-            return self._traffic.assign(rng, scenes, vehicles)
+            return self._plugin.assign(rng, scenes, vehicles)
         before = deepcopy(rng)
-        said = np.array(self._traffic.assign(rng, scenes, vehicles))
+        said = np.array(self._plugin.assign(rng, scenes, vehicles))
 
         def check(traffic: Traffic, how: str) -> None:
             again = np.asarray(traffic.assign(deepcopy(before), scenes, vehicles))
             if not np.array_equal(said, again):
                 raise BrokenWordError(f"assign returned other agents when {how}")
 
-        check(self._traffic, "asked again with the same random numbers")
-        self._keep(lambda: check(self._other, _BY_ANOTHER))
-        self._keep(lambda: check(self._traffic, _AT_THE_END))
+        check(self._plugin, "asked again with the same random numbers")
+        self._keep(check)
         return said
 
 
-_AT_THE_END = "asked again after the last call"
-_BY_ANOTHER = "another instance of it is asked"
+class HeldEvent(Held[Event], Event):
+    """An event of a plugin."""
+
+    def __init__(self, event: Event, rng: np.random.Generator, calls: int) -> None:
+        super().__init__(event, event, rng, calls)
+        self.definition = event.definition
+        self.includes_failure = event.includes_failure  # type: ignore[misc]  # the event's
+
+    def level(self, scene: Scene, rows: Ints) -> Floats:
+        if not self._is_chosen():
+            return self._plugin.level(scene, rows)
+        before, egos = copied(scene), (rows.copy(), scene.ego[rows])
+        levels = np.array(self._plugin.level(scene, rows), dtype=np.float64)
+        _check_scene("level", scene, before, (rows,), (egos[0],))
+        if levels.shape == rows.shape:  # else the simulation says it
+
+            def ask(scene: Scene, vehicles: Vehicles) -> Answers:
+                return (np.array(self._plugin.level(scene, vehicles[0]), dtype=np.float64),)
+
+            part = SceneQuestion("level", before, egos, (levels,)).check_order(ask, self._rng)
+            self._keep(lambda _, how: part.check(ask, how))
+        return levels
+
+
+_ALONE = "asked about this vehicle alone"
 
 
 def _among(vehicles: int) -> str:
     return f"asked about {vehicles} vehicles in another order"
 
 
+def _some(vehicles: int, rng: np.random.Generator) -> Ints:
+    """Half of the vehicles, or `ROWS` of them, in another order."""
+    return rng.permutation(vehicles)[: max(1, min(ROWS, vehicles // 2))]
+
+
 def _check_scene(
-    name: str, scene: Scene, before: Scene, vehicles: Vehicles, asked: Vehicles
+    name: str,
+    scene: Scene,
+    before: Scene,
+    vehicles: Vehicles,
+    asked: Vehicles,
+    timers: Vehicles | None = None,
 ) -> None:
-    """Checks that a plugin has changed nothing but the timers of its vehicles."""
-    if array := changed_array(scene, before, asked):
+    """Checks that a plugin has changed nothing but the timers of the vehicles `timers`."""
+    if array := changed_array(scene, before, timers):
         raise BrokenWordError(f"{name} changed scene.{array}")
     if not all(map(_equal, vehicles, asked)):
-        raise BrokenWordError(f"{name} changed the indices of its vehicles")
+        raise BrokenWordError(f"{name} changed the indices that it was given")
 
 
 def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:

@@ -62,4 +62,4 @@ def _keeps_small_numbers() -> bool:
     """Flush-to-zero and denormals-are-zero, which code compiled with `-ffast-math` sets."""
     smallest = np.array([sys.float_info.min])
     denormal = smallest * 0.5
-    return bool((denormal > 0).all()) and np.array_equal(denormal * 2.0, smallest)
+    return 0.0 < denormal.item() < smallest.item() == (denormal * 2.0).item()

@@ -16,6 +16,7 @@ from charms_bench.engine.events import lowest_levels
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.event import Event
+from charms_bench.plugins.held import HeldEvent
 from charms_bench.plugins.registry import EVENTS, find, make_event
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content
 from charms_bench.runs.code_hashes import harness_sha256
@@ -104,7 +105,9 @@ def estimate(task: RareTask) -> SubsetRun:
             "--output"
         )
     names = harness_names()
-    event, simulations = event_of(task.event), _Simulations(task)
+    simulations = _Simulations(task)
+    steps = task.scene.decisions * task.scene.steps_per_decision
+    event = HeldEvent(event_of(task.event), np.random.default_rng([task.seed, task.run, 3]), steps)
 
     def level(normal: Floats, seeds: Seeds) -> Floats:
         parts = range(0, seeds.size, EPISODES_AT_ONCE)
@@ -115,6 +118,7 @@ def estimate(task: RareTask) -> SubsetRun:
     rng = np.random.default_rng([task.seed, task.run])
     (made,) = subset_simulation(level, 4 * task.scene.vehicles + 1, task.samples, 1, rng)
     simulations.held.finish(task.title)
+    event.finish(f"event '{task.event}', {task.title}")
     if problem := problem_of(names):
         raise AgentError(f"{task.title}: {problem}; its estimate is refused")
     return made

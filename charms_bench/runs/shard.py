@@ -11,6 +11,7 @@ from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -173,7 +174,7 @@ class HeldDrivers:
         Raises:
             AgentError: An answer differs.
         """
-        held: dict[str, Held] = {f"agent '{name}'": each for name, each in self.agents.items()}
+        held: dict[str, Held[Any]] = {f"agent '{name}'": each for name, each in self.agents.items()}
         for whose, each in {**held, "the traffic": self.traffic}.items():
             each.finish(f"{whose}, {title}")
 
