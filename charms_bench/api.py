@@ -576,7 +576,7 @@ def audit(
     from charms_bench.report.audit import Audit, audit_tables
     from charms_bench.report.stored import holds
     from charms_bench.runs.audit import Asked, audit_rare, audit_run
-    from charms_bench.runs.folder import RunFolder
+    from charms_bench.runs.folder import CHECKSUMS, RunFolder
     from charms_bench.runs.rare import MANIFEST as RARE
 
     _check_positive(shards=shards, workers=workers)
@@ -591,7 +591,8 @@ def audit(
     suite = folder.suite().model_copy(update={"folder": Path(suite_folder)})
     # Before the agents of the run are imported, which could change how tables are computed.
     tables = list(audit_tables(path, suite))
-    with progress("shards", shards or 0) as tell:
+    count = len(list((path / CHECKSUMS).glob("*.sha256")))
+    with progress("shards", min(shards or count, count) or 1) as tell:
         found = audit_run(
             folder,
             suite,

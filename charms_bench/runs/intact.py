@@ -55,11 +55,11 @@ def _rounds_to_nearest() -> bool:
     """IEEE 754: the nearest double to 1/3 lies below it, and that to 2/3 above it."""
     third = np.array([1.0, -1.0, 2.0, -2.0]) / np.array([3.0, 3.0, 3.0, 3.0])
     below, above = float.fromhex("0x1.5555555555555p-2"), float.fromhex("0x1.5555555555555p-1")
-    return third.tolist() == [below, -below, above, -above]
+    return bool(third.tolist() == [below, -below, above, -above])
 
 
 def _keeps_small_numbers() -> bool:
     """Flush-to-zero and denormals-are-zero, which code compiled with `-ffast-math` sets."""
     smallest = np.array([sys.float_info.min])
     denormal = smallest * 0.5
-    return 0.0 < denormal.item() < smallest.item() == (denormal * 2.0).item()
+    return bool(0.0 < denormal[0] < smallest[0] == denormal[0] * 2.0)
