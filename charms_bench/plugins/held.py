@@ -65,7 +65,7 @@ class Held(Generic[P]):
     """
 
     def __init__(self, plugin: P, other: P, rng: np.random.Generator, calls: int) -> None:
-        self._plugin, self._other = plugin, other
+        self.plugin, self._other = plugin, other
         self._rng, self._longest = rng, max(1, 2 * calls // CHOSEN)
         self._left = 0
         self._kept: list[Callable[[P, str], None]] = []
@@ -95,7 +95,7 @@ class Held(Generic[P]):
             for check in reversed(kept):
                 check(self._other, "another instance of it is asked")
                 for _ in range(AT_THE_END):
-                    check(self._plugin, "asked again after the last call")
+                    check(self.plugin, "asked again after the last call")
         except BrokenWordError as error:
             raise AgentError(f"{whose}: {error}") from error
         except PLUGIN_ERRORS as error:
@@ -132,19 +132,19 @@ class HeldPolicy(Held[Policy], Policy):
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
-            return self._plugin.decide(observations)
+            return self.plugin.decide(observations)
         before = observations.copy()
-        answer = np.asarray(self._plugin.decide(observations))
+        answer = np.asarray(self.plugin.decide(observations))
         if not _equal(observations, before):
             raise BrokenWordError("decide changed its observations")
         if answer.shape != (len(before),):
             return answer  # the simulation says what is wrong
         answer = answer.copy()
         some = _some(len(before), self._rng)
-        check_actions(self._plugin, before, answer, "asked again")
-        check_actions(self._plugin, before[some], answer[some], _among(len(some)), some)
+        check_actions(self.plugin, before, answer, "asked again")
+        check_actions(self.plugin, before[some], answer[some], _among(len(some)), some)
         for one in some[:ALONE, None]:
-            check_actions(self._plugin, before[one], answer[one], _ALONE, one)
+            check_actions(self.plugin, before[one], answer[one], _ALONE, one)
         mine, said = before[some], answer[some]
         self._keep(lambda policy, how: check_actions(policy, mine, said, how))
         return answer
@@ -183,11 +183,13 @@ def check_actions(
 def is_between(policy: Policy, observation: Observations, *actions: int) -> bool:
     """Whether rounding explains that an observation gets one action or another.
 
-    It does if observations that hardly differ from this one get all of these actions.
+    It does if observations that hardly differ from this one get all of these actions, each alone: a
+    policy that standardises its batch tells any observations apart.
     """
     noise = np.random.default_rng(0).uniform(-NEARBY, NEARBY, (ROWS, *observation.shape))
     nearby = (observation * (1 + noise)).astype(observation.dtype)
-    return {*map(int, actions)} <= set(np.asarray(policy.decide(nearby)).tolist())
+    found = {int(np.asarray(policy.decide(one))[0]) for one in nearby[:, None]}
+    return {*map(int, actions)} <= found
 
 
 class HeldNetwork(Held[OnnxPolicy], Policy):
@@ -202,11 +204,11 @@ class HeldNetwork(Held[OnnxPolicy], Policy):
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
-            return self._plugin.decide(observations)
-        values = self._plugin.values(observations)
+            return self.plugin.decide(observations)
+        values = self.plugin.values(observations)
         some = _some(len(observations), self._rng)
         for rows in (some, *some[:ALONE, None]):
-            check_values(self._plugin, observations[rows], values[rows], rows)
+            check_values(self.plugin, observations[rows], values[rows], rows)
         return np.asarray(np.argmax(values, axis=1))
 
 
@@ -243,15 +245,15 @@ class HeldModel(Held[DriverModel], DriverModel):
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         if not self._is_chosen():
-            return self._plugin.drive(scene, vehicles)
+            return self.plugin.drive(scene, vehicles)
         before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        answer = self._plugin.drive(scene, vehicles)
+        answer = self.plugin.drive(scene, vehicles)
         acceleration, lane, timers = np.asarray(answer[0]), np.asarray(answer[1]), scene.timer_s
         _check_scene("drive", scene, before, vehicles, asked, asked)
         if acceleration.shape == lane.shape == asked[0].shape:  # else the simulation says it
             acceleration, lane = acceleration.copy(), lane.copy()
             question = SceneQuestion("drive", before, asked, (acceleration, lane, timers[asked]))
-            part = question.check_order(driving(self._plugin), self._rng)
+            part = question.check_order(driving(self.plugin), self._rng)
             self._keep(lambda model, how: part.check(driving(model), how))
         return acceleration, lane
 
@@ -275,13 +277,13 @@ class _HeldObservation(Held[Any]):
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
         if not self._is_chosen():
-            return np.asarray(self._plugin(scene, vehicles))
+            return np.asarray(self.plugin(scene, vehicles))
         before, asked = copied(scene), tuple(map(np.copy, vehicles))
-        seen = np.array(self._plugin(scene, vehicles))
+        seen = np.array(self.plugin(scene, vehicles))
         _check_scene("the observation", scene, before, vehicles, asked)
 
         def ask(scene: Scene, vehicles: Vehicles) -> Answers:
-            return (np.array(self._plugin(scene, vehicles)),)
+            return (np.array(self.plugin(scene, vehicles)),)
 
         if len(seen) == asked[0].size:  # else the policy cannot answer
             question = SceneQuestion("the observation", before, asked, (seen,))
@@ -303,16 +305,16 @@ class HeldTraffic(Held[Traffic], Traffic):
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         if not self._is_chosen():
-            return self._plugin.assign(rng, scenes, vehicles)
+            return self.plugin.assign(rng, scenes, vehicles)
         before = deepcopy(rng)
-        said = np.array(self._plugin.assign(rng, scenes, vehicles))
+        said = np.array(self.plugin.assign(rng, scenes, vehicles))
 
         def check(traffic: Traffic, how: str) -> None:
             again = np.asarray(traffic.assign(deepcopy(before), scenes, vehicles))
             if not np.array_equal(said, again):
                 raise BrokenWordError(f"assign returned other agents when {how}")
 
-        check(self._plugin, "asked again with the same random numbers")
+        check(self.plugin, "asked again with the same random numbers")
         self._keep(check)
         return said
 
@@ -327,14 +329,14 @@ class HeldEvent(Held[Event], Event):
 
     def level(self, scene: Scene, rows: Ints) -> Floats:
         if not self._is_chosen():
-            return self._plugin.level(scene, rows)
+            return self.plugin.level(scene, rows)
         before, egos = copied(scene), (rows.copy(), scene.ego[rows])
-        levels = np.array(self._plugin.level(scene, rows), dtype=np.float64)
+        levels = np.array(self.plugin.level(scene, rows), dtype=np.float64)
         _check_scene("level", scene, before, (rows,), (egos[0],))
         if levels.shape == rows.shape:  # else the simulation says it
 
             def ask(scene: Scene, vehicles: Vehicles) -> Answers:
-                return (np.array(self._plugin.level(scene, vehicles[0]), dtype=np.float64),)
+                return (np.array(self.plugin.level(scene, vehicles[0]), dtype=np.float64),)
 
             part = SceneQuestion("level", before, egos, (levels,)).check_order(ask, self._rng)
             self._keep(lambda _, how: part.check(ask, how))

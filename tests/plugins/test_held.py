@@ -155,7 +155,7 @@ def test_an_event_is_held_to_its_word() -> None:
     held = HeldEvent(Crash(), np.random.default_rng(0), 60)
     assert np.array_equal(levels(held), levels(Crash()))
     held.finish("the event")
-    with pytest.raises(AgentError, match=r"the event: level returned 1\.0, and 2\.0 when"):
+    with pytest.raises(AgentError, match=r"event 'Jumpy': level returned 1\.0, and 2\.0 when"):
         levels(HeldEvent(Jumpy(), np.random.default_rng(0), 60))
 
 
