@@ -37,10 +37,10 @@ ROWS = 64
 """Most vehicles that are asked about again in another order."""
 ALONE = 3
 """Most vehicles that are asked about alone."""
-CHOSEN = 4
+CHOSEN = 2
 """About how many calls of a shard are asked again, besides the first."""
-AT_THE_END = 10
-"""How often a question is asked again after the last call."""
+MORE_AT_THE_END = 9
+"""How many more times the first question is asked after the last call."""
 KEPT = 20
 """Most questions that are kept for the end."""
 ASSIGNMENTS = 150
@@ -94,8 +94,9 @@ class Held(Generic[P]):
         try:
             for check in reversed(kept):
                 check(self._other, "another instance of it is asked")
-                for _ in range(AT_THE_END):
-                    check(self.plugin, "asked again after the last call")
+                check(self.plugin, _AT_THE_END)
+            for check in kept[:1] * MORE_AT_THE_END:
+                check(self.plugin, _AT_THE_END)
         except BrokenWordError as error:
             raise AgentError(f"{whose}: {error}") from error
         except PLUGIN_ERRORS as error:
@@ -343,6 +344,7 @@ class HeldEvent(Held[Event], Event):
         return levels
 
 
+_AT_THE_END = "asked again after the last call"
 _ALONE = "asked about this vehicle alone"
 
 
@@ -371,4 +373,4 @@ def _check_scene(
 
 
 def _equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
-    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+    return bool(np.array_equal(one, other) or np.array_equal(one, other, equal_nan=True))

@@ -1,29 +1,25 @@
 """Finds out whether a plugin has changed the harness or the arithmetic of its process."""
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import ModuleType
 
 import numpy as np
 
-Names = Mapping[tuple[str, str], object]
-"""What each name in a module or a class of the harness stands for."""
+_BOOKKEEPING = ("__warningregistry__", "__annotations__", "__abstractmethods__")
+"""Names that Python sets by itself."""
+Names = Sequence[tuple[str, Mapping[str, object], Mapping[str, object]]]
+"""Modules and classes of the harness: the name of each, its names now, and a copy of them."""
 
 
 def harness_names() -> Names:
-    """What every name in the modules of this package that are imported stands for now."""
-    modules = [
-        (name, module)
-        for name, module in sys.modules.items()
-        if name.partition(".")[0] == "charms_bench" and isinstance(module, ModuleType)
+    """What every name in the modules of this package that are imported stands for."""
+    return [
+        (where, names, dict(names))
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] == "charms_bench"
+        for where, names in _namespaces(name, module)
     ]
-    return {
-        (where, name): value
-        for module_name, module in modules
-        for where, names in _namespaces(module_name, module)
-        for name, value in names.items()
-        if not name.startswith("__") or name in ("__call__", "__init__")
-    }
 
 
 def _namespaces(name: str, module: ModuleType) -> Iterator[tuple[str, Mapping[str, object]]]:
@@ -40,10 +36,10 @@ def problem_of(before: Names) -> str:
     Returns:
         A clause; empty if nothing is wrong.
     """
-    now = harness_names()
-    for (where, name), value in before.items():
-        if now.get((where, name)) is not value:
-            return f"a plugin has replaced {where}.{name} of the harness"
+    for where, names, then in before:
+        for name, value in then.items():
+            if names.get(name) is not value and name not in _BOOKKEEPING:
+                return f"a plugin has replaced {where}.{name} of the harness"
     if not _rounds_to_nearest():
         return "a plugin or its libraries have changed how the processor rounds"
     if not _keeps_small_numbers():

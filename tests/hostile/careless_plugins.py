@@ -60,12 +60,12 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that brakes after 40 calls of any of its instances, and never before",
+        "A policy that brakes after 30 calls of any of its instances, and never before",
         """
 calls = [0]
 def decide(self, observations):
     self.calls[0] += 1
-    return np.full(len(observations), IDLE if self.calls[0] < 40 else SLOWER)
+    return np.full(len(observations), IDLE if self.calls[0] < 30 else SLOWER)
 """,
     ),
     _policy(
