@@ -60,12 +60,12 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that brakes after 30 calls of any of its instances, and never before",
+        "A policy that brakes after 20 calls of any of its instances, and never before",
         """
 calls = [0]
 def decide(self, observations):
     self.calls[0] += 1
-    return np.full(len(observations), IDLE if self.calls[0] < 30 else SLOWER)
+    return np.full(len(observations), IDLE if self.calls[0] < 20 else SLOWER)
 """,
     ),
     _policy(
@@ -77,13 +77,14 @@ def decide(self, observations):
         "rng = np.random.default_rng(1)",
     ),
     _policy(
-        "A policy whose weights are random, without a seed",
+        "A policy that draws its weights when it is made",
         """
 def __init__(self):
-    self.weights = np.random.normal(size=(35, 5))
+    self.weights = rng.normal(size=(35, 5))
 def decide(self, observations):
     return (observations.reshape(-1, 35) @ self.weights).argmax(axis=1)
 """,
+        "rng = np.random.default_rng(5)",
     ),
     _policy(
         "A policy that looks at the size of its batch",
