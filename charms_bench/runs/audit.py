@@ -217,7 +217,7 @@ def _networks(folder: RunFolder) -> Iterator[Finding]:
             wrong = True
             yield Finding("networks", f"{NETWORKS}/{path.name}", "false", what)
     if not wrong and hashes:
-        yield _good("networks", f"all {len(hashes)} have the hashes in the manifest")
+        yield _good("networks", f"{len(hashes)} of {len(hashes)} have the hash in the manifest")
 
 
 def _files(

@@ -23,7 +23,8 @@ from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
-from charms_bench.plugins.held import Held, HeldTraffic, hold
+from charms_bench.plugins.held import Held, HeldTraffic
+from charms_bench.plugins.held_agents import hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions

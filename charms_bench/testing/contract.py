@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
-from charms_bench.plugins.held import check_values, driving, is_between
+from charms_bench.plugins.held_agents import check_values, driving, is_between
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.scene_questions import SceneQuestion, copied
 from charms_bench.plugins.traffic import Traffic

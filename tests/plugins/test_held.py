@@ -11,7 +11,8 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.held import Held, HeldEvent, check_actions, check_values, hold
+from charms_bench.plugins.held import Held, HeldEvent
+from charms_bench.plugins.held_agents import check_actions, check_values, hold
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.testing.contract import agent_is_deterministic
