@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from charms_bench.api import Rare as Rare
     from charms_bench.api import Run as Run
+    from charms_bench.api import audit as audit
     from charms_bench.api import open_run as open_run
     from charms_bench.api import open_training as open_training
     from charms_bench.api import rare as rare
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Rare Run open_run open_training rare run search train",
+    "api": "Rare Run audit open_run open_training rare run search train",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",

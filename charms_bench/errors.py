@@ -8,6 +8,7 @@ CharmsBenchError
 │   ├── RunFolderError  a run folder cannot be read, written or continued
 │   └── DataError       recorded driving is missing, damaged or unusable
 ├── AgentError          an agent raised an exception or returned something unusable
+│   └── BrokenWordError  a plugin answered one question in two ways, or changed its input
 └── WorkerError         a worker process died again and again, or took too long
     └── ClusterError    a cluster cannot be reached or used, or is gone
 """
@@ -18,6 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
+
+
+PLUGIN_ERRORS = (Exception, SystemExit)
+"""What a plugin may raise; Ctrl-C is not among these."""
 
 
 class CharmsBenchError(Exception):
@@ -52,12 +57,43 @@ class AgentError(CharmsBenchError):
     """An agent raised an exception, or returned a wrong shape, type or value."""
 
 
+class BrokenWordError(AgentError):
+    """A plugin answered the same question in two ways, or changed what it was shown.
+
+    Args:
+        what: What it did.
+        vehicle: The index of the vehicle among those of the call.
+    """
+
+    def __init__(self, what: str, vehicle: int = 0) -> None:
+        super().__init__(what)
+        self.vehicle = vehicle
+
+
 class WorkerError(CharmsBenchError):
     """A worker process died again and again, or took too long."""
 
 
 class ClusterError(WorkerError):
     """A cluster cannot be reached or used, or is gone."""
+
+
+def raised(error: BaseException) -> str:
+    """The text of a plugin's exception, and where it was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
+    return f"raised {named(error)}{where}"
+
+
+def named(error: BaseException) -> str:
+    """The type of a plugin's exception, and its text if it has one."""
+    try:
+        text = str(error)
+    except Exception:  # a plugin's exception can have any method
+        text = "its text cannot be read"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def suggestion(name: str, known: Mapping[str, object]) -> str:

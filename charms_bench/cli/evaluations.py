@@ -19,6 +19,13 @@ from charms_bench.cli.terminal import (
 )
 from charms_bench.errors import InputError
 
+EXIT_CODES = {"true": 0, "false": 1, "unknown": 2}
+VERDICTS = {
+    "true": "everything that was checked is true",
+    "false": "is not true",
+    "unknown": "nothing false was found, but not everything can be checked here",
+}
+
 
 @app.command()
 def run(
@@ -267,3 +274,43 @@ def report(
         f"{output}: {len(runs)} run{'s' * (len(runs) > 1)}, {len(made['replays'])} replays, "
         f"{made['bytes'] / 1e6:.1f} MB"
     )
+
+
+@app.command()
+def audit(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    everything: Annotated[
+        bool, typer.Option("--all", help="Simulate every shard again, not only a sample.")
+    ] = False,
+    shards: Annotated[int, typer.Option(min=1, help="Number of shards to simulate again.")] = 10,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Seed that chooses the shards; the default is another each time."),
+    ] = None,
+    workers: Workers = None,
+    suite_folder: SuiteFolder = Path(),
+    as_json: Json = False,
+) -> None:
+    """Check whether a run folder is true: its rows, tables and networks.
+
+    Some shards are simulated again, and all tables are computed again. The exit code is 0 if
+    everything is true, 1 if something is false, and 2 if something cannot be checked here.
+    """
+    from charms_bench import api
+
+    with interruptible():
+        found = api.audit(
+            run,
+            shards=None if everything else shards,
+            seed=seed,
+            workers=workers,
+            suite_folder=suite_folder,
+        )
+    if as_json:
+        print_json({"verdict": found.verdict, "findings": found.table.records()})
+    else:
+        for each in found.findings:
+            where = f"{each.where}: " if each.where else ""
+            say(f"{each.verdict:<9}{each.check:<10}{where}{each.what}")
+        say(f"{run}: {VERDICTS[found.verdict]}")
+    raise typer.Exit(EXIT_CODES[found.verdict])

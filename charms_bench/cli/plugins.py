@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, print_records, say
-from charms_bench.errors import InputError
+from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
 
 DECISION_HZ = {"neighbours": 3.0, "Kinematics": 1.0}
 """The usual decision rate of networks trained on an observation: here, and in highway-env."""
@@ -16,19 +16,23 @@ DECISION_HZ = {"neighbours": 3.0, "Kinematics": 1.0}
 def agents(as_json: Json = False) -> None:
     """List the installed agents and traffics.
 
-    The plugins are not imported.
+    The plugins are not imported. A name that two distributions claim cannot be used.
     """
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
     facts = ("role", "version", "distribution")
     found = [
         {"name": plugin.name, **{fact: getattr(plugin, fact) for fact in facts}}
+        | ({"rival": plugin.rival} if plugin.rival else {})
         for group in (AGENTS, TRAFFIC)
         for plugin in plugins(group).values()
     ]
     if as_json:
         print_json(found)
         return
+    for record in found:
+        if "rival" in record:
+            record["distribution"] += f" and {record['rival']}: unusable, uninstall one"
     print_records("name", found, dict.fromkeys(facts, ""))
 
 
@@ -98,8 +102,8 @@ def check(
         try:
             rule()
             problem = ""
-        except Exception as error:  # every mistake of a plugin is a result of the check
-            problem = str(error) if isinstance(error, AssertionError) else repr(error)
+        except PLUGIN_ERRORS as error:  # every mistake of a plugin is a result of the check
+            problem = str(error) if isinstance(error, AssertionError) else raised(error)
         title = rule.__name__.replace("_", " ")
         results.append({"rule": title, "kept": not problem, "problem": problem})
         if not as_json:

@@ -3,8 +3,9 @@
 import numpy as np
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import AgentError, InputError
+from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, InputError, raised
 from charms_bench.plugins.event import Event
+from charms_bench.plugins.held import HeldEvent
 from charms_bench.world.compiled import compiled, inlined
 from charms_bench.world.scene import Floats, Ints, Scene
 
@@ -84,15 +85,18 @@ def lowest_levels(simulation: Simulation, event: Event) -> Floats:
 
 
 def _checked(event: Event, scene: Scene, rows: Ints) -> Floats:
+    name = type(event.plugin if isinstance(event, HeldEvent) else event).__name__
     try:
         levels = np.asarray(event.level(scene, rows), dtype=np.float64)
-    except Exception as error:
-        what = f"raised {type(error).__name__}: {error}"
+    except BrokenWordError as error:
+        raise AgentError(f"event '{name}': {error}") from error
+    except PLUGIN_ERRORS as error:
+        what = raised(error)
     else:
         if levels.shape == rows.shape and not np.isnan(levels).any():
             return levels
         what = f"returned shape {levels.shape}, or NaN; expected {rows.shape} numbers"
-    raise AgentError(f"event '{type(event).__name__}': level {what}")
+    raise AgentError(f"event '{name}': level {what}")
 
 
 @compiled

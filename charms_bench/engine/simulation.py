@@ -1,6 +1,7 @@
 """B episodes at once: agents decide, an engine moves the vehicles, and each ending is noted."""
 
 from collections.abc import Mapping
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,13 @@ from charms_bench.engine.collisions import (
 )
 from charms_bench.engine.kernels import egos_off_road, vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
-from charms_bench.errors import AgentError, InputError
+from charms_bench.errors import (
+    PLUGIN_ERRORS,
+    AgentError,
+    BrokenWordError,
+    InputError,
+    raised,
+)
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, Actions
@@ -137,8 +144,7 @@ class Simulation:
         for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
-            assigned = self._traffic.assign(rng, 1, others)[0]
-            traffic[r] = [index[str(name)] for name in assigned]
+            traffic[r] = [index[name] for name in self._assigned(rng, int(seed), others)]
         if draws is None:
             self.engine.reset(rows, seeds, traffic)
         else:
@@ -148,6 +154,23 @@ class Simulation:
         self.phase = 0
         self.collision[rows] = NO_COLLISION
         self.has_action[rows] = False
+
+    def _assigned(self, rng: np.random.Generator, seed: int, others: int) -> list[str]:
+        """The names of the agents of an episode's other vehicles."""
+        try:
+            assigned = np.asarray(self._traffic.assign(rng, 1, others))
+            names = list(map(str, assigned.ravel()))
+        except BrokenWordError as error:
+            raise AgentError(f"the traffic, episode {seed}: {error}") from error
+        except PLUGIN_ERRORS as error:
+            raise AgentError(f"the traffic, episode {seed}: {raised(error)}") from error
+        what = f"shape {assigned.shape}; expected (1, {others})"
+        if assigned.shape == (1, others):
+            unknown = set(names) - set(self._traffic.agents)
+            what = f"'{min(unknown)}', which `agents` does not list" if unknown else ""
+        if what:
+            raise AgentError(f"the traffic, episode {seed}: assign returned {what}")
+        return names
 
     def state(self, rows: Ints | None = None) -> SceneState:
         """Saves the scenes `rows`, at any simulation step; by default, all scenes."""
@@ -209,16 +232,21 @@ class Simulation:
 
     def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
         try:
-            observations = observation_of(policy.observation)(self._shown, vehicles)
-            actions = np.asarray(policy.decide(observations))
-        except Exception as error:
-            raise self.blame(name, vehicles, _raised(error)) from error
+            with np.errstate():  # what a plugin sets is for itself
+                observations = observation_of(policy.observation)(self._shown, vehicles)
+                actions = np.asarray(policy.decide(observations))
+        except BrokenWordError as error:
+            raise self.blame(name, vehicles, str(error), error.vehicle) from error
+        except PLUGIN_ERRORS as error:
+            raise self.blame(name, vehicles, raised(error)) from error
         shape, wrong, what = vehicles[0].shape, 0, ""
         if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
             what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
-        elif (out := (actions < 0) | (actions >= len(ACTIONS))).any():
-            wrong = int(out.argmax())
-            what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
+        else:
+            actions = actions.copy()  # the policy may keep the array, and change it
+            if (out := (actions < 0) | (actions >= len(ACTIONS))).any():
+                wrong = int(out.argmax())
+                what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
         if what:
             raise self.blame(name, vehicles, f"decide returned {what}", wrong)
         return actions
@@ -247,10 +275,11 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
         observation_of(policy.observation)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
-    steps = settings.simulation_hz / policy.decision_hz if policy.decision_hz > 0 else 0.5
-    if steps != round(steps):
+    hz = policy.decision_hz
+    steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
+    if steps < 1 or steps != round(steps):
         raise InputError(
-            f"agent '{name}' decides {policy.decision_hz} times per second; simulation_hz "
+            f"agent '{name}' decides {hz} times per second; simulation_hz "
             f"{settings.simulation_hz} is not a multiple of this rate"
         )
     return policy
@@ -265,11 +294,16 @@ class _CheckedModel(DriverModel):
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:
-            answer = self._model.drive(scene, vehicles)
-            acceleration = np.ascontiguousarray(answer[0], dtype=np.float64)
-            target_lane = np.ascontiguousarray(answer[1])
-        except Exception as error:
-            raise self._simulation.blame(self._name, vehicles, _raised(error)) from error
+            with np.errstate():  # what a plugin sets is for itself
+                answer = self._model.drive(scene, vehicles)
+            acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
+            if acceleration.shape == target_lane.shape == vehicles[0].shape:
+                acceleration, target_lane = acceleration.astype(np.float64), target_lane.copy()
+        except BrokenWordError as error:
+            what = str(error)
+            raise self._simulation.blame(self._name, vehicles, what, error.vehicle) from error
+        except PLUGIN_ERRORS as error:
+            raise self._simulation.blame(self._name, vehicles, raised(error)) from error
         shape, lanes, limit = vehicles[0].shape, scene.constants.lanes, ACCELERATION_LIMIT_MPS2
         wrong, what = 0, ""
         if acceleration.shape != shape or target_lane.shape != shape:
@@ -294,12 +328,3 @@ def _first_wrong(acceleration: Floats, target_lane: Ints, lanes: int) -> int:
         if not (in_range and 0 <= target_lane[m] < lanes):
             return m
     return -1
-
-
-def _raised(error: Exception) -> str:
-    """The text of an agent's exception, and where it was raised."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    where = f" ({trace.tb_frame.f_code.co_filename}:{trace.tb_lineno})" if trace else ""
-    return f"raised {type(error).__name__}: {error}{where}"

@@ -8,13 +8,14 @@ import os
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, cast
 
-from charms_bench.errors import CharmsBenchError, RegistryError, suggestion
+from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, RegistryError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -53,13 +54,14 @@ class Plugin:
     distribution: str
     version: str
     entry_point: EntryPoint
+    rival: str = ""
+    """Another distribution that claims the name, so that the name cannot be used."""
 
 
 def plugins(group: str) -> Mapping[str, Plugin]:
     """The installed plugins of an entry-point group by name, sorted by name.
 
-    Raises:
-        RegistryError: Two distributions claim one name.
+    A name that two distributions claim is among them, but cannot be used; see `Plugin.rival`.
     """
     return _plugins(group, tuple((folder, _modified_ns(folder)) for folder in sys.path))
 
@@ -82,10 +84,7 @@ def _plugins(group: str, path: tuple[tuple[str, int], ...]) -> Mapping[str, Plug
         plugin = Plugin(entry_point.name, _ROLES[group], *origin, entry_point)
         rival = found.setdefault(plugin.name, plugin)
         if rival.distribution != plugin.distribution:
-            raise RegistryError(
-                f"the {plugin.role} '{plugin.name}' is claimed by two distributions, "
-                f"{rival.distribution} and {plugin.distribution}; uninstall one of them"
-            )
+            found[plugin.name] = replace(rival, rival=plugin.distribution)
     return MappingProxyType(dict(sorted(found.items())))
 
 
@@ -93,12 +92,21 @@ def find(group: str, name: str) -> Plugin:
     """The plugin of that name.
 
     Raises:
-        RegistryError: It is not installed.
+        RegistryError: It is not installed, or two distributions claim its name.
     """
     installed = plugins(group)
     if name in installed:
-        return installed[name]
+        return _unrivalled(installed[name])
     raise RegistryError(_unknown(_ROLES[group], name, installed))
+
+
+def _unrivalled(plugin: Plugin) -> Plugin:
+    if plugin.rival:
+        raise RegistryError(
+            f"the {plugin.role} '{plugin.name}' is claimed by two distributions, "
+            f"{plugin.distribution} and {plugin.rival}; uninstall one of them"
+        )
+    return plugin
 
 
 def _unknown(role: str, name: str, known: Mapping[str, object]) -> str:
@@ -130,11 +138,16 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     """
     installed, agents = plugins(TRAFFIC), plugins(AGENTS)
     if name in installed:
-        return cast(Traffic, _make(installed[name], options, Traffic))
+        plugin, agent = _unrivalled(installed[name]), agents.get(name)
+        if agent is not None and agent.distribution != plugin.distribution:
+            _unrivalled(replace(plugin, rival=agent.distribution))  # an agent is a traffic, too
+        return cast(Traffic, _make(plugin, options, Traffic))
     if not is_network(name) and name not in agents:
         raise RegistryError(_unknown("traffic", name, {**installed, **agents}))
     if options:
         raise RegistryError(f"'{name}' is an agent; as a traffic, it takes no options")
+    if not is_network(name):
+        _unrivalled(agents[name])
     return OneAgent(name)
 
 
@@ -159,8 +172,9 @@ def load(group: str, name: str) -> Any:
 
 def _load(plugin: Plugin) -> Any:
     try:
-        return plugin.entry_point.load()
-    except Exception as error:
+        with redirect_stdout(sys.stderr):  # standard output is for results
+            return plugin.entry_point.load()
+    except PLUGIN_ERRORS as error:
         remedy = _remedy(plugin, error) if isinstance(error, ImportError) else ""
         raise RegistryError(
             f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}{remedy}"
@@ -182,19 +196,37 @@ def _make(plugin: Plugin, options: Mapping[str, Any] | None, *kinds: type) -> An
     """What a plugin makes with options, which is of one of these kinds."""
     factory = _load(plugin)
     try:
-        made = factory(**(options or {}))
+        with redirect_stdout(sys.stderr):
+            made = factory(**(options or {}))
+            problem = _problem_of(made, *kinds)
     except CharmsBenchError:
         raise
-    except Exception as error:
+    except PLUGIN_ERRORS as error:
         given = ", ".join(options or ()) or "none"
         raise RegistryError(
             f"{_whose(plugin)} cannot be made (options: {given}): {type(error).__name__}: {error}"
         ) from error
-    if not isinstance(made, kinds):
-        expected = " or a ".join(kind.__name__ for kind in kinds)
-        found = type(made).__name__
-        raise RegistryError(f"{plugin.role} '{plugin.name}' is a {found}, not a {expected}")
+    if problem:
+        raise RegistryError(f"{plugin.role} '{plugin.name}' {problem}")
     return made
+
+
+def _problem_of(made: object, *kinds: type) -> str:
+    """Why what a plugin has made cannot be used as one of these kinds; empty if it can."""
+    is_one = [isinstance(made, kind) for kind in kinds]
+    if sum(is_one) != 1:
+        expected = " or a ".join(kind.__name__ for kind in kinds)
+        found = "both" if any(is_one) else f"a {type(made).__name__}"
+        return f"is {found}, not a {expected}"
+    if isinstance(made, Policy) and not isinstance(made.weights_sha256, str):
+        return f"has weights_sha256 {made.weights_sha256!r}; expected a text"
+    if isinstance(made, Traffic):
+        listed = made.agents
+        if not isinstance(listed, tuple | list) or not all(type(name) is str for name in listed):
+            return f"has agents {listed!r}; expected a tuple of names"
+        if not listed:
+            return "has no agents; expected at least one name"
+    return ""
 
 
 def _whose(plugin: Plugin) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import Reference
 from charms_bench.report.drivers_table import drivers_table
 from charms_bench.report.figures.drawing import save
@@ -19,7 +20,7 @@ from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import wilson
-from charms_bench.world.files import write_atomically, write_bytes
+from charms_bench.world.files import write_bytes
 
 
 def write_run(
@@ -34,38 +35,67 @@ def write_run(
     `following` is what all vehicles of its cells did while they followed; it and `references`,
     human driving to compare with, are for the table of realism.
     """
-    table, figures, name = suite_table(suite, cells), folder / "figures", suite.suite
-    write_table(folder, table)
-    write_table(folder, drivers_table(suite, cells))
-    if suite.pairs:
-        pairs = pairs_table(suite, cells)
-        summary = _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))
-        write_table(folder, pairs, summary)
-    if suite.preventable_by is not None:
-        write_table(folder, preventable_table(suite, cells))
-        if figure := draw_preventable(suite, cells):
-            save(figure, figures / f"{name}-preventable.png")
+    tables = run_tables(suite, cells, following, references)
+    for table, introduction in tables:
+        write_table(folder, table, introduction)
+    table, figures, name = tables[0][0], folder / "figures", suite.suite
+    if suite.preventable_by is not None and (figure := draw_preventable(suite, cells)):
+        save(figure, figures / f"{name}-preventable.png")
     if len(cells) > 1:
         save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
     if matrix := matrices(table):
-        parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
-        write_bytes(folder / "tables" / f"{name}-matrix.md", "\n".join(parts).encode())
+        write_bytes(folder / "tables" / f"{name}-matrix.md", matrix_page(matrix))
         save(draw_matrices(matrix), figures / f"{name}-matrix.png")
     if references:
-        realism = realism_table(suite, following, references)
-        write_table(folder, realism, [_described(each) for each in references])
         for quantity in TITLE:
             if people := recorded(quantity, references):
                 path = figures / f"{name}-{quantity}.png"
                 save(draw_quantity(quantity, following, people), path)
 
 
+def run_tables(
+    suite: Suite,
+    cells: Sequence[CellRows],
+    following: Sequence[TrafficCounts],
+    references: Sequence[Reference],
+    metric_sets: Sequence[MetricSet] = METRIC_SETS,
+) -> list[tuple[Table, Sequence[str]]]:
+    """The tables that a suite calls for, the one of metrics first, each with its introduction."""
+    made: list[tuple[Table, Sequence[str]]] = [
+        (suite_table(suite, cells, metric_sets), ()),
+        (drivers_table(suite, cells), ()),
+    ]
+    if suite.pairs:
+        pairs = pairs_table(suite, cells)
+        made.append((pairs, _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))))
+    if suite.preventable_by is not None:
+        made.append((preventable_table(suite, cells), ()))
+    if references:
+        realism = realism_table(suite, following, references)
+        made.append((realism, [_described(each) for each in references]))
+    return made
+
+
+def matrix_page(matrix: Sequence[Table]) -> bytes:
+    """The matrices of a suite as a Markdown file."""
+    parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
+    return "\n".join(parts).encode()
+
+
 def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) -> Path:
     """Writes a table into a run folder, as CSV and as Markdown; returns the path of the latter."""
     path = folder / "tables" / f"{table.name}.md"
-    write_atomically(path.with_suffix(".csv"), table.frame().write_csv)
-    write_bytes(path, document(table, introduction).encode())
+    for name, data in table_files(table, introduction).items():
+        write_bytes(path.with_name(name), data)
     return path
+
+
+def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, bytes]:
+    """The files of a table, by name."""
+    return {
+        f"{table.name}.csv": table.frame().write_csv().encode(),
+        f"{table.name}.md": document(table, introduction).encode(),
+    }
 
 
 def _pairs_summary(table: Table, right: int, asked: int, egos: int) -> list[str]:

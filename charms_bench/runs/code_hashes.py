@@ -5,11 +5,13 @@ imports, directly or not. These modules are found in the sources, so no list has
 """
 
 import ast
+import json
+import subprocess
 from collections.abc import Iterator, Mapping
 from functools import cache
-from hashlib import sha256
+from hashlib import sha1, sha256
 from importlib.machinery import BYTECODE_SUFFIXES, all_suffixes
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -86,6 +88,38 @@ def code_sha256(module: str) -> str:
         found = (path for path in code if path.name.endswith(_SUFFIXES))
         files |= {path.relative_to(root.parent).as_posix(): path for path in found}
     return _sha256(files)
+
+
+def module_blobs(sources: Path = SOURCES) -> dict[str, str]:
+    """Returns git's hash of the file of every module of this package, by the module's name.
+
+    `git log --all --find-object=HASH` lists the commits in which a file came or went.
+    """
+    package = sources / "charms_bench"
+    found = {}
+    for path in sorted(package.rglob("*.py")):
+        data = path.read_bytes()
+        name = ".".join(path.relative_to(sources).with_suffix("").parts)
+        blob = sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False)
+        found[name.removesuffix(".__init__")] = blob.hexdigest()
+    return found
+
+
+def commit() -> str:
+    """Returns the commit that this package was installed from, or "" if it is not known.
+
+    pip notes it when it installs from a repository; a checkout has it, too.
+    """
+    try:
+        noted = json.loads(distribution("charms-bench").read_text("direct_url.json") or "{}")
+        if "vcs_info" in noted:
+            return str(noted["vcs_info"]["commit_id"])
+        if not (SOURCES / ".git").exists():
+            return ""
+        asked = ["git", "-C", str(SOURCES), "rev-parse", "HEAD"]
+        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, ValueError, KeyError, PackageNotFoundError, subprocess.SubprocessError):
+        return ""
 
 
 def _sha256(files: Mapping[str, Path]) -> str:

@@ -23,7 +23,7 @@ from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
-from charms_bench.runs.code_hashes import library_versions
+from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.suite import PRESENTATION, Suite
@@ -128,6 +128,8 @@ class RunFolder:
             "agents": agents,
             "metric_sets": {each.name: each.version for each in METRIC_SETS},
             "versions": library_versions(),
+            "commit": commit(),
+            "modules": module_blobs(),
             "machine": {
                 "python": platform.python_version(),
                 "system": platform.system(),
@@ -242,32 +244,35 @@ class RunFolder:
         return rows.with_columns(pl.col("agent").replace(names))
 
     def _read(self, kind: str, name: str) -> pl.DataFrame:
-        path, checksums, schema = self._file(kind, name), self._checksums(name), SCHEMAS[kind]
-        try:
-            data = read_limited(path, FILE_LIMIT_BYTES)
-            lines = read_limited(checksums, FILE_LIMIT_BYTES).splitlines()
-        except OSError as error:
-            raise RunFolderError(
-                f"{error.filename or path}: cannot be read: {error.strerror}; run the suite again"
-            ) from error
+        path, checksums = self._file(kind, name), self._checksums(name)
+        data, lines = _content(path), _content(checksums).splitlines()
         if _checksum(kind, name, data) not in lines:
             raise RunFolderError(
                 f"{path}: does not match its checksum in {checksums}; run the suite again"
             )
-        try:
-            rows = pl.scan_parquet(BytesIO(data))
-            found = rows.collect_schema()
-            wrong = [name for name in schema if found.get(name) != schema[name]]
-            if not wrong and rows.select(pl.len()).collect().item() <= ROWS_LIMIT:
-                return rows.select(schema.names()).collect()  # later versions may add columns
-        except pl.exceptions.PolarsError as error:
-            raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
-        problem = (
-            f"the columns {', '.join(wrong)} are missing or have other types"
-            if wrong
-            else f"holds more than {ROWS_LIMIT:,} rows"
-        )
-        raise RunFolderError(f"{path}: {problem}; run the suite again")
+        return _rows(kind, path, data)
+
+    def read_unchecked(self, kind: str, shard: Shard) -> pl.DataFrame:
+        """Returns the rows of a shard, whose networks are named by their hashes.
+
+        Raises:
+            RunFolderError: The file cannot be read, or holds something else than such rows.
+        """
+        path = self._file(kind, shard.name)
+        return _rows(kind, path, _content(path))
+
+    def damaged_files(self, name: str) -> list[Path]:
+        """Returns the files of a shard that are missing or do not match their checksums."""
+        lines = _content(self._checksums(name)).splitlines()
+        found = []
+        for kind in KINDS:
+            try:
+                is_whole = _checksum(kind, name, _content(self._file(kind, name))) in lines
+            except RunFolderError:
+                is_whole = False
+            if not is_whole:
+                found.append(self._file(kind, name))
+        return found
 
     def _files(self, name: str) -> ShardFiles | None:
         """Returns the files of a shard, or None if one has changed since it was written."""
@@ -335,6 +340,34 @@ class RunFolder:
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return read_limited(path, FILE_LIMIT_BYTES)
+    except OSError as error:
+        raise RunFolderError(
+            f"{error.filename or path}: cannot be read: {error.strerror}; run the suite again"
+        ) from error
+
+
+def _rows(kind: str, path: Path, data: bytes) -> pl.DataFrame:
+    """Returns the rows in a Parquet file."""
+    schema = SCHEMAS[kind]
+    try:
+        rows = pl.scan_parquet(BytesIO(data))
+        found = rows.collect_schema()
+        wrong = [name for name in schema if found.get(name) != schema[name]]
+        if not wrong and rows.select(pl.len()).collect().item() <= ROWS_LIMIT:
+            return rows.select(schema.names()).collect()  # later versions may add columns
+    except pl.exceptions.PolarsError as error:
+        raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
+    problem = (
+        f"the columns {', '.join(wrong)} are missing or have other types"
+        if wrong
+        else f"holds more than {ROWS_LIMIT:,} rows"
+    )
+    raise RunFolderError(f"{path}: {problem}; run the suite again")
 
 
 def _checksums(name: str, files: ShardFiles) -> bytes:

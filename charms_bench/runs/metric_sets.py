@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.errors import CharmsBenchError, InputError, RegistryError
+from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, InputError, RegistryError
 from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
 from charms_bench.plugins.registry import METRICS, load
 from charms_bench.runs.options import name_and_options
@@ -46,7 +46,7 @@ def _metric_set(text: str) -> MetricSet:
             made = made(**options)
         except CharmsBenchError:
             raise
-        except Exception as error:
+        except PLUGIN_ERRORS as error:
             raise RegistryError(
                 f"metric set '{name}' cannot be made (options: {', '.join(options) or 'none'}): "
                 f"{type(error).__name__}: {error}"
@@ -71,7 +71,7 @@ def _try_out(metric_set: MetricSet) -> None:
             (sums,) = sums_by_episode([metric], episodes, steps, SceneSettings())
             value = metric.value(sums)
             problem = "" if np.shape(value) == (1,) else f"value has shape {np.shape(value)}"
-        except Exception as error:  # a plugin may raise anything
+        except PLUGIN_ERRORS as error:
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
         if problem:
             raise RegistryError(

@@ -113,6 +113,11 @@ def run_rare(
     ]
 
 
+def damaged_files(folder: Path) -> list[Path]:
+    """Returns the files of runs that have changed since they were written."""
+    return [path for path in sorted((folder / "runs").glob("*.json")) if _read(path) is None]
+
+
 def _plan(suite: Suite, event: str, runs: int, samples: int) -> dict[tuple[int, int], RareTask]:
     """Returns the runs to make by the index of their cell and their number."""
     forget_agents()

@@ -14,13 +14,15 @@ import numpy as np
 
 from charms_bench.engine.events import lowest_levels
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.event import Event
+from charms_bench.plugins.held import HeldEvent
 from charms_bench.plugins.registry import EVENTS, find, make_event
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content
 from charms_bench.runs.code_hashes import harness_sha256
+from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.options import name_and_options
-from charms_bench.runs.shard import Software, agent_of, installed, origin_of
+from charms_bench.runs.shard import HeldDrivers, Software, installed, origin_of
 from charms_bench.statistics.subset_simulation import Seeds, SubsetRun, subset_simulation
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -102,7 +104,10 @@ def estimate(task: RareTask) -> SubsetRun:
             f"{task.title}: changed since the first run began: {changed}; start again with another "
             "--output"
         )
-    event, simulations = event_of(task.event), _Simulations(task)
+    names = harness_names()
+    simulations = _Simulations(task)
+    steps = task.scene.decisions * task.scene.steps_per_decision
+    event = HeldEvent(event_of(task.event), np.random.default_rng([task.seed, task.run, 3]), steps)
 
     def level(normal: Floats, seeds: Seeds) -> Floats:
         parts = range(0, seeds.size, EPISODES_AT_ONCE)
@@ -112,6 +117,10 @@ def estimate(task: RareTask) -> SubsetRun:
 
     rng = np.random.default_rng([task.seed, task.run])
     (made,) = subset_simulation(level, 4 * task.scene.vehicles + 1, task.samples, 1, rng)
+    simulations.held.finish(task.title)
+    event.finish(f"event '{task.event}', {task.title}")
+    if problem := problem_of(names):
+        raise AgentError(f"{task.title}: {problem}; its estimate is refused")
     return made
 
 
@@ -119,11 +128,9 @@ class _Simulations:
     """Simulates episodes of a cell from normal components."""
 
     def __init__(self, task: RareTask) -> None:
-        traffic = task.traffic.make()
-        agents = {
-            driver.key: agent_of(driver, task.networks) for driver in drivers_of(task.ego, traffic)
-        }
-        self._arguments: tuple[Any, ...] = (task.ego.key, traffic, agents)
+        cell = (task.ego, task.traffic, task.networks, task.scene)
+        self.held = HeldDrivers(*cell, task.seed + task.run)
+        self._arguments: tuple[Any, ...] = (task.ego.key, self.held.traffic, self.held.agents)
         self._scene = task.scene
         self._by_size: dict[int, Simulation] = {}
 

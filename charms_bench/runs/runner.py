@@ -93,7 +93,7 @@ def run(
             missing[task] = shard
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
-        simulate_all = cluster or partial(_on_this_machine, engine, workers)
+        simulate_all = cluster or partial(on_this_machine, engine, workers)
         with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
             try:
                 for task, files in finished:
@@ -119,29 +119,48 @@ def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
         )
     forget_agents()
     tasks: dict[Shard, ShardTask] = {}
-    for index, cell in enumerate(suite.cells):
-        ego, traffic = cell.ego.agent, cell.traffic.traffic
-        networks = networks_of(ego, traffic.make(), suite.folder)
-        software = installed(ego, traffic, networks)
-        for start in range(0, suite.episodes, SHARD_EPISODES[engine]):
-            episodes = min(SHARD_EPISODES[engine], suite.episodes - start)
-            first, last = suite.seed + start, suite.seed + start + episodes - 1
-            task = ShardTask(
-                title=f"{cell.ego.title} in {cell.traffic.title}, episodes {first} to {last}",
-                engine=engine,
-                scene=cell.scene,
-                ego=ego,
-                traffic=traffic,
-                networks=networks,
-                first_seed=first,
-                episodes=episodes,
-                software=software,
-            )
-            tasks[Shard(index, first, episodes, task.key)] = task
+    for index in range(len(suite.cells)):
+        tasks |= plan_cell(suite, index, engine)
     return tasks
 
 
-def _on_this_machine(
+def plan_cell(
+    suite: Suite, index: int, engine: EngineName, folder: RunFolder | None = None
+) -> dict[Shard, ShardTask]:
+    """Returns the shards of one cell; see `plan`.
+
+    Args:
+        suite: The suite.
+        index: The cell's.
+        engine: `batched` or `highway-env`.
+        folder: A run folder whose copies of networks are used instead of the suite's files.
+    """
+    cell = suite.cells[index]
+    ego, traffic = cell.ego.agent, cell.traffic.traffic
+    networks = networks_of(ego, traffic.make(), suite.folder)
+    if folder is not None:
+        networks = {name: folder.network(name) or path for name, path in networks.items()}
+    software = installed(ego, traffic, networks)
+    tasks = {}
+    for start in range(0, suite.episodes, SHARD_EPISODES[engine]):
+        episodes = min(SHARD_EPISODES[engine], suite.episodes - start)
+        first, last = suite.seed + start, suite.seed + start + episodes - 1
+        task = ShardTask(
+            title=f"{cell.ego.title} in {cell.traffic.title}, episodes {first} to {last}",
+            engine=engine,
+            scene=cell.scene,
+            ego=ego,
+            traffic=traffic,
+            networks=networks,
+            first_seed=first,
+            episodes=episodes,
+            software=software,
+        )
+        tasks[Shard(index, first, episodes, task.key)] = task
+    return tasks
+
+
+def on_this_machine(
     engine: EngineName,
     workers: int | None,
     tasks: Sequence[ShardTask],

@@ -11,6 +11,7 @@ from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -20,11 +21,14 @@ from charms_bench.engine.columns import DRIVER_KEYS
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.held import Held, HeldTraffic
+from charms_bench.plugins.held_agents import hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
+from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.world.scene import SceneSettings
 
 ShardFiles = Mapping[str, bytes]
@@ -104,24 +108,27 @@ def simulate(task: ShardTask) -> ShardFiles:
         CharmsBenchError: An agent cannot be made, or fails.
     """
     use_exact_maths(task.engine)
+    names = harness_names()
     if changed := installed(task.ego, task.traffic, task.networks).differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"
         )
-    traffic = task.traffic.make()
-    drivers = drivers_of(task.ego, traffic)
-    agents = {driver.key: agent_of(driver, task.networks) for driver in drivers}
     ego, count, first = task.ego.key, task.episodes, task.first_seed
-    simulation = Simulation(task.scene, count, ego, traffic, agents, task.engine)
-    simulation.reset(np.arange(first, first + count, dtype=np.uint64))
-    recording = Recording(simulation)
-    while simulation.scene.active.any():
-        simulation.step()
-        recording.note()
+    held = HeldDrivers(task.ego, task.traffic, task.networks, task.scene, first)
+    with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
+        simulation = Simulation(task.scene, count, ego, held.traffic, held.agents, task.engine)
+        simulation.reset(np.arange(first, first + count, dtype=np.uint64))
+        recording = Recording(simulation)
+        while simulation.scene.active.any():
+            simulation.step()
+            recording.note()
+        held.finish(task.title)
+    if problem := problem_of(names):
+        raise AgentError(f"{task.title}: {problem}; its rows are refused")
     # Rows depend on the content of a network and not on its path, like the key.
     copies = {
         driver.key: f"{task.software.agents[driver.origin]['weights_sha256']}.onnx"
-        for driver in drivers
+        for driver in held.drivers
         if is_network(driver.name)
     }
     conduct = recording.drivers().with_columns(pl.col("agent").replace(copies)).sort(DRIVER_KEYS)
@@ -131,6 +138,46 @@ def simulate(task: ShardTask) -> ShardFiles:
         "drivers": in_parquet(conduct),
         "episodes": in_parquet(recording.episodes()),
     }
+
+
+class HeldDrivers:
+    """The agents and the traffic of a cell, held to their word; see `plugins.held`.
+
+    Args:
+        ego: The ego's agent.
+        traffic: The traffic around it.
+        networks: The files of their networks; see `specs.networks_of`.
+        scene: The cell's scene.
+        seed: Chooses the questions that are asked again.
+    """
+
+    def __init__(
+        self,
+        ego: AgentSpec,
+        traffic: TrafficSpec,
+        networks: Mapping[str, Path],
+        scene: SceneSettings,
+        seed: int,
+    ) -> None:
+        rng = np.random.default_rng([seed, 2])
+        self.traffic = HeldTraffic(traffic.make(), traffic.make(), rng)
+        self.drivers = drivers_of(ego, self.traffic)
+        self.agents = {
+            driver.key: hold(
+                agent_of(driver, networks), agent_of(driver, networks, instance=1), scene, rng
+            )
+            for driver in self.drivers
+        }
+
+    def finish(self, title: str) -> None:
+        """Asks the last questions, when an agent is not asked any more.
+
+        Raises:
+            AgentError: An answer differs.
+        """
+        held: dict[str, Held[Any]] = {f"agent '{name}'": each for name, each in self.agents.items()}
+        for whose, each in {**held, "the traffic": self.traffic}.items():
+            each.finish(f"{whose}, {title}")
 
 
 def in_parquet(rows: pl.DataFrame) -> bytes:
@@ -183,13 +230,13 @@ def origin_of(plugin: Plugin) -> dict[str, str]:
     }
 
 
-def agent_of(spec: AgentSpec, networks: Mapping[str, Path]) -> Agent:
-    """Returns an agent, which is made once per process."""
-    return _cached_agent(spec.model_dump_json(), networks.get(spec.name))
+def agent_of(spec: AgentSpec, networks: Mapping[str, Path], instance: int = 0) -> Agent:
+    """Returns an agent, of which each instance is made once per process."""
+    return _cached_agent(spec.model_dump_json(), networks.get(spec.name), instance)
 
 
 @lru_cache
-def _cached_agent(spec_json: str, network: Path | None) -> Agent:
+def _cached_agent(spec_json: str, network: Path | None, instance: int) -> Agent:
     spec = AgentSpec.model_validate_json(spec_json)
     return spec.make({} if network is None else {spec.name: network})
 

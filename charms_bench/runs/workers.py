@@ -16,7 +16,7 @@ from multiprocessing.process import BaseProcess
 from types import MappingProxyType, ModuleType
 from typing import Any, Generic, TypeVar
 
-from charms_bench.errors import CharmsBenchError, WorkerError
+from charms_bench.errors import AgentError, CharmsBenchError, WorkerError, raised
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -173,6 +173,7 @@ def starting(environment: Mapping[str, str]) -> Iterator[None]:
 def _serve(work: Callable[[Any], Any], connection: Connection) -> None:
     """Answers tasks until the parent closes the connection."""
     start_worker()
+    os.dup2(2, 1)  # standard output is for results, whatever a plugin prints
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a signal to the group is for the parent
     while True:
         try:
@@ -183,6 +184,8 @@ def _serve(work: Callable[[Any], Any], connection: Connection) -> None:
             result = work(task)
         except CharmsBenchError as error:
             result = error
+        except (SystemExit, KeyboardInterrupt) as error:  # no signal of ours raises these here
+            result = AgentError(f"a plugin or a library {raised(error)}")
         except Exception:  # not every exception can be pickled
             result = RuntimeError(f"in a worker process:\n{traceback.format_exc()}")
         connection.send(result)

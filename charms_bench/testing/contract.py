@@ -14,6 +14,7 @@ A rule raises AssertionError with what was found and what was expected.
 import pickle
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial, update_wrapper
 from typing import Any
 
@@ -21,8 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.batched import BatchedEngine
-from charms_bench.errors import InputError
+from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
+from charms_bench.plugins.held_agents import check_values, driving, is_between
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.scene_questions import SceneQuestion, copied
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import observation_of
@@ -102,12 +106,23 @@ def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
 
 
 def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
-    """A vehicle's action does not depend on the other vehicles in the batch."""
+    """A vehicle's action does not depend on the other vehicles, their number or their order."""
     observations = _observations(policy)
-    together = np.asarray(policy.decide(observations))
-    alone = [int(np.asarray(policy.decide(row[None]))[0]) for row in observations]
-    differing = int((together != alone).sum())
-    assert not differing, f"{differing} of {len(alone)} actions differ if the vehicle is alone"
+    together = np.array(policy.decide(observations.copy()))
+    order = np.random.default_rng(0).permutation(len(observations))
+    for size in (1, 7, order.size):
+        batches = [order[start : start + size] for start in range(0, order.size, size)]
+        if type(policy) is OnnxPolicy:
+            values = policy.values(observations)
+            for rows in batches:
+                _kept(check_values, policy, observations[rows], values[rows], rows)
+            continue
+        found = np.concatenate([policy.decide(observations[rows].copy()) for rows in batches])
+        at = order[found != together[order]]
+        actions = (*together[at], *found[np.isin(order, at)])
+        explained = at.size == 1 and is_between(policy, observations[at[0]], *actions)
+        differing = f"{at.size} of {order.size} actions differ"
+        assert not at.size or explained, f"{differing} in batches of {size} in another order"
 
 
 def policy_does_not_change_its_observations(policy: Policy) -> None:
@@ -132,13 +147,14 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
 
 
 def model_drives_each_scene_independently(model: DriverModel) -> None:
-    """What happens in one scene does not depend on the other scenes."""
-    rows, places = _everyone(example_scene())
-    together = _answer(model, example_scene(), (rows, places))
-    for row in range(0, _SCENES, 5):
-        alone = _answer(model, example_scene(), (rows[rows == row], places[rows == row]))
-        same = (alone == together[:, rows == row]).all()
-        assert same, f"scene {row} is driven differently if it is alone"
+    """What happens in one scene does not depend on the others, their number or their order."""
+    scene = example_scene()
+    asked = SceneQuestion("drive", scene, _everyone(scene), ())
+    said = driving(model)(asked.part(None)[0].scene.read_only(), asked.vehicles)
+    order = np.random.default_rng(0).permutation(_SCENES)
+    for size in (1, 5, _SCENES):
+        rows, how = order[:size], f"shown {size} of {_SCENES} scenes in another order"
+        _kept(replace(asked, said=said).check, driving(model), how, rows)
 
 
 def model_does_not_change_the_scene(model: DriverModel) -> None:
@@ -151,9 +167,15 @@ def model_does_not_change_the_scene(model: DriverModel) -> None:
 
 
 def agent_is_deterministic(agent: Agent) -> None:
-    """Asked twice about the same observations or scenes, it answers the same."""
-    differing = (_asked(agent)() != _asked(agent)()).sum()
+    """Asked again about the same observations or scenes, after others, it answers the same."""
+    ask, others = _asked(agent), _asked(agent, seed=1)
+    first = ask()
+    differing = (ask() != first).sum()
     assert not differing, f"{differing} answers differ between two calls"
+    for _ in range(20):
+        others()
+    differing = (ask() != first).sum()
+    assert not differing, f"{differing} answers differ after 20 other calls"
 
 
 def agent_answers_the_same_in_another_process(agent: Agent) -> None:
@@ -198,18 +220,26 @@ def _check_integers(what: str, values: NDArray[Any], count: int) -> None:
         assert 0 <= value < count, f"{what} {value}; expected 0 to {count - 1}"
 
 
-def _observations(policy: Policy) -> Observations:
-    scene = example_scene()
+def _kept(check: Callable[..., None], *arguments: Any) -> None:
+    """Checks a rule that runs check, too."""
+    try:
+        check(*arguments)
+    except BrokenWordError as error:
+        raise AssertionError(str(error)) from error
+
+
+def _observations(policy: Policy, seed: int = 0) -> Observations:
+    scene = example_scene(seed)
     return observation_of(policy.observation)(scene, _everyone(scene))
 
 
-def _asked(agent: Agent) -> Callable[[], NDArray[Any]]:
+def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
     """Asks an agent about every vehicle of the example scenes."""
     if isinstance(agent, Policy):
-        observations = _observations(agent)
+        observations = _observations(agent, seed)
         return lambda: np.array(agent.decide(observations.copy()))
-    scene = example_scene()
-    return lambda: _answer(agent, scene, _everyone(scene))
+    scene = example_scene(seed)
+    return lambda: _answer(agent, copied(scene), _everyone(scene))
 
 
 def _everyone(scene: Scene) -> Vehicles:

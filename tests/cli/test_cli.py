@@ -217,7 +217,7 @@ def test_agents_are_listed_with_role_version_and_distribution() -> None:
         ("outside_model", 0, "kept   model does not change the scene"),
         ("outside_traffic", 0, "kept   traffic follows its rng"),
         ("outside_misshapen", 1, "broken policy returns one action per vehicle: shape (336, 2)"),
-        ("outside_raising", 1, "ValueError('out of petrol')"),
+        ("outside_raising", 1, "raised ValueError: out of petrol"),
     ],
 )
 def test_check_holds_a_plugin_against_the_contract(name: str, code: int, message: str) -> None:

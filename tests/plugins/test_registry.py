@@ -1,25 +1,18 @@
 """Plugins by name: found without import, blamed by distribution, never ambiguous."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import EntryPoint
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+from command_line import charms_bench
 
 from charms_bench.errors import RegistryError
-from charms_bench.plugins import registry
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
 from charms_bench.plugins.traffic import OneAgent
-
-
-def entry_point(name: str, value: str, distribution: str) -> EntryPoint:
-    point = EntryPoint(name, value, AGENTS)
-    vars(point)["dist"] = SimpleNamespace(name=distribution, version="1.0")
-    return point
 
 
 def test_the_outside_plugin_is_listed_with_its_distribution_and_version() -> None:
@@ -74,14 +67,28 @@ def test_a_plugin_that_is_installed_later_is_found(
     assert plugins(AGENTS)["late"].distribution == "late"
 
 
-def test_two_distributions_that_claim_one_name_are_an_error(
+def test_a_name_that_two_distributions_claim_cannot_be_used_and_the_others_can(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(tmp_path)  # the folders that were searched before have not changed
-    rivals = [entry_point("racer", "a:A", "one"), entry_point("racer", "b:B", "two")]
-    monkeypatch.setattr(registry, "entry_points", lambda group: rivals)
-    with pytest.raises(RegistryError, match="'racer' is claimed by two distributions, one and two"):
-        plugins(AGENTS)
+    known = tmp_path / "thief-0.1.dist-info"
+    known.mkdir()
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: thief\nVersion: 0.1\n")
+    lines = (f"[{AGENTS}]", "idm_mobil = thief:A", f"[{TRAFFIC}]", "stackelberg = thief:T")
+    (known / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    claim = "is claimed by two distributions, .*thief.*; uninstall one of them"
+    for make in (make_agent, make_traffic):
+        with pytest.raises(RegistryError, match=f"'idm_mobil' {claim}"):
+            make("idm_mobil")
+    with pytest.raises(RegistryError, match=f"the traffic 'stackelberg' {claim}"):
+        make_traffic("stackelberg")
+    assert make_agent("stackelberg")
+    listed = charms_bench("agents")
+    assert listed.returncode == 0
+    assert re.search("idm_mobil +agent .* and .*: unusable, uninstall one", listed.stdout)
+    used = charms_bench("check", "idm_mobil")
+    assert used.returncode == 2
+    assert "charms-bench and thief" in used.stderr or "thief and charms-bench" in used.stderr
 
 
 def test_an_agents_name_is_also_that_of_a_traffic() -> None:

@@ -62,7 +62,7 @@ def scribble(observations: Observations) -> Actions:
         (
             lambda o: np.full(len(o), min(len(o), 3)),
             "policy_decides_for_each_vehicle_independently",
-            "336 actions differ if the vehicle is alone",
+            "336 of 336 actions differ in batches of 1",
         ),
         (
             lambda o: RNG.integers(0, 5, len(o)),
@@ -112,7 +112,7 @@ def push(scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         (
             lambda s, v: (np.full(v[0].size, float(v[0].size)), s.lane[v]),
             "model_drives_each_scene_independently",
-            "scene 0 is driven differently if it is alone",
+            r"returned 336\.0, and 21\.0 when shown 1 of 16 scenes in another order",
         ),
         (
             lambda s, v: (RNG.random(v[0].size), s.lane[v]),
