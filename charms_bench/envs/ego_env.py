@@ -61,10 +61,10 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
     ) -> None:
         if "render_mode" in scene:
             raise TypeError("render_mode is not supported; `charms-bench replay` draws episodes")
-        settings = _settings(scene)
+        settings = scene_settings(scene)
         self._observation = observation_of(observation)
         self.observation_space, self.action_space = spaces_of(settings, self._observation)
-        self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
+        self.simulation = Simulation(settings, 1, None, *drivers_of(traffic))
         self._reward = reward or HighwayReward()
 
     def reset(
@@ -132,20 +132,27 @@ def ego_vector_env(
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
-    drivers, shown = _drivers(traffic), observation_of(observation)
+    drivers, shown = drivers_of(traffic), observation_of(observation)
     rule = reward or HighwayReward()
-    return HighwayVectorEnv(_settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown)
+    return HighwayVectorEnv(
+        scene_settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown
+    )
 
 
-def _settings(scene: dict[str, Any]) -> SceneSettings:
+def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSettings:
+    """The settings with the keys of a suite's `scene`.
+
+    Raises:
+        InputError: A key or a value is wrong; the message begins with the environment's name.
+    """
     try:
         return SceneSettings.model_validate(scene)
     except ValidationError as error:
         location, what = first_problem(error)
-        raise InputError(f"{ID}: {'.'.join(map(str, location))}: {what}") from error
+        raise InputError(f"{environment}: {'.'.join(map(str, location))}: {what}") from error
 
 
-def _drivers(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
+def drivers_of(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
     """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)
