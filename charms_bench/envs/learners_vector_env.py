@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
@@ -82,6 +83,11 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         return self._learners.numbers
 
     @property
+    def simulation(self) -> Simulation:
+        """The simulation of the B scenes."""
+        return self._learners.simulation
+
+    @property
     def alive(self) -> Bools:
         """(B L,) whether the learner drives, so that its next action counts."""
         return self._learners.alive.ravel().copy()
@@ -116,17 +122,17 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
             `episode_return` and the scene's `seed`.
         """
         learners = self._learners
-        simulation, vehicles, drove = learners.simulation, learners.vehicles, learners.alive.copy()
+        simulation, vehicles, drove = self.simulation, learners.vehicles, learners.alive.copy()
         outcome = learners.step(np.reshape(actions, drove.shape))
         observations = self._observe(vehicles, drove)
         infos: dict[str, Any] = {}
         ended = (outcome.terminated | outcome.truncated).ravel()
         if ended.any():
-            of_scenes = {"steps": simulation.steps, "seed": simulation.seeds}
-            values = {name: np.repeat(v, drove.shape[1]) for name, v in of_scenes.items()}
-            values |= {
+            values: dict[str, NDArray[Any]] = {
                 "ending": outcome.endings.ravel(),
+                "steps": np.repeat(simulation.steps, drove.shape[1]),
                 "episode_return": learners.returns.ravel(),
+                "seed": np.repeat(simulation.seeds, drove.shape[1]),
             }
             infos = final_infos(ended, observations, values)
             observations[ended] = 0.0
@@ -147,7 +153,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     def _observe(self, vehicles: Vehicles, alive: Bools) -> Observations:
         """The observations (B L, rows, columns), zeros where `alive` [B, L] is false."""
-        seen = self._observation(self._learners.simulation.scene, vehicles)
+        seen = self._observation(self.simulation.scene, vehicles)
         if alive.all():
             return seen
         observations = np.zeros((alive.size, *seen.shape[1:]), dtype=seen.dtype)

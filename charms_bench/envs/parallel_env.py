@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.engine.simulation import ENDINGS, RUNNING
+from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
@@ -30,7 +30,7 @@ Step = tuple[
 ]
 
 
-class HighwayParallelEnv(ParallelEnv[str, Observations, int]):
+class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
     """One episode after another, in which all vehicles or some of them are driven from outside.
 
     The agents are `vehicle_0`, the ego, and `vehicle_k`, the k-th of the other vehicles in the
@@ -81,6 +81,11 @@ class HighwayParallelEnv(ParallelEnv[str, Observations, int]):
         self.action_spaces = {agent: chosen for agent, (_, chosen) in spaces.items()}
         self._rng = np.random.default_rng()
 
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of the scene."""
+        return self._learners.simulation
+
     def observation_space(self, agent: str) -> Any:
         """The space of an agent's observations."""
         return self.observation_spaces[agent]
@@ -97,9 +102,14 @@ class HighwayParallelEnv(ParallelEnv[str, Observations, int]):
         Args:
             seed: The episode's seed; None draws one.
             options: Ignored, which PettingZoo's tests require.
+
+        Raises:
+            InputError: The seed is out of range.
         """
         if seed is None:
             seed = EVALUATION_SEEDS + int(self._rng.integers(2**62))
+        elif not 0 <= seed < 2**64:
+            raise InputError(f"seed is {seed}; expected 0 to 2**64 - 1")
         else:
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
@@ -155,5 +165,5 @@ class HighwayParallelEnv(ParallelEnv[str, Observations, int]):
         """The observations of `agents`."""
         places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
         vehicles = (np.zeros_like(places), places)
-        seen = self._observation(self._learners.simulation.scene, vehicles)
+        seen = self._observation(self.simulation.scene, vehicles)
         return dict(zip(self.agents, seen, strict=True))
