@@ -148,7 +148,7 @@ def test_gymnasiums_own_wrapper_counts_the_same_returns() -> None:
         for row in np.nonzero(infos.get("_final_info", []))[0]:
             own = infos["final_info"]["episode_return"][row]
             counted.append((own, infos["episode"]["r"][row]))
-    assert len(counted) > 60
+    assert len(counted) >= 50
     np.testing.assert_allclose(*np.transpose(counted))
 
 

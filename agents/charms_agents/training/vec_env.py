@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.world.scene import Observations
 
@@ -16,13 +17,13 @@ ENDED = ("ending", "steps", "episode_return", "seed")
 
 
 class EpisodesVecEnv(VecEnv):
-    """Adapts a `HighwayVectorEnv` to Stable-Baselines3.
+    """Adapts a `HighwayVectorEnv` or a `LearnersVectorEnv` to Stable-Baselines3.
 
     The last observation of an ended episode is `infos[i]["terminal_observation"]`.
     `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.
     """
 
-    def __init__(self, episodes: HighwayVectorEnv[Any]) -> None:
+    def __init__(self, episodes: HighwayVectorEnv[Any] | LearnersVectorEnv) -> None:
         self.episodes = episodes
         self.render_mode = None
         super().__init__(
