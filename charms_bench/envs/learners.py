@@ -1,6 +1,7 @@
 """Several vehicles of each scene driven from outside, each until it crashes or leaves the road."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import index
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +49,8 @@ class Learners:
         reward: The reward of a decision.
 
     Raises:
-        InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing.
+        InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; or
+            there is no scene.
     """
 
     def __init__(
@@ -60,6 +62,8 @@ class Learners:
         agents: Mapping[str, Agent],
         reward: VehicleReward,
     ) -> None:
+        if scenes < 1:
+            raise InputError(f"scenes is {scenes}; expected at least 1")
         everyone = range(settings.vehicles)
         self.numbers = _checked(everyone if numbers is None else numbers, settings.vehicles)
         shape = (scenes, len(self.numbers))
@@ -133,9 +137,14 @@ class FromOutside(Traffic):
 
 def _checked(numbers: Iterable[int], vehicles: int) -> tuple[int, ...]:
     """The learners' numbers in ascending order."""
-    found = sorted(numbers)
-    expected = f"expected different numbers from 0 to {vehicles - 1}, of which one is 0, the ego"
+    try:
+        found = sorted(index(number) for number in numbers)
+    except TypeError:
+        found = []
     if not found or found[0] != 0 or found[-1] >= vehicles or len({*found}) < len(found):
-        shown = ", ".join(map(str, found[:20])) + ", ..." * (len(found) > 20)
-        raise InputError(f"learners: {shown or 'none'}; {expected}")
-    return tuple(map(int, found))
+        shown = ", ".join(map(str, found[:20])) + ", ..." * (len(found) > 20) or f"{numbers!r:.80}"
+        raise InputError(
+            f"learners: found {shown}; expected different numbers from 0 to {vehicles - 1}, of "
+            f"which one is 0, the ego, such as range({min(3, vehicles)})"
+        )
+    return tuple(found)

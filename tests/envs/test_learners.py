@@ -218,7 +218,13 @@ def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
     assert [SIDE, SIDE] in endings
 
 
-@pytest.mark.parametrize("numbers", [(), (1, 2), (0, 0), (0, 21), (-1, 0)])
-def test_numbers_that_no_vehicle_has_are_refused(numbers: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"learners: .*expected different numbers from 0 to 20"):
+@pytest.mark.parametrize("numbers", [(), (1, 2), (0, 0), (0, 21), (-1, 0), 5, (0, 1.5)])
+def test_numbers_that_no_vehicle_has_are_refused(numbers: Any) -> None:
+    expected = r"learners: found .*; expected different numbers from 0 to 20, .* such as range\(3\)"
+    with pytest.raises(InputError, match=expected):
         learners(SceneSettings(), numbers)
+
+
+def test_there_is_at_least_one_scene() -> None:
+    with pytest.raises(InputError, match="scenes is 0; expected at least 1"):
+        learners(SceneSettings(), scenes=0)

@@ -162,7 +162,7 @@ def test_highway_envs_observation_can_be_chosen() -> None:
     ("arguments", "message"),
     [
         ({"lane": 3}, "LearnersVectorEnv: lane: unknown key"),
-        ({"learners": (0, 21)}, "learners: 0, 21; expected different numbers from 0 to 20"),
+        ({"learners": (0, 21)}, "learners: found 0, 21; expected different numbers from 0 to 20"),
         ({"observation": "Kinematic"}, "no observation named 'Kinematic'"),
     ],
 )
