@@ -19,14 +19,17 @@ for name in sys.argv[1:]:
         if end.code:
             raise
 """
+OF_EXTRAS = (
+    *("torch", "stable_baselines3", "onnx", "tensorboard"),
+    *("dask", "distributed", "pettingzoo", "minari", "h5py"),
+)
 SUITE = Path(__file__).parent.parent / "suites" / "ego.yaml"
 
 
 @pytest.fixture
 def without_torch(tmp_path: Path) -> dict[str, str]:
     """An environment in which importing a library of an extra fails."""
-    extras = "torch stable_baselines3 onnx tensorboard dask distributed minari h5py"
-    for name in extras.split():
+    for name in OF_EXTRAS:
         missing = f"raise ModuleNotFoundError('{name} is not installed', name='{name}')\n"
         (tmp_path / f"{name}.py").write_text(missing)
     return {**os.environ, "PYTHONPATH": str(tmp_path)}
@@ -76,3 +79,12 @@ def test_a_cluster_says_how_to_install_what_it_needs(without_torch: dict[str, st
     assert finished.returncode == 2
     assert "pip install 'charms-bench[cluster]'" in finished.stderr
     assert "Traceback" not in finished.stderr
+
+
+def test_a_parallel_environment_says_how_to_install_what_it_needs(
+    without_torch: dict[str, str],
+) -> None:
+    command = [sys.executable, "-c", "import charms_bench.envs.parallel_env"]
+    done = subprocess.run(command, env=without_torch, capture_output=True, text=True, check=False)
+    assert done.stderr.strip().endswith("pip install 'charms-bench[pettingzoo]'")
+    assert "ImportError: a ParallelEnv needs PettingZoo" in done.stderr

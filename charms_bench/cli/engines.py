@@ -86,6 +86,13 @@ def bench(
             help="Measure Gymnasium vector environments of this size instead of engines.",
         ),
     ] = None,
+    learners: Annotated[
+        bool,
+        typer.Option(
+            help="Measure environments in which all vehicles are driven from outside, by random "
+            "actions, in decisions of vehicles per second."
+        ),
+    ] = False,
     scale: Annotated[
         Path | None,
         typer.Option(
@@ -110,6 +117,9 @@ def bench(
     if scale is not None:
         _bench_scale(scale, seconds, rounds, tell, {"scenes": ",.0f", **forms}, as_json)
         return
+    if learners:
+        _bench_learners(measure(vehicles, traffic, seconds, rounds, tell, learners=True), as_json)
+        return
     results = measure(vehicles, traffic, seconds, rounds, tell, environments)
     base = next(r.steps_per_s for r in results if r.name == "highway-env")
     pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
@@ -128,6 +138,27 @@ def bench(
         return
     forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f"}
     print_records("name", rows, forms)
+
+
+def _bench_learners(results: list[Any], as_json: bool) -> None:
+    """Prints the decisions per second of environments with many learners."""
+    base = next(r.steps_per_s for r in results if r.name == "highway-env")
+    rows = [
+        {
+            "name": r.name,
+            "threads": r.threads,
+            "decisions_per_s": r.steps_per_s,
+            "low": r.low,
+            "high": r.high,
+            "times_highway_env": r.steps_per_s / base,
+        }
+        for r in results
+    ]
+    if as_json:
+        print_json(rows)
+        return
+    forms = dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
+    print_records("name", rows, {"threads": ".0f", **forms, "times_highway_env": ",.1f"})
 
 
 def _bench_scale(

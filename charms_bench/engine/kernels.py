@@ -517,13 +517,13 @@ def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floa
 
 
 @compiled_of_scenes
-def egos_off_road(scene: Scene) -> Bools:
-    """[B] whether the ego's centre is outside its lane [`RoadObject.on_road`]."""
-    off_road = np.empty(scene.ego.size, dtype=np.bool_)
-    for b in range(off_road.size):
-        i = scene.ego[b]
+def are_off_road(scene: Scene, rows: Ints, places: Ints) -> Bools:
+    """(M,) whether the centres of M vehicles are outside their lanes [`RoadObject.on_road`]."""
+    off_road = np.empty(rows.size, dtype=np.bool_)
+    for m in range(rows.size):
+        b, i = rows[m], places[m]
         x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
-        off_road[b] = not is_on_lane(x, y, lane, scene.constants, 0.0)
+        off_road[m] = not is_on_lane(x, y, lane, scene.constants, 0.0)
     return off_road
 
 

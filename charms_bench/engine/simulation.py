@@ -13,7 +13,7 @@ from charms_bench.engine.collisions import (
     are_noted,
     note_collisions,
 )
-from charms_bench.engine.kernels import egos_off_road, vehicles_of
+from charms_bench.engine.kernels import are_off_road, vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -42,7 +42,8 @@ class Simulation:
         settings: What the scenes have in common.
         scenes: B.
         ego: The name of the ego's agent. If None, the actions given to `step` drive the ego.
-        traffic: Assigns a driver to each of the other vehicles.
+        traffic: Assigns a driver to each of the other vehicles. A vehicle with an empty name is
+            driven by `command`. If there are such vehicles, only time ends an episode.
         agents: All agents that `ego` and `traffic` name, by name.
         engine: `batched` or `highway-env`.
 
@@ -79,8 +80,9 @@ class Simulation:
         """Simulation steps of the current decision interval so far; all scenes share it."""
         self._everyone = np.arange(scenes)
         self._traffic = traffic
+        self._egos_end_episodes = "" not in traffic.agents
         # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
-        self.agents = (ego or "", *(name for name in traffic.agents if name != ego))
+        self.agents = (ego or "", *(name for name in traffic.agents if name != (ego or "")))
         """The names of the agents that `engine.drivers` holds indices of."""
         undriven = ("", PRESCRIBED)
         self.made = {k: agents[name] for k, name in enumerate(self.agents) if name not in undriven}
@@ -105,7 +107,7 @@ class Simulation:
 
     @property
     def drivers(self) -> NDArray[np.str_]:
-        """[B, N] the name of each vehicle's agent; empty for an ego driven from outside."""
+        """[B, N] the name of each vehicle's agent; empty for a vehicle driven from outside."""
         return np.asarray(np.array(self.agents)[self.engine.drivers])
 
     @property
@@ -121,7 +123,7 @@ class Simulation:
     @property
     def is_off_road(self) -> Bools:
         """[B] whether the ego's centre is outside its lane [`RoadObject.on_road`]."""
-        return egos_off_road(self.scene)
+        return are_off_road(self.scene, *self.ego_vehicles)
 
     @property
     def ego_vehicles(self) -> Vehicles:
@@ -199,7 +201,7 @@ class Simulation:
         active = self.scene.active
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
-            self._command((rows, self.scene.ego[rows]), ego_actions[rows])
+            self.command((rows, self.scene.ego[rows]), ego_actions[rows])
         decisions = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
             frames = self.steps * self.settings.steps_per_decision + self.phase
@@ -209,7 +211,7 @@ class Simulation:
             if vehicles[0].size:
                 decisions.append((vehicles, self._decide(self.agents[agent], policy, vehicles)))
         for vehicles, actions in decisions:
-            self._command(vehicles, actions)
+            self.command(vehicles, actions)
         self.engine.advance(hold_egos=self._holds_egos and self.phase > 0)
         self.phase += 1
         self._note_collisions()
@@ -221,11 +223,12 @@ class Simulation:
         self.steps += scene.active
         running = scene.active & (self.ending == RUNNING)
         self.ending[running & (self.steps >= self.settings.decisions)] = TIME
-        if self.settings.profile.offroad_terminal:
+        if self.settings.profile.offroad_terminal and self._egos_end_episodes:
             self.ending[running & self.is_off_road] = OFF_ROAD
         scene.active[self.ending != RUNNING] = False
 
-    def _command(self, vehicles: Vehicles, actions: Actions) -> None:
+    def command(self, vehicles: Vehicles, actions: Actions) -> None:
+        """Gives M vehicles their meta-actions (M,)."""
         self.engine.command(vehicles, actions)
         self.action[vehicles] = actions
         self.has_action[vehicles] = True
@@ -264,6 +267,8 @@ class Simulation:
         if are_noted(scene.crashed.ravel(), self.collision.ravel()):
             return
         note_collisions(scene, self.collision)
+        if not self._egos_end_episodes:
+            return
         of_egos = self.collision[self.ego_vehicles]
         has_collided = (self.ending == RUNNING) & (of_egos != NO_COLLISION)
         self.ending[has_collided] = REAR_END

@@ -63,10 +63,10 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         render_mode: str | None = None,
         **scene: Any,
     ) -> None:
-        settings = _settings(scene)
+        settings = scene_settings(scene)
         self._observation = observation_of(observation)
         self.observation_space, self.action_space = spaces_of(settings, self._observation)
-        self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
+        self.simulation = Simulation(settings, 1, None, *drivers_of(traffic))
         self._reward = reward or HighwayReward()
         self._renderer = Renderer(self.simulation, render_mode)
         self.render_mode = render_mode
@@ -159,9 +159,9 @@ def ego_vector_env(
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
     return HighwayVectorEnv(
-        _settings(scene),
+        scene_settings(scene),
         num_envs,
-        *_drivers(traffic),
+        *drivers_of(traffic),
         reward or HighwayReward(),
         EVALUATION_SEEDS,
         observation_of(observation),
@@ -169,15 +169,20 @@ def ego_vector_env(
     )
 
 
-def _settings(scene: dict[str, Any]) -> SceneSettings:
+def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSettings:
+    """The settings with the keys of a suite's `scene`.
+
+    Raises:
+        InputError: A key or a value is wrong; the message begins with the environment's name.
+    """
     try:
         return SceneSettings.model_validate(scene)
     except ValidationError as error:
         location, what = first_problem(error)
-        raise InputError(f"{ID}: {'.'.join(map(str, location))}: {what}") from error
+        raise InputError(f"{environment}: {'.'.join(map(str, location))}: {what}") from error
 
 
-def _drivers(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
+def drivers_of(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
     """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)

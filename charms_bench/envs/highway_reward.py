@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from charms_bench.engine.kernels import are_off_road
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.world.scene import Bools, Floats, Ints, Scene
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
 COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 20.0, 30.0
@@ -44,6 +45,14 @@ def _rewards(scene: Scene, rows: Ints, places: Ints, off_road: Bools, rewards: F
         rewards[m] = highway_reward(forward, lane, crashed, off_road[m], lanes)
 
 
+def highway_rewards(scene: Scene, vehicles: Vehicles) -> Floats:
+    """`highway_reward` of M vehicles, (M,)."""
+    rows, places = vehicles
+    rewards = np.empty(rows.size)
+    _rewards(scene, rows, places, are_off_road(scene, rows, places), rewards)
+    return rewards
+
+
 class HighwayReward:
     """`highway_reward` for the egos of a simulation."""
 
@@ -52,7 +61,4 @@ class HighwayReward:
 
     def __call__(self, simulation: Simulation, prepared: None) -> Floats:
         """The rewards (B,) of the scene after the decisions."""
-        rows, places = simulation.ego_vehicles
-        rewards = np.empty(rows.size)
-        _rewards(simulation.scene, rows, places, simulation.is_off_road, rewards)
-        return rewards
+        return highway_rewards(simulation.scene, simulation.ego_vehicles)

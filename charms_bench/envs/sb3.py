@@ -16,7 +16,7 @@ ENDED = ("ending", "steps", "episode_return", "seed")
 
 
 class EpisodesVecEnv(VecEnv):
-    """Adapts a `HighwayVectorEnv`, such as one from `gymnasium.make_vec`, to Stable-Baselines3.
+    """Adapts a `HighwayVectorEnv` or a `LearnersVectorEnv` to Stable-Baselines3.
 
     The last observation of an ended episode is `infos[i]["terminal_observation"]`.
     `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.

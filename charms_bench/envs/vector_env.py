@@ -95,6 +95,25 @@ def continue_from(simulation: Simulation, state: SceneState) -> None:
     simulation.restore(state.seated(state.ego, ""))
 
 
+def final_infos(
+    ended: Bools, observations: Observations, values: Mapping[str, NDArray[Any]]
+) -> dict[str, Any]:
+    """Gymnasium's infos about the environments (E,) whose episodes ended in this step.
+
+    Args:
+        ended: Which have ended.
+        observations: (E, rows, columns) the last ones.
+        values: The facts in `final_info`, (E,) each.
+    """
+    final_obs = np.full(ended.size, None, dtype=object)
+    for row in np.nonzero(ended)[0]:
+        final_obs[row] = observations[row].copy()
+    final_info = {name: np.where(ended, every, 0) for name, every in values.items()}
+    final_info |= {f"_{name}": ended.copy() for name in values}
+    final = {"final_obs": final_obs, "final_info": final_info}
+    return final | {f"_{name}": ended.copy() for name in final}
+
+
 class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
     """B episodes side by side; when one ends, the next starts within the same step.
 
@@ -189,7 +208,13 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         observations = self._observe()
         infos: dict[str, Any] = {}
         if ended.any():
-            infos = self._final(ended, observations)
+            values: dict[str, NDArray[Any]] = {
+                "ending": simulation.ending,
+                "steps": simulation.steps,
+                "episode_return": self._returns,
+                "seed": simulation.seeds,
+            }
+            infos = final_infos(ended, observations, values)
             rows = np.nonzero(ended)[0]
             self._start(rows)
             started = (rows, simulation.scene.ego[rows])
@@ -235,19 +260,3 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
 
     def _observe(self) -> Observations:
         return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
-
-    def _final(self, ended: Bools, observations: Observations) -> dict[str, Any]:
-        """Gymnasium's infos about the episodes that ended in this step."""
-        final_obs = np.full(self.num_envs, None, dtype=object)
-        for row in np.nonzero(ended)[0]:
-            final_obs[row] = observations[row].copy()
-        values: dict[str, NDArray[Any]] = {
-            "ending": self.simulation.ending,
-            "steps": self.simulation.steps,
-            "episode_return": self._returns,
-            "seed": self.simulation.seeds,
-        }
-        final_info = {name: np.where(ended, every, 0) for name, every in values.items()}
-        final_info |= {f"_{name}": ended.copy() for name in values}
-        final = {"final_obs": final_obs, "final_info": final_info}
-        return final | {f"_{name}": ended.copy() for name in final}

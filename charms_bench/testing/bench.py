@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from statistics import median
@@ -23,6 +24,7 @@ from charms_bench.engine.exact_maths import ONE_THREAD
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.runs.workers import starting
+from charms_bench.testing.bench_learners import highway_env_learners, our_learners
 from charms_bench.world.actions import IDLE
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
@@ -76,6 +78,7 @@ def bench(
     rounds: int = 3,
     progress: Callable[[str], None] = lambda name: None,
     environments: int | None = None,
+    learners: bool = False,
 ) -> list[Measurement]:
     """Measures every contestant `rounds` times for about `seconds`, in turn.
 
@@ -87,11 +90,15 @@ def bench(
         progress: Called with the name of what is measured next.
         environments: If given, the contestants are Gymnasium's vector environments of this many
             environments each; otherwise they are the engines.
+        learners: Whether the contestants are environments in which all vehicles are driven from
+            outside. Their steps are decisions of vehicles.
     """
     settings = _SETTINGS.model_copy(update={"traffic_vehicles": vehicles - 1})
     rates: list[list[float]] = []
     with ExitStack() as stack:
-        if environments:
+        if learners:
+            contestants = _learners(settings, stack)
+        elif environments:
             contestants = _vector_environments(settings, traffic, environments)
         else:
             contestants = _engines(settings, traffic, stack)
@@ -124,7 +131,8 @@ def scale(
             most = _MOST_VEHICLES // (threads * vehicles)
             for scenes in dict.fromkeys(min(scenes, most) for scenes in _SCALE_SCENES):
                 progress(f"{threads} threads, {vehicles:,} vehicles, {scenes:,} scenes")
-                with _processes(settings, "idm_mobil", threads, scenes) as stepping:
+                make = partial(_ours, settings, "idm_mobil", scenes=scenes)
+                with _processes(make, threads) as stepping:
                     stepping(0.0)
                     answers = [stepping(seconds) for _ in range(rounds)]
                 rates = [steps / took for steps, took in answers]
@@ -136,7 +144,7 @@ def scale(
 def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Contestant]:
     crowded = settings.model_copy(update={"traffic_vehicles": 199})
     cores, vehicles = os.cpu_count() or 1, settings.vehicles
-    together = stack.enter_context(_processes(settings, traffic, cores))
+    together = stack.enter_context(_processes(partial(_ours, settings, traffic), cores))
     ours = [
         ("batched", 1, vehicles, _stepping(_ours(settings, traffic))),
         ("batched", cores, vehicles, together),
@@ -149,6 +157,23 @@ def _engines(settings: SceneSettings, traffic: str, stack: ExitStack) -> list[Co
         for threads in (1, cores)
         if find_spec("envpool")
     ]
+
+
+def _learners(settings: SceneSettings, stack: ExitStack) -> list[Contestant]:
+    """On one core and on all; the environments observe seven rows of `Kinematics`."""
+    contestants = []
+    ours = partial(our_learners, settings, _SCENES, _OBSERVATION, _SEED)
+    theirs = partial(highway_env_learners, settings, _OBSERVATION, _SEED)
+    cores = os.cpu_count() or 1
+    for name, processes, make in (
+        ("LearnersVectorEnv", 1, ours),
+        ("LearnersVectorEnv", cores, ours),
+        ("highway-env, one core", 1, theirs),
+        ("highway-env", cores, theirs),
+    ):
+        stepping = stack.enter_context(_processes(make, processes))
+        contestants.append((name, processes, settings.vehicles, stepping))
+    return contestants
 
 
 def _vector_environments(settings: SceneSettings, traffic: str, count: int) -> list[Contestant]:
@@ -198,16 +223,13 @@ def _stepping(step: Step) -> Stepping:
 
 
 @contextmanager
-def _processes(
-    settings: SceneSettings, traffic: str, count: int, scenes: int = _SCENES
-) -> Iterator[Stepping]:
-    """This engine as `run` uses it: one thread in each of several processes."""
+def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
+    """Makes and repeats a step in each of several processes of one thread, as `run` does."""
     context = multiprocessing.get_context("spawn")
     processes, pipes = [], []
     for _ in range(count):
         ours, theirs = context.Pipe()
-        arguments = (theirs, settings, traffic, scenes)
-        processes.append(context.Process(target=_serve, args=arguments, daemon=True))
+        processes.append(context.Process(target=_serve, args=(theirs, make), daemon=True))
         pipes.append(ours)
     with starting(ONE_THREAD):
         for process in processes:
@@ -227,8 +249,8 @@ def _processes(
             process.join()
 
 
-def _serve(pipe: Connection, settings: SceneSettings, traffic: str, scenes: int) -> None:
-    run = _stepping(_ours(settings, traffic, scenes=scenes))
+def _serve(pipe: Connection, make: Callable[[], Step]) -> None:
+    run = _stepping(make())
     with suppress(EOFError):  # the parent process is gone
         while True:
             pipe.send(run(pipe.recv()))

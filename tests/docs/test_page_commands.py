@@ -17,6 +17,7 @@ CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 """Output to a file must not contain these."""
 ELSEWHERE = {
     "plugins.md": "tests/docs/test_plugin_guide.py",
+    "many-learners.md": "tests/agents/test_self_play.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
     "cluster.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",

@@ -1,0 +1,169 @@
+"""Many learners as a PettingZoo `ParallelEnv`; it needs the extra `pettingzoo`."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
+from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
+from charms_bench.envs.highway_reward import highway_rewards
+from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.vector_env import spaces_of
+from charms_bench.errors import InputError
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.observations import ObservationLike, observation_of
+from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations
+
+try:
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    needed = f"a ParallelEnv needs PettingZoo ({error}); pip install 'charms-bench[pettingzoo]'"
+    raise ImportError(needed, name="pettingzoo") from error
+
+Step = tuple[
+    dict[str, Observations],
+    dict[str, float],
+    dict[str, bool],
+    dict[str, bool],
+    dict[str, dict[str, Any]],
+]
+
+
+class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
+    """One episode after another, in which all vehicles or some of them are driven from outside.
+
+    The agents are `vehicle_0`, the ego, and `vehicle_k`, the k-th of the other vehicles in the
+    order of spawning. An agent terminates, and leaves `agents`, when its vehicle crashes or leaves
+    the road. Its vehicle stays in the scene, which goes on for the other agents. When the time is
+    over, the remaining agents are truncated.
+
+    `reset(seed=k)` starts the episode of a suite with seed k. Without a seed, one is drawn that no
+    suite evaluates on.
+
+    Args:
+        learners: The numbers of the vehicles that are driven from outside, of which one is 0; None
+            for all vehicles.
+        traffic: Assigns a driver to each of the other vehicles.
+        reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
+        observation: The agents' observation; see `charms_bench.world.observations`.
+        scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
+            `scene`, with the same defaults.
+
+    Raises:
+        InputError: The traffic is not installed, or an argument is wrong.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # pettingzoo's declaration
+        "name": "charms_bench_many_learners_v0",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        learners: Iterable[int] | None = None,
+        traffic: TrafficLike = "idm_mobil",
+        reward: VehicleReward = highway_rewards,
+        observation: ObservationLike = "neighbours",
+        **scene: Any,
+    ) -> None:
+        settings = scene_settings(scene, "HighwayParallelEnv")
+        self._learners = Learners(settings, 1, learners, *drivers_of(traffic), reward)
+        self._observation = observation_of(observation)
+        self.render_mode = None
+        self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
+        self.agents: list[str] = []
+        self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
+        # Each agent has spaces of its own, because a space holds the seed of its samples.
+        spaces = {agent: spaces_of(settings, self._observation) for agent in self._place}
+        self.observation_spaces = {agent: seen for agent, (seen, _) in spaces.items()}
+        self.action_spaces = {agent: chosen for agent, (_, chosen) in spaces.items()}
+        self._rng = np.random.default_rng()
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of the scene."""
+        return self._learners.simulation
+
+    def observation_space(self, agent: str) -> Any:
+        """The space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """The space of an agent's actions, indices into `ACTIONS`."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
+        """Starts an episode; every agent's info contains its seed.
+
+        Args:
+            seed: The episode's seed; None draws one.
+            options: Ignored, which PettingZoo's tests require.
+
+        Raises:
+            InputError: The seed is out of range.
+        """
+        if seed is None:
+            seed = EVALUATION_SEEDS + int(self._rng.integers(2**62))
+        elif not 0 <= seed < 2**64:
+            raise InputError(f"seed is {seed}; expected 0 to 2**64 - 1")
+        else:
+            self._rng = np.random.default_rng(seed)
+        self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
+        self.agents = self.possible_agents.copy()
+        return self._observe(), {agent: {"seed": seed} for agent in self.agents}
+
+    def step(self, actions: Mapping[str, int]) -> Step:
+        """Carries out the actions of all agents for one decision interval.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of the agents that acted. The
+            last info of an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
+
+        Raises:
+            InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
+        """
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        outcome = self._learners.step(self._checked(actions))
+        acted, observations = self.agents, self._observe()
+        rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
+        for agent in acted:
+            if endings[self._place[agent]] != RUNNING:
+                infos[agent]["ending"] = ENDINGS[endings[self._place[agent]]]
+        self.agents = [agent for agent in acted if not infos[agent]]
+        return (
+            observations,
+            {agent: rewards[self._place[agent]] for agent in acted},
+            {agent: terminated[self._place[agent]] for agent in acted},
+            {agent: truncated[self._place[agent]] for agent in acted},
+            infos,
+        )
+
+    def _checked(self, actions: Mapping[str, int]) -> Ints:
+        """The actions [1, L]; those of agents that have left are 0."""
+        if actions.keys() != {*self.agents}:
+            missing = ", ".join(agent for agent in self.agents if agent not in actions)
+            other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
+            raise InputError(
+                "step takes one action for each agent in `agents`; "
+                f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
+            )
+        chosen = np.zeros((1, len(self.possible_agents)), dtype=np.int64)
+        for agent, action in actions.items():
+            if action not in self.action_spaces[agent]:
+                expected = f"expected 0 to 4: {', '.join(ACTIONS)}"
+                raise InputError(f"{agent}: no action {action}; {expected}")
+            chosen[0, self._place[agent]] = action
+        return chosen
+
+    def _observe(self) -> dict[str, Observations]:
+        """The observations of `agents`."""
+        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
+        vehicles = (np.zeros_like(places), places)
+        seen = self._observation(self.simulation.scene, vehicles)
+        return dict(zip(self.agents, seen, strict=True))
