@@ -74,7 +74,7 @@ def make_engine(
     """An engine of B scenes by name; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
-    `command` drives the vehicles of all other agents; those of the agents `continuous`, by continuous
+    `command` drives the vehicles of all other agents; the agents `continuous` have continuous
     actions.
     """
     if name == "batched":

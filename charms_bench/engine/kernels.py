@@ -590,9 +590,7 @@ def locate(scene: Scene, rows: Ints) -> None:
     for b in rows:
         for i in range(scene.x.shape[1]):
             scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(scene.heading[b, i])
-            scene.lane[b, i] = closest_lane(
-                scene.x[b, i], scene.y[b, i], scene.heading[b, i], c
-            )
+            scene.lane[b, i] = closest_lane(scene.x[b, i], scene.y[b, i], scene.heading[b, i], c)
         sort_by_x(scene, b, b + 1)
         find_neighbours(scene, b, b + 1)
 

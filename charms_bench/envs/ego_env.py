@@ -5,15 +5,18 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.vector_env import (
     HighwayVectorEnv,
     Reward,
+    check_actions,
     continue_from,
     spaces_of,
     state_in,
@@ -22,7 +25,7 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTION_KINDS, ActionKind
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
 
@@ -31,7 +34,7 @@ TrafficLike = str | Mapping[str, float] | Traffic
 the name of an agent."""
 
 
-class EgoEnv(gymnasium.Env[Observations, np.int64]):
+class EgoEnv(gymnasium.Env[Observations, Any]):
     """One episode after another; the actions given to `step` drive the ego.
 
     The episodes are those of a suite: `reset(seed=k)` starts the episode with seed k. Without a
@@ -40,13 +43,16 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
 
     Args:
         traffic: Assigns a driver to each of the other vehicles.
-        reward: The reward of a decision; by default highway-env's, see `HighwayReward`.
+        reward: The reward of a decision; by default highway-env's, see `HighwayReward`, and for
+            continuous actions the progress along the road, see `ProgressReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
+        actions: `meta`, or `continuous` for an acceleration and a steering angle.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
     Raises:
-        InputError: The traffic is not installed, or the scene or the observation is wrong.
+        InputError: The traffic is not installed, or the scene, the observation or the kind of
+            actions is wrong.
         TypeError: A render mode is given; Stable-Baselines3 then tries again without one.
     """
 
@@ -57,15 +63,19 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         traffic: TrafficLike = "idm_mobil",
         reward: Reward[Any] | None = None,
         observation: ObservationLike = "neighbours",
+        actions: ActionKind = "meta",
         **scene: Any,
     ) -> None:
         if "render_mode" in scene:
             raise TypeError("render_mode is not supported; `charms-bench replay` draws episodes")
         settings = _settings(scene)
         self._observation = observation_of(observation)
-        self.observation_space, self.action_space = spaces_of(settings, self._observation)
-        self.simulation = Simulation(settings, 1, None, *_drivers(traffic))
-        self._reward = reward or HighwayReward()
+        self._kind = _kind(actions)
+        self.observation_space, self.action_space = spaces_of(
+            settings, self._observation, self._kind
+        )
+        self.simulation = Simulation(settings, 1, None, *_drivers(traffic), actions=self._kind)
+        self._reward = reward or _REWARDS[self._kind]()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -88,17 +98,19 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         return self._observe(), {"seed": seed}
 
     def step(
-        self, action: np.int64 | int
+        self, action: np.int64 | int | NDArray[np.floating]
     ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Carries out the ego's action for one decision interval.
 
         Returns:
             Observation, reward, terminated, truncated, and the info. The info of the last step
             contains the `ending`, one of `engine.simulation.ENDINGS`.
+
+        Raises:
+            InputError: The action is not one of `action_space`.
         """
-        if action not in self.action_space:
-            raise InputError(f"no action {action}; expected 0 to 4: {', '.join(ACTIONS)}")
         actions = np.array([action])
+        check_actions(actions, self._kind, 1)
         prepared = self._reward.prepare(self.simulation, actions)
         self.simulation.step(actions)
         reward = float(self._reward(self.simulation, prepared)[0])
@@ -129,12 +141,27 @@ def ego_vector_env(
     traffic: TrafficLike = "idm_mobil",
     reward: Reward[Any] | None = None,
     observation: ObservationLike = "neighbours",
+    actions: ActionKind = "meta",
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
-    drivers, shown = _drivers(traffic), observation_of(observation)
-    rule = reward or HighwayReward()
-    return HighwayVectorEnv(_settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown)
+    drivers, shown, kind = _drivers(traffic), observation_of(observation), _kind(actions)
+    rule = reward or _REWARDS[kind]()
+    return HighwayVectorEnv(
+        _settings(scene), num_envs, *drivers, rule, EVALUATION_SEEDS, shown, kind
+    )
+
+
+_REWARDS: dict[ActionKind, type[Reward[Any]]] = {
+    "meta": HighwayReward,
+    "continuous": ProgressReward,
+}
+
+
+def _kind(actions: ActionKind) -> ActionKind:
+    if actions not in ACTION_KINDS:
+        raise InputError(f"{ID}: actions: '{actions}'; expected {' or '.join(ACTION_KINDS)}")
+    return actions
 
 
 def _settings(scene: dict[str, Any]) -> SceneSettings:

@@ -24,13 +24,15 @@ from charms_bench.engine.batched import BatchedEngine
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTION_KINDS, ACTIONS, problem_of
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Observations, Scene, SceneSettings, Vehicles
 
 Rule = Callable[[], None]
 _SCENES = 16
 _WRITABLE = {"timer_s"}
+ROUNDING = 1e-4
+"""float32 networks round sums differently for batches of different sizes."""
 SLOW_MS = 3.0
 """Longest time per decision of a vehicle, among many; networks of 256-256 units take 0.002."""
 
@@ -84,29 +86,38 @@ def _bound(rule: Callable[..., None], subject: Any) -> Rule:
 
 
 def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
-    """Its `observation` exists and its `decision_hz` is positive."""
+    """Its `observation` and its kind of `actions` exist, and its `decision_hz` is positive."""
     try:
         observation_of(policy.observation)
     except InputError as error:
         raise AssertionError(str(error)) from error
     assert policy.decision_hz > 0, f"decision_hz is {policy.decision_hz}"
+    kinds = " or ".join(ACTION_KINDS)
+    assert policy.actions in ACTION_KINDS, f"actions is {policy.actions!r}; expected {kinds}"
 
 
 def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
-    """`decide` returns integers 0..4, one per row, for many rows and for one."""
+    """`decide` returns one action of its kind per row, for many rows and for one.
+
+    A meta-action is an integer 0..4, a continuous action two floats from -1 to 1.
+    """
     observations = _observations(policy)
     for rows in (observations, observations[:1]):
-        actions = np.asarray(policy.decide(rows))
-        assert actions.shape == (len(rows),), f"shape {actions.shape} for {len(rows)} vehicles"
-        _check_integers("action", actions, len(ACTIONS))
+        what, row = problem_of(np.asarray(policy.decide(rows)), policy.actions, len(rows))
+        assert not what, f"for row {row} of {len(rows)}, decide returned {what}"
 
 
 def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
-    """A vehicle's action does not depend on the other vehicles in the batch."""
+    """A vehicle's action does not depend on the other vehicles in the batch.
+
+    Continuous actions may differ by rounding, up to 1e-4.
+    """
     observations = _observations(policy)
     together = np.asarray(policy.decide(observations))
-    alone = [int(np.asarray(policy.decide(row[None]))[0]) for row in observations]
-    differing = int((together != alone).sum())
+    alone = np.array([np.asarray(policy.decide(row[None]))[0] for row in observations])
+    limit = 0 if policy.actions == "meta" else ROUNDING
+    apart = np.abs(together - alone).reshape(len(alone), -1).max(axis=1)
+    differing = int((apart > limit).sum())
     assert not differing, f"{differing} of {len(alone)} actions differ if the vehicle is alone"
 
 
@@ -207,7 +218,7 @@ def _asked(agent: Agent) -> Callable[[], NDArray[Any]]:
     """Asks an agent about every vehicle of the example scenes."""
     if isinstance(agent, Policy):
         observations = _observations(agent)
-        return lambda: np.array(agent.decide(observations.copy()))
+        return lambda: np.array(agent.decide(observations.copy())).T
     scene = example_scene()
     return lambda: _answer(agent, scene, _everyone(scene))
 

@@ -50,13 +50,12 @@ def problem_of(actions: NDArray[Any], kind: ActionKind, vehicles: int) -> tuple[
 
     The text is empty if nothing is wrong.
     """
-    if kind == "meta":
-        shape, types, what = (vehicles,), np.integer, "integers"
-    else:
-        shape, types, what = (vehicles, len(CONTROLS)), np.floating, "floats"
-    if actions.shape != shape or not np.issubdtype(actions.dtype, types):
+    expected_shape = (vehicles,) if kind == "meta" else (vehicles, len(CONTROLS))
+    is_type = np.issubdtype(actions.dtype, np.integer if kind == "meta" else np.floating)
+    if actions.shape != expected_shape or not is_type:
+        types = "integers" if kind == "meta" else "floats"
         found = f"{actions.dtype} of shape {actions.shape}"
-        return f"{found}; expected {what} of shape {shape}", 0
+        return f"{found}; expected {types} of shape {expected_shape}", 0
     if kind == "meta":
         wrong = (actions < 0) | (actions >= len(ACTIONS))
         expected = f"0 to {len(ACTIONS) - 1}"

@@ -317,7 +317,7 @@ def test_networks_of_another_shape_are_named(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std"),
+        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std, as of a PPO with cont"),
         ({"lstm_actor__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_actor.weight_ih"),
         ({"pi_features_extractor__cnn__0__bias": torch.zeros(2)}, "CnnPolicy"),
         ({"action_net__weight": None, "action_net__bias": None}, "holds: value_net.weight"),

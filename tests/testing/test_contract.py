@@ -54,7 +54,7 @@ def scribble(observations: Observations) -> Actions:
         (
             lambda o: np.ones(3, int),
             "policy_returns_one_action_per_vehicle",
-            r"shape \(3,\) for 336",
+            r"int64 of shape \(3,\); expected integers of shape \(336,\)",
         ),
         (lambda o: np.ones(len(o)), "policy_returns_one_action_per_vehicle", "actions are float64"),
         (lambda o: np.full(len(o), -1), "policy_returns_one_action_per_vehicle", "action -1"),
