@@ -167,9 +167,11 @@ def _input(
     inputs = [(node.name, node.type, node.shape) for node in session.get_inputs()]
     outputs = [(node.name, node.type, node.shape) for node in session.get_outputs()]
     found = f"inputs {inputs}, outputs {outputs}"
+    other = ", or (batch, 2) with the metadata 'actions: continuous'"
     wanted = (
         f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
         f"batch, and one float32 output (batch, {count})"
+        f"{other if count == outputs_of('meta') else ''}"
     )
     fits = (
         len(inputs) == len(outputs) == 1
