@@ -18,6 +18,7 @@ CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 ELSEWHERE = {
     "plugins.md": "tests/docs/test_plugin_guide.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
+    "continuous.md": "tests/agents/test_continuous_page.py",
     "cluster.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",
 }

@@ -138,7 +138,7 @@ def controls(seed: int) -> Iterator[Any]:
 
 
 def test_driving_in_circles_earns_nothing() -> None:
-    """At 25 m/s, the radius is 2.5 / sin(atan(tan(s) / 2)): 30.8 m for s = 0.2 * pi / 4."""
+    """At 25 m/s, the radius is 2.5 / sin(atan(tan(s) / 2)): 31.7 m for s = 0.2 * pi / 4."""
     env = made(**HIGHWAY, traffic_vehicles=0, lanes=8, duration_s=60.0)
     total, progress = returns(env, lambda step: [0.0, 0.2], 170)  # 7 circles
     assert abs(progress) < 70
