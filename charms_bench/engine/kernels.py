@@ -157,18 +157,23 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
 def closest_lane(x: float, y: float, heading: float, c: Constants) -> int:
     """`RoadNetwork.get_closest_lane_index` on parallel straight lanes: the first nearest.
 
-    Distances of lanes differ across the road only, but they are rounded with what they have in
-    common: the distance beyond the road's ends and the heading [`distance_with_heading`].
+    highway-env rounds the distances across the road with what they have in common: the distance
+    beyond the road's ends and the heading. So near a border, the distances can be equal
+    [`AbstractLane.distance_with_heading`].
     """
-    beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
-    angle = abs(wrap_to_pi(heading))
     best = 0
-    distance = abs(y) + beyond + before + angle
+    distance = abs(y)
     for lane in range(1, c.lanes):
-        other = abs(y - lane * c.lane_width) + beyond + before + angle
+        other = abs(y - lane * c.lane_width)
         if other < distance:
             best = lane
             distance = other
+    left = abs(y - (best - 1) * c.lane_width)
+    if best > 0 and left - distance < 1e-6:
+        beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
+        angle = abs(wrap_to_pi(heading))
+        if left + beyond + before + angle <= distance + beyond + before + angle:
+            best -= 1
     return best
 
 
