@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 
 import charms_bench.envs  # registers Ego-v0
 from charms_bench.engine.exact_maths import ONE_THREAD
+from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.statistics.intervals import wilson
 from charms_bench.statistics.paired import tango
+from charms_bench.testing.verify import random_controls
 from charms_bench.world.actions import ACTIONS, IDLE, SLOWER
 
 DISABLED = "NPY_DISABLE_CPU_FEATURES"
@@ -52,10 +54,12 @@ class Configuration(NamedTuple):
         density, decision_hz = float(rng.uniform(0.6, 3.0)), int(rng.choice([1, 3, 5, 15]))
         return cls(seed, lanes, vehicles, density, decision_hz, float(rng.integers(10, 41)))
 
-    def make(self, contestant: str) -> Any:
+    def make(self, contestant: str, continuous: bool) -> Any:
         if contestant == "ours":
             return gymnasium.make(
                 charms_bench.envs.ID,
+                actions="continuous" if continuous else "meta",
+                reward=HighwayReward(),
                 profile="highway-env",
                 lanes=self.lanes,
                 traffic_vehicles=self.vehicles,
@@ -65,25 +69,29 @@ class Configuration(NamedTuple):
                 ego_slots=1,
                 observation="Kinematics",
             )
-        config = {
+        config: dict[str, Any] = {
             "lanes_count": self.lanes,
             "vehicles_count": self.vehicles,
             "vehicles_density": self.density,
             "policy_frequency": self.decision_hz,
             "duration": self.duration_s,
         }
+        if continuous:
+            config["action"] = {"type": "ContinuousAction"}
         return gymnasium.make("highway-v0", config=config)
 
 
-def simulate(configuration: Configuration, contestant: str, path: Path) -> None:
+def simulate(configuration: Configuration, contestant: str, continuous: bool, path: Path) -> None:
     """Writes the observations, rewards and endings of an episode."""
-    environment = configuration.make(contestant)
+    environment = configuration.make(contestant, continuous)
     rng = np.random.default_rng([configuration.seed, 4])
     observations = [environment.reset(seed=configuration.seed)[0]]
     rewards, ending = [], (False, False)
     actions = [IDLE, SLOWER] if configuration.seed % 2 else range(len(ACTIONS))
+    controls = random_controls(configuration.seed, 15 * 41).astype(np.float32)
     while not any(ending):
-        step = environment.step(int(rng.choice(actions)))
+        action = controls[len(rewards)] if continuous else int(rng.choice(actions))
+        step = environment.step(action)
         observations.append(step[0])
         rewards.append(step[1])
         ending = step[2:4]
@@ -112,6 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--continuous", action="store_true")
     parser.add_argument("--simulate", choices=VARIABLES, help=argparse.SUPPRESS)
     given = parser.parse_args()
     configurations = [Configuration.drawn(seed) for seed in range(given.episodes)]
@@ -122,7 +131,7 @@ def main() -> None:
     if given.simulate:
         for configuration, path in zip(configurations, paths[given.simulate], strict=True):
             if not path.exists():
-                simulate(configuration, given.simulate, path)
+                simulate(configuration, given.simulate, given.continuous, path)
         return
     for name, variables in VARIABLES.items():  # NumPy reads its variables when it is imported
         subprocess.run(

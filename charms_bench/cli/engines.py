@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from charms_bench.cli.terminal import Json, Workers, app, err, print_json, print_records, say
+from charms_bench.errors import InputError
 
 
 @app.command()
@@ -20,6 +21,12 @@ def verify(
         int | None, typer.Option(min=1, max=1_000_000, help="Number of episodes per case.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**62, help="Seed of the first episode.")] = 0,
+    continuous: Annotated[
+        bool,
+        typer.Option(
+            "--continuous", help="Drive the egos by random accelerations and steering angles."
+        ),
+    ] = False,
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -33,7 +40,9 @@ def verify(
     from charms_bench.testing import verify as verification
 
     if suite is None:
-        cases, count = verification.default_cases()
+        cases, count = verification.default_cases(continuous)
+    elif continuous:
+        raise InputError("--suite and --continuous exclude each other; a suite names its egos")
     else:
         document = Document(suite)
         loaded = suite_of(document)

@@ -138,8 +138,8 @@ def export(
         list[Path],
         typer.Argument(
             metavar="CHECKPOINT... [OUT.onnx]",
-            help="Zip file of a DQN, PPO or A2C saved by Stable-Baselines3, and the ONNX file to "
-            "write; with --to, any number of zip files.",
+            help="Zip file of a DQN, PPO, A2C, SAC or TD3 saved by Stable-Baselines3, and the ONNX "
+            "file to write; with --to, any number of zip files.",
         ),
     ],
     to: Annotated[

@@ -2,15 +2,19 @@
 
 In one simulation step every driver model acts, in the order of the engine's `models`. The vehicles
 of one model act in the order of spawning, and each sees the target lanes of those before it. Then
-all vehicles move, and then collisions are found. Meta-actions given by `command` take effect before
-the step that follows.
+all vehicles move, and then collisions are found. Actions given by `command` take effect before the
+step that follows.
+
+A vehicle with continuous actions keeps its acceleration and its steering angle until the next
+action. As in highway-env, it has no target: the traffic takes its target speed for 0, and its
+target lane is its nearest lane.
 
 On every x86-64 processor, the engines are equal to the last bit if `highway-env` runs in a process
 that `exact_maths` has prepared. In any other process, the bits of `highway-env` depend on the
 processor, NumPy, OpenBLAS and the C library.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Literal, Protocol
 
 import numpy as np
@@ -50,7 +54,7 @@ class Engine(Protocol):
         """
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
-        """Gives each of M vehicles a meta-action, (M,)."""
+        """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""
 
     def advance(self, hold_egos: bool = False) -> None:
         """Advances every active scene by one simulation step.
@@ -61,17 +65,22 @@ class Engine(Protocol):
 
 
 def make_engine(
-    name: EngineName, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
+    name: EngineName,
+    settings: SceneSettings,
+    scenes: int,
+    models: Mapping[int, DriverModel],
+    continuous: Collection[int] = (),
 ) -> Engine:
     """An engine of B scenes by name; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
-    `command` drives the vehicles of all other agents.
+    `command` drives the vehicles of all other agents; the agents `continuous` have continuous
+    actions.
     """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models)
+        return BatchedEngine(settings, scenes, models, continuous)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models)
+    return HighwayEnvEngine(settings, scenes, models, continuous)

@@ -1,6 +1,6 @@
 """The default engine: thousands of scenes at once, compiled."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from charms_bench.engine.draws import draws_of
 from charms_bench.engine.prescribed import Script
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world import maths
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.profile import Profile
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -19,7 +19,11 @@ class BatchedEngine:
     """highway-env's behaviour over arrays `[B, N]`; see `charms_bench.engine`."""
 
     def __init__(
-        self, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
+        self,
+        settings: SceneSettings,
+        scenes: int,
+        models: Mapping[int, DriverModel],
+        continuous: Collection[int] = (),
     ) -> None:
         self.scene = Scene.empty(settings, scenes)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
@@ -27,12 +31,14 @@ class BatchedEngine:
         self._spawn_rule = _spawn_rule(settings)
         self._command_rule = _command_rule(settings.profile)
         self._models = models
+        self._continuous = list(continuous)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
         self._shown = self.scene.read_only()
         shape = self.drivers.shape
         self._is_modelled = np.zeros(shape, dtype=np.bool_)
         self._is_ego = np.zeros(shape, dtype=np.bool_)
         self._nobody = np.zeros(shape, dtype=np.bool_)
+        self._is_continuous = np.zeros(shape, dtype=np.bool_)
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
@@ -59,6 +65,17 @@ class BatchedEngine:
         if self._command_rule.speeds.size:
             speeds = self._command_rule.speeds
             kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
+        self._mark_continuous(rows)
+
+    def _mark_continuous(self, rows: Ints) -> None:
+        """Marks the vehicles with continuous actions, which have no targets."""
+        if self._continuous:
+            marked = self._is_continuous[rows] = np.isin(self.drivers[rows], self._continuous)
+            self.scene.target_speed[rows] *= ~marked
+            self._forget_target_lanes()
+
+    def _forget_target_lanes(self) -> None:
+        np.copyto(self.scene.target_lane, self.scene.lane, where=self._is_continuous)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
@@ -67,8 +84,13 @@ class BatchedEngine:
         kernels.mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()
         kernels.locate(self.scene, rows)
+        self._mark_continuous(rows)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
+        if actions.ndim == 2:
+            control = controls_of(actions)
+            self.scene.acceleration[vehicles], self.scene.steering[vehicles] = control
+            return
         kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 
     def advance(self, hold_egos: bool = False) -> None:
@@ -91,7 +113,11 @@ class BatchedEngine:
         if self._script is not None:
             self._script.prescribe(scene, np.nonzero(scene.active)[0])
             held = held | self._script.is_prescribed
+        if self._continuous:
+            held = held | self._is_continuous
         kernels.advance(scene, self._is_modelled, held)
+        if self._continuous:
+            self._forget_target_lanes()
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:

@@ -36,9 +36,14 @@ STEP: Mapping[str, Column] = {
     ),
     "steering": Column(pl.Float32(), "rad", "Steering angle commanded in that step."),
     "lane": Column(pl.Int8(), "", "Lane nearest to the ego; 0 is the leftmost."),
-    "target_lane": Column(pl.Int8(), "", "Lane that the ego steers to."),
+    "target_lane": Column(
+        pl.Int8(), "", "Lane that the ego steers to; with continuous actions, `lane`."
+    ),
     "action": Column(
-        pl.Int8(), "", "Index of the last meta-action in `ACTIONS`; null under a driver model."
+        pl.Int8(),
+        "",
+        "Index of the last meta-action in `ACTIONS`; null under a driver model and with continuous "
+        "actions.",
     ),
     "leader": Column(
         pl.Int16(), "", "Leader on the ego's lane, by its place in the order of spawning."

@@ -4,11 +4,12 @@ The profile's constants are set on subclasses of highway-env's classes. Where a 
 its highway-env class, this engine uses that class; any other model gets each scene as arrays.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
 import numpy as np
+from highway_env.envs.common.action import ContinuousAction
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
@@ -34,7 +35,11 @@ class HighwayEnvEngine:
     """highway-env itself, behind the interface of `charms_bench.engine`."""
 
     def __init__(
-        self, settings: SceneSettings, scenes: int, models: Mapping[int, DriverModel]
+        self,
+        settings: SceneSettings,
+        scenes: int,
+        models: Mapping[int, DriverModel],
+        continuous: Collection[int] = (),
     ) -> None:
         self.scene = Scene.empty(settings, scenes)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
@@ -50,7 +55,10 @@ class HighwayEnvEngine:
         commanded = MDPVehicle if speeds else _RelativeMetaVehicle
         self._commanded = _with_constants(commanded, settings.profile)
         self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
-        self._spawner = _with_constants(Vehicle, settings.profile)
+        self._plain = _with_constants(Vehicle, settings.profile)
+        """Spawns vehicles, and is the class of those with continuous actions."""
+        self._continuous = list(continuous)
+        self._actions = ContinuousAction(None)
         self._network = _network(settings)
         self._restored = RestoredVehicles(self._network)
         scenario = settings.scenario
@@ -84,6 +92,10 @@ class HighwayEnvEngine:
         if self._script is not None:
             self._script.choose(rows, seeds)
         kernels.locate(self.scene, rows)
+        is_continuous = np.isin(self.drivers[rows], self._continuous)
+        self.scene.target_speed[rows] *= ~is_continuous
+        target_lane, lane = self.scene.target_lane[rows], self.scene.lane[rows]
+        self.scene.target_lane[rows] = np.where(is_continuous, lane, target_lane)
         for row in map(int, rows):
             classes = [self._class_of(agent) for agent in self.drivers[row].tolist()]
             self.roads[row] = self._restored.place(self.roads[row], self.scene, row, classes)
@@ -91,6 +103,11 @@ class HighwayEnvEngine:
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):
             vehicle = self.roads[row].vehicles[place]
+            if actions.ndim == 2:
+                vehicle.act(self._actions.get_action(action))
+                for name, value in vehicle.action.items():
+                    getattr(self.scene, name)[row, place] = value
+                continue
             vehicle.act(ACTIONS[action])
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
@@ -100,6 +117,7 @@ class HighwayEnvEngine:
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
             drivers = self.drivers[row].copy()
+            drivers[np.isin(drivers, self._continuous)] = _NOBODY
             if hold_egos:
                 drivers[self.scene.ego[row]] = _NOBODY
             if self._script is not None:
@@ -164,7 +182,7 @@ class HighwayEnvEngine:
         spacing = 1 / settings.density
         for place in range(settings.vehicles):
             is_ego = place == ego
-            spawned = self._spawner.create_random(
+            spawned = self._plain.create_random(
                 road,
                 speed=profile.ego_speed_mps if is_ego else None,
                 spacing=(profile.ego_spacing or spacing) if is_ego else spacing,
@@ -185,7 +203,8 @@ class HighwayEnvEngine:
 
     def _class_of(self, agent: int) -> Any:
         """highway-env's class of the vehicles that an agent drives."""
-        return self._classes.get(agent, self._commanded)
+        default = self._plain if agent in self._continuous else self._commanded
+        return self._classes.get(agent, default)
 
     def _draw_temperament(
         self, row: int, place: int, vehicle: ControlledVehicle, rng: RandomSource
@@ -201,11 +220,14 @@ class HighwayEnvEngine:
         scene = self.scene
         for place, vehicle in enumerate(self.roads[row].vehicles):
             scene.x[row, place], scene.y[row, place] = vehicle.position
-            for name in ("heading", "speed", "target_speed", "crashed"):
+            for name in ("heading", "speed", "crashed"):
                 getattr(scene, name)[row, place] = getattr(vehicle, name)
             for name in ("acceleration", "steering"):
                 getattr(scene, name)[row, place] = vehicle.action[name]
-            scene.target_lane[row, place] = vehicle.target_lane_index[2]
+            has_targets = isinstance(vehicle, ControlledVehicle)
+            scene.target_speed[row, place] = vehicle.target_speed if has_targets else 0.0
+            target_lane = vehicle.target_lane_index if has_targets else vehicle.lane_index
+            scene.target_lane[row, place] = target_lane[2]
             scene.impact[row, place] = vehicle.impact is not None
             if vehicle.impact is not None:
                 scene.impact_x[row, place], scene.impact_y[row, place] = vehicle.impact

@@ -24,7 +24,7 @@ from charms_bench.errors import (
 )
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.actions import ACTION_KINDS, ActionKind, Actions, problem_of
 from charms_bench.world.compiled import compiled
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
@@ -46,10 +46,11 @@ class Simulation:
             driven by `command`. If there are such vehicles, only time ends an episode.
         agents: All agents that `ego` and `traffic` name, by name.
         engine: `batched` or `highway-env`.
+        actions: The kind of the actions given to `step`.
 
     Raises:
-        InputError: A policy's rate does not fit the simulation rate, or its observation does not
-            exist.
+        InputError: A policy's rate does not fit the simulation rate, or its observation or its kind
+            of actions does not exist.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class Simulation:
         traffic: Traffic,
         agents: Mapping[str, Agent],
         engine: EngineName = "batched",
+        actions: ActionKind = "meta",
     ) -> None:
         self.settings = settings
         self.seeds = np.zeros(scenes, dtype=np.uint64)
@@ -72,7 +74,8 @@ class Simulation:
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
-        """[B, N] whether the vehicle has been given a meta-action; never under a driver model."""
+        """[B, N] whether the vehicle has been given a meta-action; never under a driver model,
+        and never with continuous actions."""
         self.collision = np.zeros((scenes, settings.vehicles), dtype=np.int8)
         """[B, N] index into `COLLISIONS`, noted in the simulation step of the collision."""
         self._holds_egos = settings.profile.ego_control_rate == "decision"
@@ -97,7 +100,10 @@ class Simulation:
             for k, agent in self.made.items()
             if isinstance(agent, DriverModel)
         }
-        self.engine = make_engine(engine, settings, scenes, models)
+        continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
+        if actions == "continuous":
+            continuous += [k for k, name in enumerate(self.agents) if not name]
+        self.engine = make_engine(engine, settings, scenes, models, continuous)
         self._shown = self.scene.read_only()
 
     @property
@@ -189,8 +195,8 @@ class Simulation:
     def step(self, ego_actions: Actions | None = None) -> None:
         """Advances every running episode to the end of its decision interval.
 
-        `ego_actions` are the (B,) meta-actions of egos driven from outside; they take effect at
-        the beginning of an interval.
+        `ego_actions` are the meta-actions (B,), or the continuous actions (B, 2), of egos driven
+        from outside; they take effect at the beginning of an interval.
         """
         for frame in range(self.phase, self.settings.steps_per_decision):
             self.advance(ego_actions if frame == 0 else None)
@@ -230,8 +236,9 @@ class Simulation:
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives M vehicles their meta-actions (M,)."""
         self.engine.command(vehicles, actions)
-        self.action[vehicles] = actions
-        self.has_action[vehicles] = True
+        if actions.ndim == 1:
+            self.action[vehicles] = actions
+            self.has_action[vehicles] = True
 
     def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
         try:
@@ -242,14 +249,8 @@ class Simulation:
             raise self.blame(name, vehicles, str(error), error.vehicle) from error
         except PLUGIN_ERRORS as error:
             raise self.blame(name, vehicles, raised(error)) from error
-        shape, wrong, what = vehicles[0].shape, 0, ""
-        if actions.shape != shape or not np.issubdtype(actions.dtype, np.integer):
-            what = f"{actions.dtype} of shape {actions.shape}; expected integers of shape {shape}"
-        else:
-            actions = actions.copy()  # the policy may keep the array, and change it
-            if (out := (actions < 0) | (actions >= len(ACTIONS))).any():
-                wrong = int(out.argmax())
-                what = f"action {actions[wrong]}; expected 0 to {len(ACTIONS) - 1}"
+        actions = actions.copy()  # the policy may keep the array, and change it
+        what, wrong = problem_of(actions, policy.actions, vehicles[0].size)
         if what:
             raise self.blame(name, vehicles, f"decide returned {what}", wrong)
         return actions
@@ -280,6 +281,10 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
         observation_of(policy.observation)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
+    if policy.actions not in ACTION_KINDS:
+        raise InputError(
+            f"agent '{name}': actions is '{policy.actions}'; expected {' or '.join(ACTION_KINDS)}"
+        )
     hz = policy.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if steps < 1 or steps != round(steps):

@@ -103,20 +103,23 @@ class SceneState:
     def seated(self, places: Ints, agent: str) -> "SceneState":
         """The same scenes, in which an agent drives one vehicle.
 
+        After continuous actions, the vehicle's speed becomes its target speed.
+
         Args:
             places: (S,) the vehicle of each scene, in the order of spawning.
             agent: Its name; empty for an ego that is driven from outside.
         """
         agents = self.agents if agent in self.agents else (*self.agents, agent)
-        drivers, action, has_action = (
-            self.drivers.copy(),
-            self.action.copy(),
-            self.has_action.copy(),
-        )
+        names = ("drivers", "action", "has_action", "target_speed")
+        arrays = {name: getattr(self, name).copy() for name in names}
+        drivers, action, has_action, target_speed = arrays.values()
         rows = np.nonzero(drivers[np.arange(len(self)), places] != agents.index(agent))[0]
         changed = (rows, places[rows])
         drivers[changed], action[changed], has_action[changed] = agents.index(agent), 0, False
-        return replace(self, agents=agents, drivers=drivers, action=action, has_action=has_action)
+        # As `ControlledVehicle.__init__`: a vehicle without a target speed keeps its speed.
+        speed = self.speed[changed]
+        target_speed[changed] = np.where(target_speed[changed], target_speed[changed], speed)
+        return replace(self, agents=agents, **arrays)
 
     def __eq__(self, other: object) -> bool:
         """Whether all values are the same to the last bit."""

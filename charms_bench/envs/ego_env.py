@@ -12,10 +12,12 @@ from charms_bench.engine.simulation import ENDINGS, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.vector_env import (
     HighwayVectorEnv,
     Reward,
+    check_actions,
     continue_from,
     spaces_of,
     state_in,
@@ -24,7 +26,7 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTION_KINDS, ActionKind
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
 
@@ -33,7 +35,7 @@ TrafficLike = str | Mapping[str, float] | Traffic
 the name of an agent."""
 
 
-class EgoEnv(gymnasium.Env[Observations, np.int64]):
+class EgoEnv(gymnasium.Env[Observations, Any]):
     """One episode after another; the actions given to `step` drive the ego.
 
     The episodes are those of a suite: `reset(seed=k)` starts the episode with seed k. Without a
@@ -42,15 +44,17 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
 
     Args:
         traffic: Assigns a driver to each of the other vehicles.
-        reward: The reward of a decision; by default highway-env's, see `HighwayReward`.
+        reward: The reward of a decision; by default highway-env's, see `HighwayReward`, and for
+            continuous actions the progress along the road, see `ProgressReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
+        actions: `meta`, or `continuous` for an acceleration and a steering angle.
         render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
     Raises:
-        InputError: The traffic is not installed, or the scene, the observation or the render mode
-            is wrong.
+        InputError: The traffic is not installed, or the scene, the observation, the kind of
+            actions or the render mode is wrong.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's
@@ -60,14 +64,18 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         traffic: TrafficLike = "idm_mobil",
         reward: Reward[Any] | None = None,
         observation: ObservationLike = "neighbours",
+        actions: ActionKind = "meta",
         render_mode: str | None = None,
         **scene: Any,
     ) -> None:
         settings = scene_settings(scene)
         self._observation = observation_of(observation)
-        self.observation_space, self.action_space = spaces_of(settings, self._observation)
-        self.simulation = Simulation(settings, 1, None, *drivers_of(traffic))
-        self._reward = reward or HighwayReward()
+        self._kind = _kind(actions)
+        self.observation_space, self.action_space = spaces_of(
+            settings, self._observation, self._kind
+        )
+        self.simulation = Simulation(settings, 1, None, *drivers_of(traffic), actions=self._kind)
+        self._reward = reward or _REWARDS[self._kind]()
         self._renderer = Renderer(self.simulation, render_mode)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
@@ -96,17 +104,19 @@ class EgoEnv(gymnasium.Env[Observations, np.int64]):
         return self._observe(), {"seed": seed}
 
     def step(
-        self, action: np.int64 | int
+        self, action: np.int64 | int | NDArray[np.floating]
     ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Carries out the ego's action for one decision interval.
 
         Returns:
             Observation, reward, terminated, truncated, and the info. The info of the last step
             contains the `ending`, one of `engine.simulation.ENDINGS`.
+
+        Raises:
+            InputError: The action is not one of `action_space`.
         """
-        if action not in self.action_space:
-            raise InputError(f"no action {action}; expected 0 to 4: {', '.join(ACTIONS)}")
         actions = np.array([action])
+        check_actions(actions, self._kind, 1)
         prepared = self._reward.prepare(self.simulation, actions)
         self.simulation.step(actions)
         reward = float(self._reward(self.simulation, prepared)[0])
@@ -154,19 +164,34 @@ def ego_vector_env(
     traffic: TrafficLike = "idm_mobil",
     reward: Reward[Any] | None = None,
     observation: ObservationLike = "neighbours",
+    actions: ActionKind = "meta",
     render_mode: str | None = None,
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
+    kind = _kind(actions)
     return HighwayVectorEnv(
         scene_settings(scene),
         num_envs,
         *drivers_of(traffic),
-        reward or HighwayReward(),
+        reward or _REWARDS[kind](),
         EVALUATION_SEEDS,
         observation_of(observation),
-        render_mode=render_mode,
+        kind,
+        render_mode,
     )
+
+
+_REWARDS: dict[ActionKind, type[Reward[Any]]] = {
+    "meta": HighwayReward,
+    "continuous": ProgressReward,
+}
+
+
+def _kind(actions: ActionKind) -> ActionKind:
+    if actions not in ACTION_KINDS:
+        raise InputError(f"{ID}: actions: '{actions}'; expected {' or '.join(ACTION_KINDS)}")
+    return actions
 
 
 def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSettings:

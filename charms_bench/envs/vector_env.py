@@ -15,7 +15,7 @@ from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
 from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, Y_SCALE_M, Observation, neighbours
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, SceneSettings
 
@@ -26,7 +26,7 @@ class Reward(Protocol[C]):
     """The reward of a decision. It keeps no state; what it needs from before is of type C."""
 
     def prepare(self, simulation: Simulation, actions: Actions) -> C:
-        """What to remember of the scene before the egos' actions (B,) are carried out."""
+        """What to remember of the scene before the egos' actions are carried out."""
 
     def __call__(self, simulation: Simulation, prepared: C) -> Floats:
         """The rewards (B,) after the decision interval, before ended episodes restart."""
@@ -42,15 +42,18 @@ class EpisodesState(NamedTuple):
 
 
 def spaces_of(
-    settings: SceneSettings, observation: Observation = neighbours
-) -> tuple[spaces.Space[Any], spaces.Discrete]:
+    settings: SceneSettings, observation: Observation = neighbours, kind: ActionKind = "meta"
+) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Gymnasium's spaces of the ego's observations and actions.
 
     In `neighbours`, the rows of other vehicles are clipped to [-1, 1]. The bounds of the ego's
-    position across the road and of its velocity are twice the values that occur while it drives.
-    Other observations have no bounds, as in highway-env.
+    position across the road and of its velocity are twice the values that occur while it drives;
+    with continuous actions, its position has no bounds. Other observations have no bounds, as in
+    highway-env.
     """
-    actions = spaces.Discrete(len(ACTIONS))
+    actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
+    if kind == "continuous":
+        actions = spaces.Box(-1.0, 1.0, (len(CONTROLS),), np.float32)
     if observation != neighbours:
         return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
     profile = settings.profile
@@ -58,6 +61,8 @@ def spaces_of(
     fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
     high = np.ones((7, 5), dtype=np.float32)
     high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
+    if kind == "continuous":
+        high[EGO, 2] = np.inf
     high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
     return spaces.Box(-high, high, dtype=np.float32), actions
 
@@ -76,6 +81,18 @@ def state_in(options: dict[str, Any] | None) -> SceneState | None:
         found = type(state).__name__
         raise InputError(f"reset: expected a SceneState as the option 'state', found {found}")
     return state
+
+
+def check_actions(actions: NDArray[Any], kind: ActionKind, egos: int) -> None:
+    """Refuses what are not the actions of B egos.
+
+    Raises:
+        InputError: The shape or the type is wrong, or an action is out of range.
+    """
+    what, wrong = problem_of(actions, kind, egos)
+    if what:
+        meaning = ", ".join(ACTIONS if kind == "meta" else CONTROLS)
+        raise InputError(f"step: ego {wrong}: {what}: {meaning}")
 
 
 def continue_from(simulation: Simulation, state: SceneState) -> None:
@@ -128,6 +145,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         reward: The reward of a decision.
         first_seed: The first episode's seed, unless a seed is given to `reset`.
         observation: The egos' observation.
+        actions: The kind of the egos' actions.
         render_mode: `rgb_array` or `human`; see `render`.
 
     Raises:
@@ -150,13 +168,16 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         reward: Reward[C],
         first_seed: int = 0,
         observation: Observation = neighbours,
+        actions: ActionKind = "meta",
         render_mode: str | None = None,
     ) -> None:
         self.num_envs = scenes
-        self.single_observation_space, self.single_action_space = spaces_of(settings, observation)
+        spaces_of_one = spaces_of(settings, observation, actions)
+        self.single_observation_space, self.single_action_space = spaces_of_one
         self.observation_space = batch_space(self.single_observation_space, scenes)
         self.action_space = batch_space(self.single_action_space, scenes)
-        self.simulation = Simulation(settings, scenes, None, traffic, agents)
+        self.simulation = Simulation(settings, scenes, None, traffic, agents, actions=actions)
+        self._kind = actions
         self._reward = reward
         self._observation = observation
         self._next_seed = first_seed
@@ -189,14 +210,18 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         return self._observe(), {}
 
     def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
-        """Carries out the egos' actions (B,) for one decision interval.
+        """Carries out the egos' actions, (B,) or continuous (B, 2), for one decision interval.
 
         Returns:
             Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
             infos. These have the `final_obs` and the `final_info` of the episodes that ended:
             `ending` (an index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and
             `seed`.
+
+        Raises:
+            InputError: The actions have another shape or type, or one is out of range.
         """
+        check_actions(actions, self._kind, self.num_envs)
         simulation = self.simulation
         prepared = self._reward.prepare(simulation, actions)
         simulation.step(actions)

@@ -289,7 +289,7 @@ class _Chunk:
         periods = {
             k: round(self._settings.simulation_hz / agent.decision_hz)
             for k, agent in self._made.items()
-            if isinstance(agent, Policy)
+            if isinstance(agent, Policy) and agent.actions == "meta"
         }
         decides = [k in periods and frame % periods[k] == 0 for k in state.drivers[0].tolist()]
         near = np.array(decides) & (distance <= NEAR_M) & ~state.crashed[0]

@@ -8,7 +8,7 @@ vehicles may be split over several calls, or over several runs, at any time.
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import ActionKind, Actions
 from charms_bench.world.observations import ObservationLike
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
@@ -17,7 +17,10 @@ ACCELERATION_LIMIT_MPS2 = 20.0
 
 
 class Policy(ABC):
-    """Chooses meta-actions from observations, a few times per second."""
+    """Chooses actions from observations, a few times per second."""
+
+    actions: ActionKind = "meta"
+    """The kind of its actions; `continuous` ones are held until its next decision."""
 
     observation: ObservationLike = "neighbours"
     """The observation that the policy receives."""
@@ -34,7 +37,9 @@ class Policy(ABC):
                 its default options; float32. See `charms_bench.world.observations`.
 
         Returns:
-            (M,) integers 0..4, indices into `ACTIONS`.
+            (M,) integers 0..4, indices into `ACTIONS`. If `actions` is `continuous`, (M, 2) floats
+            from -1 to 1: an acceleration, up to 5 m/s² either way, and a steering angle, up to
+            pi / 4 rad either way, positive to the right.
         """
 
     @property

@@ -10,10 +10,18 @@ from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.held import Held, check_scene, equal
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.scene_questions import Answers, Ask, SceneQuestion, copied
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import Actions, problem_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, ObservationLike
-from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import (
+    Bools,
+    Floats,
+    Ints,
+    Observations,
+    Scene,
+    SceneSettings,
+    Vehicles,
+)
 
 ROWS = 64
 """Most vehicles that are asked about again in another order."""
@@ -24,6 +32,8 @@ NETWORK_ROUNDING = 1e-4
 value: float32 rounds by 6e-8, and a sum of a thousand products may be added in another order. With
 batches of 1, 7, 64 and 300, the 21 networks in the package gave the same bits for 168,000
 observations from seeds above 900,000,000."""
+ACTION_ROUNDING = 1e-4
+"""Largest difference of a continuous action, likewise."""
 NEARBY = 1e-6
 """Relative changes of an observation that move a network's values about as much as rounding."""
 
@@ -57,7 +67,7 @@ class HeldPolicy(Held[Policy], Policy):
     def __init__(self, policy: Policy, other: Policy, rng: np.random.Generator, calls: int) -> None:
         super().__init__(policy, other, rng, calls)
         self.observation = _held_observation(policy.observation, rng, calls)
-        self.decision_hz = policy.decision_hz
+        self.decision_hz, self.actions = policy.decision_hz, policy.actions
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
@@ -66,7 +76,7 @@ class HeldPolicy(Held[Policy], Policy):
         answer = np.asarray(self.plugin.decide(observations))
         if not equal(observations, before):
             raise BrokenWordError("decide changed its observations")
-        if answer.shape != (len(before),):
+        if problem_of(answer, self.actions, len(before))[0]:
             return answer  # the simulation says what is wrong
         answer = answer.copy()
         some = _some(len(before), self._rng)
@@ -82,12 +92,14 @@ class HeldPolicy(Held[Policy], Policy):
 def check_actions(
     policy: Policy, observations: Observations, expected: Actions, how: str, rows: Any = None
 ) -> None:
-    """Asks a policy and compares its actions; one action may differ if rounding explains it.
+    """Asks a policy and compares its actions.
+
+    One meta-action, and all continuous actions, may differ as far as rounding explains it.
 
     Args:
         policy: The policy.
         observations: (M, ...) what to ask.
-        expected: (M,) the actions.
+        expected: The actions, (M,) or (M, 2).
         how: In words, how it is asked.
         rows: (M,) the vehicles' indices in the call; by default 0 to M - 1.
 
@@ -97,16 +109,24 @@ def check_actions(
     again = np.asarray(policy.decide(observations.copy()))
     if again.shape != expected.shape:
         raise BrokenWordError(f"decide returned shape {again.shape} when {how}")
-    differing = np.nonzero(again != expected)[0]
+    differing = np.nonzero(are_different(expected, again))[0]
     if not differing.size:
         return
     at = int(differing[0])
-    if differing.size == 1 and is_between(policy, observations[at], expected[at], again[at]):
+    is_one = differing.size == 1 and expected.ndim == 1
+    if is_one and is_between(policy, observations[at], expected[at], again[at]):
         return
     raise BrokenWordError(
         f"decide returned {expected[at]}, and {again[at]} when {how}",
         at if rows is None else int(rows[at]),
     )
+
+
+def are_different(expected: Actions, again: Actions) -> Bools:
+    """(M,) whether two answers differ; continuous ones, by more than rounding explains."""
+    if expected.ndim == 1:
+        return np.asarray(again != expected)
+    return ~(np.abs(again - expected) <= ACTION_ROUNDING).all(axis=1)
 
 
 def is_between(policy: Policy, observation: Observations, *actions: int) -> bool:
@@ -130,6 +150,7 @@ class HeldNetwork(Held[OnnxPolicy], Policy):
     def __init__(self, network: OnnxPolicy, rng: np.random.Generator, calls: int) -> None:
         super().__init__(network, network, rng, calls)
         self.observation, self.decision_hz = network.observation, network.decision_hz
+        self.actions = network.actions
 
     def decide(self, observations: Observations) -> Actions:
         if not self._is_chosen():
@@ -138,13 +159,13 @@ class HeldNetwork(Held[OnnxPolicy], Policy):
         some = _some(len(observations), self._rng)
         for rows in (some, *some[:ALONE, None]):
             check_values(self.plugin, observations[rows], values[rows], rows)
-        return np.asarray(np.argmax(values, axis=1))
+        return self.plugin.actions_of(values)
 
 
 def check_values(
     network: OnnxPolicy, observations: Observations, expected: NDArray[np.float32], rows: Ints
 ) -> None:
-    """Compares the values (M, 5) of a network with those for another batch.
+    """Compares the values (M, outputs) of a network with those for another batch.
 
     Raises:
         BrokenWordError: They differ by more than `NETWORK_ROUNDING` explains.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
-from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.actions import Actions, outputs_of
 from charms_bench.world.files import read_limited
 from charms_bench.world.observations import observation_described
 from charms_bench.world.scene import Observations
@@ -25,12 +25,13 @@ results stay in the cache of one core; a call costs as much as about ten observa
 
 
 class OnnxPolicy(Policy):
-    """Chooses the action with the highest value.
+    """Chooses the meta-action with the highest value, or the continuous action that is the output.
 
     The network can only do arithmetic, in bounded memory and on one thread; see
     `onnx_file.OPERATORS`. The file has one input, `(batch, rows, columns)` of the observation or
-    `(batch, rows * columns)`, and one output `(batch, 5)`, both float32. The file's metadata name
-    the observation; the default is `neighbours`.
+    `(batch, rows * columns)`, and one output, both float32. The output is `(batch, 5)`, or
+    `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
+    The metadata also name the observation; the default is `neighbours`.
 
     Args:
         path: The `.onnx` file.
@@ -58,7 +59,11 @@ class OnnxPolicy(Policy):
             self.observation = observation_described(metadata.get("observation", "neighbours"))
         except InputError as error:
             raise ModelError(f"{self.path}: metadata: {error}") from error
-        self._input, self._shape = _input(self.path, self._session, self.observation.shape)
+        if metadata.get("actions") == "continuous":
+            self.actions = "continuous"
+        self._outputs = outputs_of(self.actions)
+        shape = self.observation.shape
+        self._input, self._shape = _input(self.path, self._session, shape, self._outputs)
         if decision_hz is None:
             decision_hz = _decision_hz(self.path, metadata.get("decision_hz", "3"))
         self.decision_hz = decision_hz
@@ -69,10 +74,16 @@ class OnnxPolicy(Policy):
         return self._sha256
 
     def decide(self, observations: Observations) -> Actions:
-        return np.asarray(np.argmax(self.values(observations), axis=1))
+        return self.actions_of(self.values(observations))
+
+    def actions_of(self, values: NDArray[np.float32]) -> Actions:
+        """The actions (M,) or (M, 2) that the network's output means."""
+        if self.actions == "continuous":
+            return np.clip(values, -1.0, 1.0)
+        return np.asarray(np.argmax(values, axis=1))
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The network's output (M, 5) for observations (M, rows, columns).
+        """The network's output, (M, 5) or (M, 2), for observations (M, rows, columns).
 
         Raises:
             ModelError: It cannot be computed, has another shape, or contains NaN.
@@ -88,7 +99,7 @@ class OnnxPolicy(Policy):
             (values,) = self._session.run(None, {self._input: inputs})
         except Exception as error:  # onnxruntime's errors share no public base
             raise ModelError(f"{self.path}: cannot be computed: {_reason(error)}") from error
-        expected = (len(inputs), len(ACTIONS))
+        expected = (len(inputs), self._outputs)
         if values.shape != expected:
             raise ModelError(
                 f"{self.path}: returns values of shape {values.shape}; expected {expected}"
@@ -151,22 +162,26 @@ def _decision_hz(path: Path, said: str) -> float:
     return hz
 
 
-def _input(path: Path, session: Any, shape: tuple[int, int]) -> tuple[str, tuple[int, ...]]:
+def _input(
+    path: Path, session: Any, shape: tuple[int, int], count: int
+) -> tuple[str, tuple[int, ...]]:
     """The input's name and its shape after the batch."""
     rows, columns = shape
     inputs = [(node.name, node.type, node.shape) for node in session.get_inputs()]
     outputs = [(node.name, node.type, node.shape) for node in session.get_outputs()]
     found = f"inputs {inputs}, outputs {outputs}"
+    other = ", or (batch, 2) with the metadata 'actions: continuous'"
     wanted = (
         f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
-        f"batch, and one float32 output (batch, {len(ACTIONS)})"
+        f"batch, and one float32 output (batch, {count})"
+        f"{other if count == outputs_of('meta') else ''}"
     )
     fits = (
         len(inputs) == len(outputs) == 1
         and inputs[0][1] == outputs[0][1] == "tensor(float)"
         and inputs[0][2][1:] in ([rows * columns], [rows, columns])
         and not isinstance(inputs[0][2][0], int)
-        and outputs[0][2][1:] == [len(ACTIONS)]
+        and outputs[0][2][1:] == [count]
     )
     if not fits:
         raise ModelError(f"{path}: has {found}; expected {wanted}")

@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from charms_bench.engine.batched import BatchedEngine
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
-from charms_bench.plugins.held_agents import check_values, driving, is_between
+from charms_bench.plugins.held_agents import are_different, check_values, driving, is_between
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.scene_questions import SceneQuestion, copied
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTION_KINDS, ACTIONS, problem_of
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Observations, Scene, SceneSettings, Vehicles
 
@@ -88,25 +88,32 @@ def _bound(rule: Callable[..., None], subject: Any) -> Rule:
 
 
 def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
-    """Its `observation` exists and its `decision_hz` is positive."""
+    """Its `observation` and its kind of `actions` exist, and its `decision_hz` is positive."""
     try:
         observation_of(policy.observation)
     except InputError as error:
         raise AssertionError(str(error)) from error
     assert policy.decision_hz > 0, f"decision_hz is {policy.decision_hz}"
+    kinds = " or ".join(ACTION_KINDS)
+    assert policy.actions in ACTION_KINDS, f"actions is {policy.actions!r}; expected {kinds}"
 
 
 def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
-    """`decide` returns integers 0..4, one per row, for many rows and for one."""
+    """`decide` returns one action of its kind per row, for many rows and for one.
+
+    A meta-action is an integer 0..4, a continuous action two floats from -1 to 1.
+    """
     observations = _observations(policy)
     for rows in (observations, observations[:1]):
-        actions = np.asarray(policy.decide(rows))
-        assert actions.shape == (len(rows),), f"shape {actions.shape} for {len(rows)} vehicles"
-        _check_integers("action", actions, len(ACTIONS))
+        what, row = problem_of(np.asarray(policy.decide(rows)), policy.actions, len(rows))
+        assert not what, f"for row {row} of {len(rows)}, decide returned {what}"
 
 
 def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
-    """A vehicle's action does not depend on the other vehicles, their number or their order."""
+    """A vehicle's action does not depend on the other vehicles, their number or their order.
+
+    Continuous actions may differ by rounding.
+    """
     observations = _observations(policy)
     together = np.array(policy.decide(observations.copy()))
     order = np.random.default_rng(0).permutation(len(observations))
@@ -118,11 +125,13 @@ def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
                 _kept(check_values, policy, observations[rows], values[rows], rows)
             continue
         found = np.concatenate([policy.decide(observations[rows].copy()) for rows in batches])
-        at = order[found != together[order]]
-        actions = (*together[at], *found[np.isin(order, at)])
-        explained = at.size == 1 and is_between(policy, observations[at[0]], *actions)
-        differing = f"{at.size} of {order.size} actions differ"
-        assert not at.size or explained, f"{differing} in batches of {size} in another order"
+        differ = are_different(together[order], found)
+        at = order[differ]
+        is_one = at.size == 1 and together.ndim == 1
+        actions = (*together[at], *found[differ])
+        explained = is_one and is_between(policy, observations[at[0]], *actions)
+        what = f"{at.size} of {order.size} actions differ"
+        assert not at.size or explained, f"{what} in batches of {size} in another order"
 
 
 def policy_does_not_change_its_observations(policy: Policy) -> None:
@@ -237,7 +246,7 @@ def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
     """Asks an agent about every vehicle of the example scenes."""
     if isinstance(agent, Policy):
         observations = _observations(agent, seed)
-        return lambda: np.array(agent.decide(observations.copy()))
+        return lambda: np.array(agent.decide(observations.copy())).T
     scene = example_scene(seed)
     return lambda: _answer(agent, copied(scene), _everyone(scene))
 

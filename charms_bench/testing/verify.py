@@ -9,14 +9,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from charms_bench.engine import ENGINES
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, drivers_of, networks_of
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
 from charms_bench.runs.workers import in_processes
+from charms_bench.world.actions import ActionKind
 from charms_bench.world.fields import FrozenModel
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 TOLERANCE = 1e-6
 """Largest difference allowed in a position or a speed, m or m/s, or a heading, rad."""
@@ -29,16 +31,17 @@ class Case(FrozenModel):
     """An ego in a traffic in a kind of scene."""
 
     scene: SceneSettings
-    ego: AgentSpec
+    ego: AgentSpec | None
+    """If None, random accelerations and steering angles drive the ego; see `random_controls`."""
     traffic: TrafficSpec
     folder: Path = Path()
 
     @property
     def title(self) -> str:
         """A description in one line."""
-        scene = self.scene
+        scene, ego = self.scene, self.ego.name if self.ego else "continuous actions"
         return (
-            f"{self.ego.name}, {scene.profile.name}: {scene.lanes} lanes, "
+            f"{ego}, {scene.profile.name}: {scene.lanes} lanes, "
             f"{scene.vehicles} vehicles, density {scene.density:g}"
         )
 
@@ -80,19 +83,22 @@ class Comparison:
 
 class _DefaultCases(FrozenModel):
     episodes: Annotated[int, Field(ge=1)]
+    continuous_episodes: Annotated[int, Field(ge=1)]
     scenes: tuple[SceneSettings, ...] = Field(strict=False)
     egos: tuple[AgentSpec, ...] = Field(strict=False)
     traffic: TrafficSpec
 
 
-def default_cases() -> tuple[list[Case], int]:
-    """The cases that are compared if no suite is given, and the episodes of each."""
+def default_cases(continuous: bool = False) -> tuple[list[Case], int]:
+    """The cases that are compared if no suite is given, and the episodes of each.
+
+    If `continuous`, random accelerations and steering angles drive the egos.
+    """
     cases = Document(Path(__file__).with_name("verify.yaml")).validate(_DefaultCases)
+    egos = (None,) if continuous else cases.egos
     return [
-        Case(scene=scene, ego=ego, traffic=cases.traffic)
-        for ego in cases.egos
-        for scene in cases.scenes
-    ], cases.episodes
+        Case(scene=scene, ego=ego, traffic=cases.traffic) for ego in egos for scene in cases.scenes
+    ], cases.continuous_episodes if continuous else cases.episodes
 
 
 def cases_of(suite: Suite) -> list[Case]:
@@ -153,23 +159,30 @@ class _Chunk:
 def compare(case: Case, seed: int, episodes: int) -> Comparison:
     """Compares the engines over the episodes `seed` to `seed + episodes - 1`."""
     traffic = case.traffic.make()
-    networks = networks_of(case.ego, traffic, case.folder)
-    agents = {driver.key: driver.make(networks) for driver in drivers_of(case.ego, traffic)}
+    ego = case.ego
+    kind: ActionKind = "meta" if ego else "continuous"
+    networks = networks_of(ego, traffic, case.folder) if ego else {}
+    drivers = drivers_of(ego, traffic) if ego else map(AgentSpec.model_validate, traffic.agents)
+    agents = {driver.key: driver.make(networks) for driver in drivers}
+    key = ego.key if ego else None
     ours, theirs = (
-        Simulation(case.scene, episodes, case.ego.key, traffic, agents, engine)
-        for engine in ("batched", "highway-env")
+        Simulation(case.scene, episodes, key, traffic, agents, engine, kind) for engine in ENGINES
     )
     for simulation in (ours, theirs):
         simulation.reset(np.arange(seed, seed + episodes, dtype=np.uint64))
+    # highway-env computes with the numbers that it gets; networks return float32.
+    controls = np.stack([random_controls(int(k), case.scene.decisions) for k in ours.seeds], 1)
+    controls = controls.astype(np.float32 if seed // _CHUNK % 2 else np.float64)
     differences: list[Difference] = []
     largest, steps, lane_changes, frame = 0.0, 0, 0, 0
     while ours.scene.active.any():
-        for _ in range(case.scene.steps_per_decision):
+        for phase in range(case.scene.steps_per_decision):
+            given = controls[ours.steps.max()] if phase == 0 and ego is None else None
             frame += 1
             steps += int(ours.scene.active.sum())
             before = ours.scene.target_lane.copy()
-            ours.advance()
-            theirs.advance()
+            ours.advance(given)
+            theirs.advance(given)
             lane_changes += int((ours.scene.target_lane != before).sum())
             found, size = _differences(ours, theirs, frame)
             differences += found
@@ -184,6 +197,18 @@ def compare(case: Case, seed: int, episodes: int) -> Comparison:
             ours.scene.active[row] = theirs.scene.active[row] = False
     crashed = int(ours.scene.crashed.sum())
     return Comparison(case, episodes, steps, lane_changes, crashed, largest, tuple(differences))
+
+
+def random_controls(seed: int, decisions: int) -> Floats:
+    """Continuous actions (T, 2) of an episode, with means and spreads drawn per episode.
+
+    The steering ranges from 0.1 % to all of its range. So there are egos that stay on the road,
+    leave it, drive in circles, stop, and drive backwards.
+    """
+    rng = np.random.default_rng([seed, 5])
+    size = np.array([1.0, 10 ** rng.uniform(-3, 0)])
+    mean, spread = rng.uniform(-1, 1, 2), rng.uniform(0, 1, 2)
+    return np.clip(size * (mean + spread * rng.normal(size=(decisions, 2))), -1, 1)
 
 
 def _differences(

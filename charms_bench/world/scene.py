@@ -165,11 +165,12 @@ class Scene(NamedTuple):
     steering: Floats
     """[B, N] steering angle of the last simulation step, rad."""
     target_speed: Floats
-    """[B, N] desired speed, m/s."""
+    """[B, N] desired speed, m/s; 0 for a vehicle with continuous actions."""
     lane: Ints
     """[B, N] nearest lane."""
     target_lane: Ints
-    """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change."""
+    """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change. With
+    continuous actions, it is `lane`."""
     crashed: Bools
     """[B, N] whether the vehicle has collided."""
     timer_s: Floats

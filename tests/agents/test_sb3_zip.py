@@ -70,6 +70,19 @@ def saved_ppo(folder: Path, **settings: Any) -> tuple[Any, Path]:
     return model, path
 
 
+def saved_actor(folder: Path, kind: str, low: float = -1.0, **settings: Any) -> tuple[Any, Path]:
+    """Somebody's SAC or TD3 and its checkpoint."""
+    env = Blank()
+    env.action_space = gymnasium.spaces.Box(np.array([-1.0, low], np.float32), 1.0)
+    kwargs = {"net_arch": [16, 8]} | settings.pop("policy_kwargs", {})
+    model = getattr(sb3, kind)(
+        "MlpPolicy", env, buffer_size=10, policy_kwargs=kwargs, seed=3, device="cpu", **settings
+    )
+    path = folder / f"{kind}.zip"
+    model.save(path)
+    return model, path
+
+
 def zipped(folder: Path, policy: object = None, **members: bytes) -> Path:
     """A checkpoint with some object in its `policy.pth`, or with those bytes."""
     path = folder / "made.zip"
@@ -182,6 +195,41 @@ def test_a_dqn_that_was_given_another_activation_keeps_it(tmp_path: Path) -> Non
 def test_an_activation_that_cannot_be_exported_is_named(tmp_path: Path) -> None:
     _, path = saved_ppo(tmp_path, activation_fn=torch.nn.ELU)
     refused(path, r"has <class 'torch.nn.modules.activation.ELU'> between.*expected ReLU or Tanh")
+
+
+@pytest.mark.parametrize("kind", ["SAC", "TD3", "DDPG"])
+@pytest.mark.parametrize("policy", [{}, {"activation_fn": torch.nn.Tanh}, {"net_arch": []}])
+def test_an_actors_file_has_its_continuous_actions(
+    tmp_path: Path, kind: str, policy: dict[str, Any]
+) -> None:
+    model, path = saved_actor(tmp_path, kind, policy_kwargs=policy)
+    with torch.no_grad():  # untrained actions are near 0, where tanh does not matter
+        for parameter in model.policy.actor.parameters():
+            parameter.mul_(4.0)
+    model.save(path)
+    done = export_zip(path, tmp_path / "out.onnx", FACTS)
+    hidden = policy.get("net_arch", [16, 8])
+    assert done["sizes"] == [35, *hidden, 2]
+    exported = OnnxPolicy(tmp_path / "out.onnx")
+    assert exported.actions == "continuous"
+    seen = sb3_zip._seen(neighbours, 9)
+    expected, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(exported.decide(seen), expected, rtol=0, atol=1e-5)
+    assert np.ptp(expected, axis=0).min() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "message"),
+    [
+        ("SAC", {"low": -0.5}, r"has actions from \[-1.0, -0.5\] to \[1.0, 1.0\]; expected Box"),
+        ("SAC", {"use_sde": True}, "expected a SAC without use_sde"),
+    ],
+)
+def test_other_continuous_policies_are_named(
+    tmp_path: Path, kind: str, settings: dict[str, Any], message: str
+) -> None:
+    _, path = saved_actor(tmp_path, kind, **settings)
+    refused(path, message)
 
 
 @pytest.mark.parametrize("data", [b"", b"{", b"[" * 10**5, b'{"policy_kwargs": null}', b"\x80\x05"])
@@ -317,7 +365,7 @@ def test_networks_of_another_shape_are_named(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std"),
+        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std, as of a PPO with cont"),
         ({"lstm_actor__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_actor.weight_ih"),
         ({"pi_features_extractor__cnn__0__bias": torch.zeros(2)}, "CnnPolicy"),
         ({"action_net__weight": None, "action_net__bias": None}, "holds: value_net.weight"),

@@ -19,6 +19,7 @@ ELSEWHERE = {
     "plugins.md": "tests/docs/test_plugin_guide.py",
     "many-learners.md": "tests/agents/test_self_play.py",
     "highway-env.md": "tests/agents/test_stock_dqn.py",
+    "continuous.md": "tests/agents/test_continuous_page.py",
     "cluster.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",
     "training-libraries.md": "tests/docs/test_training_libraries.py",

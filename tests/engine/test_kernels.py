@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
 from charms_bench.engine import kernels
-from charms_bench.world.scene import Scene
+from charms_bench.world.profile import CHARMS, Constants
+from charms_bench.world.scene import Scene, SceneSettings
 
 DT = 1 / 15
 ROW = np.array([0])
@@ -93,19 +94,40 @@ def test_order_runs_from_the_rear_and_rank_is_its_inverse(scene: Scene) -> None:
     assert (order[rank] == np.arange(order.size)).all()
 
 
+def constants(lanes: int, width: float = 4.0) -> Constants:
+    profile = CHARMS.model_copy(update={"lane_width_m": width})
+    return SceneSettings(lanes=lanes, profile=profile).constants
+
+
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-10.0, 40.0), st.integers(2, 8), st.sampled_from([3.5, 4.0]))
 def test_the_closest_lane_is_the_first_nearest(y: float, lanes: int, width: float) -> None:
-    assert kernels.closest_lane(y, lanes, width) == naive.closest_lane(y, lanes, width)
+    found = kernels.closest_lane(100.0, y, 0.0, constants(lanes, width))
+    assert found == naive.closest_lane(y, lanes, width)
+
+
+@settings(derandomize=True, deadline=None)
+@given(
+    st.floats(-1e4, 3e4),
+    st.one_of(st.floats(-50.0, 50.0), st.sampled_from([np.nextafter(2.0, 3.0), 2.0 + 1e-13])),
+    st.floats(-300.0, 300.0),
+)
+def test_the_closest_lane_is_highway_envs_at_any_heading(x: float, y: float, angle: float) -> None:
+    c, network = constants(3), RoadNetwork()
+    for lane in range(3):
+        ends = [0.0, lane * 4.0], [c.road_length, lane * 4.0]
+        network.add_lane("0", "1", StraightLane(*ends, width=4.0))
+    expected = network.get_closest_lane_index(np.array([x, y]), angle)[2]
+    assert kernels.closest_lane(x, y, angle, c) == expected
 
 
 @pytest.mark.parametrize(("y", "lane"), [(-9.0, 0), (1.9, 0), (2.0, 0), (2.1, 1), (30.0, 2)])
 def test_on_three_lanes_of_4_m_the_border_belongs_to_the_left(y: float, lane: int) -> None:
-    assert kernels.closest_lane(y, 3, 4.0) == lane
+    assert kernels.closest_lane(100.0, y, 0.0, constants(3)) == lane
 
 
 @settings(derandomize=True, deadline=None)
-@given(st.floats(-20.0, 20.0))
+@given(st.floats(-400.0, 400.0))
 def test_angles_wrap_as_in_highway_env(angle: float) -> None:
     assert kernels.wrap_to_pi(angle) == utils.wrap_to_pi(angle)
 

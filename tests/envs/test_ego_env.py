@@ -260,5 +260,5 @@ def test_unknown_traffics_actions_and_options_are_named() -> None:
     with pytest.raises(InputError, match="got speed"):
         env.reset(options={"speed": 3})
     env.reset()
-    with pytest.raises(InputError, match="no action 5; expected 0 to 4: LANE_LEFT, IDLE"):
+    with pytest.raises(InputError, match="action 5; expected 0 to 4: LANE_LEFT, IDLE"):
         env.step(5)

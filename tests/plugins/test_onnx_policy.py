@@ -64,6 +64,26 @@ def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None
     assert OnnxPolicy(path, decision_hz=1.0).decision_hz == 1.0
 
 
+def test_continuous_actions_are_the_output_within_their_range(network_file: NetworkFile) -> None:
+    weights = np.random.default_rng(1).normal(size=(35, 2)).astype(np.float32)
+    policy = OnnxPolicy(with_metadata(network_file(weights), actions="continuous"))
+    observations = np.random.default_rng(2).uniform(-1, 1, (64, 7, 5)).astype(np.float32)
+    expected = np.clip(observations.reshape(64, 35) @ weights, -1, 1)
+    assert policy.actions == "continuous"
+    np.testing.assert_allclose(policy.decide(observations), expected, rtol=0, atol=1e-5)
+    assert (np.abs(expected) == 1).any()
+    for rule in agent_rules(policy):
+        rule()
+
+
+def test_the_number_of_outputs_fits_the_kind_of_actions(network_file: NetworkFile) -> None:
+    with pytest.raises(ModelError, match=r"\(batch, 5\), or \(batch, 2\) with the metadata 'acti"):
+        OnnxPolicy(network_file(np.zeros((35, 2))))
+    path = with_metadata(network_file(np.zeros((35, 5))), actions="continuous")
+    with pytest.raises(ModelError, match=r"one float32 output \(batch, 2\)$"):
+        OnnxPolicy(path)
+
+
 @pytest.mark.parametrize("said", ["often", "0", "-1", "nan", "inf"])
 def test_a_file_that_says_no_rate_is_refused(network_file: NetworkFile, said: str) -> None:
     path = with_metadata(network_file(), decision_hz=said)

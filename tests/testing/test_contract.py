@@ -54,9 +54,9 @@ def scribble(observations: Observations) -> Actions:
         (
             lambda o: np.ones(3, int),
             "policy_returns_one_action_per_vehicle",
-            r"shape \(3,\) for 336",
+            r"int64 of shape \(3,\); expected integers of shape \(336,\)",
         ),
-        (lambda o: np.ones(len(o)), "policy_returns_one_action_per_vehicle", "actions are float64"),
+        (lambda o: np.ones(len(o)), "policy_returns_one_action_per_vehicle", "float64 of shape"),
         (lambda o: np.full(len(o), -1), "policy_returns_one_action_per_vehicle", "action -1"),
         (lambda o: np.full(len(o), 5), "policy_returns_one_action_per_vehicle", "action 5"),
         (
@@ -84,6 +84,34 @@ def test_a_policy_with_an_impossible_rate_or_observation_is_found() -> None:
     policy.decision_hz = 0.0
     with pytest.raises(AssertionError, match=r"decision_hz is 0\.0"):
         contract.policy_names_an_observation_and_a_rate(policy)
+
+
+@pytest.mark.parametrize(
+    ("function", "rule", "message"),
+    [
+        (lambda o: np.ones((len(o), 2)), None, ""),
+        (lambda o: np.ones(len(o)), "policy_returns_one_action_per_vehicle", r"shape \(336, 2\)"),
+        (lambda o: np.full((len(o), 2), 1.5), "policy_returns_one_action_per_vehicle", "action"),
+        (lambda o: np.full((len(o), 2), np.inf), "policy_returns_one_action_per_vehicle", "inf"),
+        (
+            lambda o: np.full((len(o), 2), 1 / len(o)),
+            "policy_decides_for_each_vehicle_independently",
+            "336 actions differ if the vehicle is alone",
+        ),
+    ],
+)
+def test_a_policy_with_continuous_actions_keeps_the_same_rules(
+    function: Callable[[Observations], Actions], rule: str | None, message: str
+) -> None:
+    policy = Decides(function)
+    policy.actions = "continuous"
+    if rule is None:
+        for each in agent_rules(policy):
+            if not each.__name__.startswith("agent_answers_the_same"):  # a lambda has no pickle
+                each()
+        return
+    with pytest.raises(AssertionError, match=message):
+        getattr(contract, rule)(policy)
 
 
 class Drives(DriverModel):

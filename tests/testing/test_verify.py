@@ -55,6 +55,28 @@ def test_comparisons_add_up_over_episodes() -> None:
     assert (total.episodes, total.steps, total.crashed) == (2, both.steps, both.crashed)
 
 
+def test_random_accelerations_and_steering_angles_drive_the_egos() -> None:
+    case = default_cases(continuous=True)[0][4]
+    case = case.model_copy(update={"scene": case.scene.model_copy(update={"duration_s": 2.0})})
+    assert case.title.startswith("continuous actions, highway-env")
+    for seed in (0, 4):  # of different types of numbers
+        comparison = compare(case, seed, episodes=2)
+        assert comparison.differences == ()
+        assert comparison.largest < 1e-9
+
+
+def test_random_controls_steer_little_in_some_episodes_and_much_in_others() -> None:
+    means = np.array([verify.random_controls(seed, 50).mean(axis=0) for seed in range(300)])
+    assert np.abs(means[:, 1]).min() < 0.001
+    assert np.abs(means[:, 1]).max() > 0.5
+    assert np.percentile(means[:, 0], [5, 95]) == pytest.approx([-0.8, 0.8], abs=0.2)
+
+
+def test_500_episodes_are_compared_with_continuous_actions() -> None:
+    cases, episodes = default_cases(continuous=True)
+    assert len(cases) * episodes >= 500
+
+
 def test_the_default_cases_cover_what_they_promise() -> None:
     cases, episodes = default_cases()
     assert len(cases) * episodes >= 1000

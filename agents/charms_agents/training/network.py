@@ -16,7 +16,7 @@ from torch.optim import Optimizer
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTIONS, ActionKind, outputs_of
 from charms_bench.world.files import write_atomically
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, described, neighbours
@@ -31,7 +31,8 @@ ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
 OPSET, IR_VERSION = 17, 8
 """Old versions, which every onnxruntime that the base install allows can read."""
 TIE = 1e-4
-"""Two actions whose values differ by less are equally good to float32's precision."""
+"""Two actions whose values differ by less are equally good to float32's precision; continuous
+actions that differ by less are equal."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 """The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
@@ -47,8 +48,13 @@ def untrained(hidden_layers: Sequence[int], seed: int) -> Sequential:
         return _alternating([Linear(before, after) for before, after in pairwise(sizes)], ReLU)
 
 
-def network_of(layers: Layers, activation: type[Module] = ReLU) -> Sequential:
-    """A network of copies of the layers, with an activation between them."""
+def network_of(
+    layers: Layers, activation: type[Module] = ReLU, kind: ActionKind = "meta"
+) -> Sequential:
+    """A network of copies of the layers, with an activation between them.
+
+    For continuous actions, a tanh follows the last layer.
+    """
     modules = []
     for weight, bias in layers:
         module = Linear(weight.shape[1], weight.shape[0])
@@ -56,7 +62,13 @@ def network_of(layers: Layers, activation: type[Module] = ReLU) -> Sequential:
             module.weight.copy_(torch.from_numpy(weight.copy()))
             module.bias.copy_(torch.from_numpy(bias.copy()))
         modules.append(module)
-    return _alternating(modules, activation)
+    network = _alternating(modules, activation)
+    return network if kind == "meta" else network.append(Tanh())
+
+
+def kind_of(network: Sequential) -> ActionKind:
+    """The kind of a network's actions: continuous if it ends with a tanh."""
+    return "continuous" if isinstance(network[-1], Tanh) else "meta"
 
 
 def layers_of(network: Sequential) -> Layers:
@@ -106,7 +118,8 @@ def export(
     """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
     Args:
-        network: Linear layers with ReLU or tanh between them.
+        network: Linear layers with ReLU or tanh between them; for continuous actions, a tanh
+            follows the last layer.
         path: The file.
         facts: Further metadata, beside the observation and the actions.
         observations: (M, rows, columns) on which the file's actions are compared with the
@@ -115,29 +128,34 @@ def export(
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different
-        action of equal value to float32's precision.
+        action of equal value to float32's precision, or the actions differ by at most `TIE`.
 
     Raises:
-        ModelError: The file chose a worse action than the network; nothing is written.
+        ModelError: The file acts differently from the network; nothing is written.
         RunFolderError: The file cannot be written.
     """
     data = _serialised(network, {"observation": described(observation), **facts}, observation.shape)
     flat = torch.tensor(observations.reshape(len(observations), -1))  # a copy, as writable
     with torch.no_grad():
         expected: NDArray[np.float32] = network(flat).numpy()
-    best = expected.argmax(axis=1)
+    continuous = kind_of(network) == "continuous"
     checked: dict[str, int] = {}
 
     def write(partial: Path) -> None:
         partial.write_bytes(data)
         found = OnnxPolicy(partial).decide(observations)
-        lost = expected.max(axis=1) - expected[np.arange(found.size), found]
+        if continuous:
+            lost = np.abs(found - expected).max(axis=1)
+            ties = lost > 0
+        else:
+            lost = expected.max(axis=1) - expected[np.arange(found.size), found]
+            ties = found != expected.argmax(axis=1)
         if count := int((lost > TIE).sum()):
             raise ModelError(
-                f"{path}: would act differently from the network in {count} of {found.size} "
+                f"{path}: would act differently from the network in {count} of {len(found)} "
                 "observations; onnxruntime and torch disagree on this machine"
             )
-        checked.update(observations=int(found.size), ties=int((found != best).sum()))
+        checked.update(observations=len(found), ties=int(ties.sum()))
 
     write_atomically(path, write)
     return checked
@@ -146,26 +164,29 @@ def export(
 def _serialised(network: Sequential, facts: dict[str, str], shape: tuple[int, int]) -> bytes:
     layers = layers_of(network)
     operators = {kind: name for name, kind in ACTIVATIONS.items()}
-    between = [operators[type(module)] for module in network if type(module) in operators]
+    after = [operators[type(module)] for module in network if type(module) in operators]
     tensors: list[TensorProto] = []
     last = "flat"
     nodes = [helper.make_node("Flatten", ["observations"], [last], axis=1)]
     for index, (weight, bias) in enumerate(layers):
         inputs = [f"weight_{index}", f"bias_{index}"]
         tensors += map(numpy_helper.from_array, (weight, bias), inputs)
-        final = index == len(layers) - 1
-        out = "values" if final else f"linear_{index}"
+        final, activated = index == len(layers) - 1, index < len(after)
+        out = "values" if final and not activated else f"linear_{index}"
         nodes.append(helper.make_node("Gemm", [last, *inputs], [out], transB=1))
-        if not final:
-            nodes.append(helper.make_node(between[index], [out], [f"hidden_{index}"]))
-            last = f"hidden_{index}"
+        if activated:
+            last = "values" if final else f"hidden_{index}"
+            nodes.append(helper.make_node(after[index], [out], [last]))
     seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", *shape])
-    valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", len(ACTIONS)])
+    kind = kind_of(network)
+    actions = ", ".join(ACTIONS) if kind == "meta" else kind
+    size = outputs_of(kind)
+    valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", size])
     graph = helper.make_graph(nodes, "policy", [seen], [valued], tensors)
     exported = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )
-    helper.set_model_props(exported, {"actions": ", ".join(ACTIONS), **facts})
+    helper.set_model_props(exported, {"actions": actions, **facts})
     onnx.checker.check_model(exported, full_check=True)
     data: bytes = exported.SerializeToString(deterministic=True)
     return data

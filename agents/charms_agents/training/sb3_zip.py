@@ -20,7 +20,7 @@ import torch
 from charms_agents.training.network import ACTIVATIONS, Layers, export, layers_of, network_of
 from charms_bench.errors import ModelError
 from charms_bench.testing import example_scene
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, outputs_of
 from charms_bench.world.files import read_limited
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, neighbours
@@ -43,6 +43,9 @@ _LOGITS = re.compile(r"action_net\.(weight|bias)")
 _OF_POLICY = re.compile(
     r"(mlp_extractor\.(policy|value)_net\.\d{1,3}|action_net|value_net)\.(weight|bias)"
 )
+_LATENT_LAYER = re.compile(r"actor\.latent_pi\.(\d{1,3})\.(weight|bias)")
+_MEAN = re.compile(r"actor\.mu\.(weight|bias)")
+_ACTOR_LAYER = re.compile(r"actor\.mu\.(\d{1,3})\.(weight|bias)")
 _OF_TENSORS = re.compile(
     r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage"
 )
@@ -52,6 +55,9 @@ _MEMBER = b"PK\x01\x02"
 KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 """The activations that can be exported, by their torch name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
+
+_BOUNDS = ("low", "high")
+"""The keys of a space's bounds in `data`."""
 
 Tensors = dict[str, torch.Tensor]
 Numbered = dict[int, Tensors]
@@ -68,12 +74,13 @@ def export_zip(
     facts: dict[str, str],
     observation: Neighbours | Kinematics = neighbours,
 ) -> dict[str, Any]:
-    """Writes the network that decides for a DQN, PPO or A2C as an ONNX file.
+    """Writes the network that decides for a DQN, PPO, A2C, SAC or TD3 as an ONNX file.
 
     For a DQN this is the Q-network. For a PPO or A2C it is the policy up to its logits; the largest
-    logit belongs to the most probable action. If `data` cannot be read, the activation is assumed
-    to be Stable-Baselines3's default: ReLU for a DQN, tanh for a PPO. A checkpoint does not hold
-    the statistics of a `VecNormalize`, so they are not exported.
+    logit belongs to the most probable action. For a SAC it is the actor up to the tanh of its mean,
+    and for a TD3 or DDPG the actor; their actions are continuous. If `data` cannot be read, the
+    activation is assumed to be Stable-Baselines3's default: tanh for a PPO or A2C, ReLU for the
+    others. A checkpoint does not hold the statistics of a `VecNormalize`, so they are not exported.
 
     Args:
         checkpoint: The zip that Stable-Baselines3 saved.
@@ -86,16 +93,19 @@ def export_zip(
         checkpoint, and observations and ties from `export`.
 
     Raises:
-        ModelError: The checkpoint is not a zip of a DQN, PPO or A2C with a suitable MLP; nothing
-            is written.
+        ModelError: The checkpoint is not a zip of one of these with a suitable MLP; nothing is
+            written.
         RunFolderError: The output cannot be written.
     """
     facts = {key: value.encode(errors="replace").decode() for key, value in facts.items()}
     try:
         content_sha256, weights, data = _read(checkpoint)
-        numbered, usual = _deciding(_tensors(weights))
+        numbered, usual, kind = _deciding(_tensors(weights))
         said = _activation(data, usual)
-        network = network_of(_layers(numbered, observation), KINDS[said or usual])
+        if kind == "continuous":
+            _check_action_space(data)
+        layers = _layers(numbered, observation, kind)
+        network = network_of(layers, KINDS[said or usual], kind)
     except _Refusal as error:
         raise ModelError(f"{checkpoint}: {error}") from error
     name = checkpoint.name.encode(errors="replace").decode()
@@ -180,23 +190,57 @@ def _activation(data: bytes, usual: str) -> str | None:
     return match[1]
 
 
-def _deciding(tensors: Tensors) -> tuple[Numbered, str]:
-    """The layers of the deciding network by position, and its default activation."""
+def _check_action_space(data: bytes) -> None:
+    """Refuses an action space that `data` describes as other than from -1 to 1."""
+    try:
+        space = json.loads(data)["action_space"]
+        bounds = [[float(each) for each in space[key].strip("[]").split()] for key in _BOUNDS]
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return
+    size = len(CONTROLS)
+    if bounds != [[-1.0] * size, [1.0] * size]:
+        low, high = bounds
+        raise _Refusal(
+            f"has actions from {low} to {high}; expected Box(-1, 1, ({size},)): {CONTROLS}"
+        )
+
+
+def _deciding(tensors: Tensors) -> tuple[Numbered, str, ActionKind]:
+    """The layers of the deciding network by position, its default activation, and its actions."""
     if any("features_extractor." in name for name in tensors):
         raise _Refusal("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
     if q_network := _matching(_Q_LAYER, tensors):
-        return q_network, "ReLU"
+        return q_network, "ReLU", "meta"
+    if any(name.startswith("actor.") for name in tensors):
+        return _actor(tensors), "ReLU", "continuous"
     logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
     policy = _matching(_POLICY_LAYER, tensors)
     other = [name for name in tensors if not _OF_POLICY.fullmatch(name)]
     if not logits or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
+        if "log_std" in tensors:
+            found += ", as of a PPO with continuous actions, which is not exported"
         raise _Refusal(
-            f"expected the Q-network of a DQN, or only the policy and value networks of a "
-            f"PPO; {WEIGHTS} holds: {found}"
+            f"expected the Q-network of a DQN, the actor of a SAC or TD3, or only the policy and "
+            f"value networks of a PPO; {WEIGHTS} holds: {found}"
         )
     policy[max(policy, default=-2) + 2] = logits
-    return policy, "Tanh"
+    return policy, "Tanh", "meta"
+
+
+def _actor(tensors: Tensors) -> Numbered:
+    """The layers of the actor of a SAC, TD3 or DDPG by position, up to its last tanh."""
+    mean = {match[1]: tensors[name] for name in tensors if (match := _MEAN.fullmatch(name))}
+    latent = _matching(_LATENT_LAYER, tensors)
+    actor = _matching(_ACTOR_LAYER, tensors)
+    if "actor.log_std" in tensors:
+        raise _Refusal("has state-dependent exploration; expected a SAC without use_sde")
+    if bool(mean) == bool(actor):
+        found = ", ".join([name for name in tensors if name.startswith("actor.")][:4])
+        raise _Refusal(f"expected the actor of a SAC or TD3; {WEIGHTS} holds: {found}")
+    if mean:
+        latent[max(latent, default=-2) + 2] = mean
+    return latent if mean else actor
 
 
 def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
@@ -207,7 +251,7 @@ def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
     return found
 
 
-def _layers(network: Numbered, observation: Neighbours | Kinematics) -> Layers:
+def _layers(network: Numbered, observation: Neighbours | Kinematics, kind: ActionKind) -> Layers:
     """The layers as arrays; refuses layers that do not fit together."""
     # Linear layers are at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
@@ -242,8 +286,9 @@ def _layers(network: Numbered, observation: Neighbours | Kinematics) -> Layers:
         source = "the outputs of the layer before"
         layers.append((weight.detach().resolve_neg().numpy(), bias.detach().resolve_neg().numpy()))
         width = weight.shape[0]
-    if width != len(ACTIONS):
-        raise _Refusal(f"has {width} actions; expected {len(ACTIONS)}: {ACTIONS}")
+    if width != outputs_of(kind):
+        names = ACTIONS if kind == "meta" else CONTROLS
+        raise _Refusal(f"has {width} actions; expected {len(names)}: {names}")
     if not all(np.isfinite(array).all() for layer in layers for array in layer):
         raise _Refusal("some of its weights are not finite")
     return layers
