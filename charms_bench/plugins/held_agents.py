@@ -126,7 +126,7 @@ def are_different(expected: Actions, again: Actions) -> Bools:
     """(M,) whether two answers differ; continuous ones, by more than rounding explains."""
     if expected.ndim == 1:
         return np.asarray(again != expected)
-    return ~(np.abs(again - expected) <= ACTION_ROUNDING).all(axis=1)
+    return np.asarray(~(np.abs(again - expected) <= ACTION_ROUNDING).all(axis=1))
 
 
 def is_between(policy: Policy, observation: Observations, *actions: int) -> bool:
