@@ -87,8 +87,11 @@ def test_a_kind_that_did_not_happen_is_no_error(finished: FinishedRun) -> None:
     assert (result.returncode, "No collision in" in result.stdout) == (0, True)
 
 
-def test_replay_writes_an_animation_and_trajectories(finished: FinishedRun) -> None:
-    result = charms_bench("replay", finished.folder.path, 4, "--agent", "[b]Level-k[/b]", "--json")
+def test_replay_writes_an_animation_trajectories_and_a_scenario(
+    finished: FinishedRun, tmp_path: Path
+) -> None:
+    options = ("--agent", "[b]Level-k[/b]", "--commonroad", tmp_path / "four.xml", "--json")
+    result = charms_bench("replay", finished.folder.path, 4, *options)
     assert result.returncode == 0, result.stderr
     made = json.loads(result.stdout)
     animation = Path(made["animation"])
@@ -97,6 +100,8 @@ def test_replay_writes_an_animation_and_trajectories(finished: FinishedRun) -> N
     table = pl.read_parquet(made["trajectories"])
     assert table["t_s"].max() == made["duration_s"]
     assert table["vehicle"].n_unique() == 11
+    assert made["commonroad"] == str(tmp_path / "four.xml")
+    assert (tmp_path / "four.xml").read_text().count("<dynamicObstacle") == 11
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 import charms_bench
 from charms_bench.envs import ID
+from charms_bench.episodes import minari_dataset
 from charms_bench.episodes.minari_dataset import environment_of
 from charms_bench.runs.suite import Suite
 from charms_bench.world.kinematics_observation import Kinematics
@@ -38,8 +39,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
 
 @pytest.fixture(scope="module")
 def loaded(minari: Any, run: charms_bench.Run) -> Iterator[Any]:
-    path = run.dataset("minari", run.path / "datasets" / "keep-right-v3")
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(minari_dataset, "AT_ONCE", 3)  # written in three parts
+        path = run.dataset("minari", run.path / "datasets" / "keep-right-v3")
         patch.setenv("MINARI_DATASETS_PATH", str(path.parent))
         yield minari.load_dataset("keep-right-v3")
 
