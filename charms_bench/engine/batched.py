@@ -72,10 +72,7 @@ class BatchedEngine:
         if self._continuous:
             marked = self._is_continuous[rows] = np.isin(self.drivers[rows], self._continuous)
             self.scene.target_speed[rows] *= ~marked
-            self._forget_target_lanes()
-
-    def _forget_target_lanes(self) -> None:
-        np.copyto(self.scene.target_lane, self.scene.lane, where=self._is_continuous)
+            kernels.follow_no_lane(self.scene, self._is_continuous)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
@@ -117,7 +114,7 @@ class BatchedEngine:
             held = held | self._is_continuous
         kernels.advance(scene, self._is_modelled, held)
         if self._continuous:
-            self._forget_target_lanes()
+            kernels.follow_no_lane(scene, self._is_continuous)
 
 
 def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:

@@ -154,27 +154,39 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
 
 
 @compiled
-def closest_lane(x: float, y: float, heading: float, c: Constants) -> int:
-    """`RoadNetwork.get_closest_lane_index` on parallel straight lanes: the first nearest.
-
-    highway-env rounds the distances across the road with what they have in common: the distance
-    beyond the road's ends and the heading. So near a border, the distances can be equal
-    [`AbstractLane.distance_with_heading`].
-    """
+def closest_lane(y: float, lanes: int, lane_width: float) -> int:
+    """`RoadNetwork.get_closest_lane_index` on parallel straight lanes: the first nearest."""
     best = 0
     distance = abs(y)
-    for lane in range(1, c.lanes):
-        other = abs(y - lane * c.lane_width)
+    for lane in range(1, lanes):
+        other = abs(y - lane * lane_width)
         if other < distance:
             best = lane
             distance = other
-    left = abs(y - (best - 1) * c.lane_width)
-    if best > 0 and left - distance < 1e-6:
-        beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
-        angle = abs(wrap_to_pi(heading))
-        if left + beyond + before + angle <= distance + beyond + before + angle:
-            best -= 1
     return best
+
+
+@compiled
+def follow_no_lane(scene: Scene, marked: Bools) -> None:
+    """Makes the nearest lanes of the marked vehicles [B, N] their target lanes too.
+
+    Near a border, `closest_lane` is corrected: highway-env rounds the distances of the lanes with
+    what they have in common, the distance beyond the road's ends and the heading, so they can be
+    equal [`AbstractLane.distance_with_heading`].
+    """
+    c = scene.constants
+    for b in range(marked.shape[0]):
+        for i in range(marked.shape[1]):
+            if not marked[b, i]:
+                continue
+            x, y = scene.x[b, i], scene.y[b, i]
+            lane = closest_lane(y, c.lanes, c.lane_width)
+            own, left = abs(y - lane * c.lane_width), abs(y - (lane - 1) * c.lane_width)
+            if lane > 0 and left - own < 1e-6:
+                beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
+                angle = abs(wrap_to_pi(scene.heading[b, i]))
+                lane -= left + beyond + before + angle <= own + beyond + before + angle
+            scene.lane[b, i] = scene.target_lane[b, i] = lane
 
 
 @compiled
@@ -238,14 +250,14 @@ def move(
         heading[i] = turning.heading[k]
         direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
         steering[i] = turning.steering[k]
-        lane[i] = closest_lane(x[i], y[i], heading[i], c)
+        lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
     for i in range(x.size):
         if impact[i]:
             x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             crashed[i] = True
             impact[i] = False
-            lane[i] = closest_lane(x[i], y[i], heading[i], c)
+            lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
 
 
 @compiled
@@ -595,7 +607,7 @@ def locate(scene: Scene, rows: Ints) -> None:
     for b in rows:
         for i in range(scene.x.shape[1]):
             scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(scene.heading[b, i])
-            scene.lane[b, i] = closest_lane(scene.x[b, i], scene.y[b, i], scene.heading[b, i], c)
+            scene.lane[b, i] = closest_lane(scene.y[b, i], c.lanes, c.lane_width)
         sort_by_x(scene, b, b + 1)
         find_neighbours(scene, b, b + 1)
 

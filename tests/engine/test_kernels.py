@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
 from charms_bench.engine import kernels
-from charms_bench.world.profile import CHARMS, Constants
-from charms_bench.world.scene import Scene, SceneSettings
+from charms_bench.world.scene import Scene
 
 DT = 1 / 15
 ROW = np.array([0])
@@ -94,16 +93,10 @@ def test_order_runs_from_the_rear_and_rank_is_its_inverse(scene: Scene) -> None:
     assert (order[rank] == np.arange(order.size)).all()
 
 
-def constants(lanes: int, width: float = 4.0) -> Constants:
-    profile = CHARMS.model_copy(update={"lane_width_m": width})
-    return SceneSettings(lanes=lanes, profile=profile).constants
-
-
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-10.0, 40.0), st.integers(2, 8), st.sampled_from([3.5, 4.0]))
 def test_the_closest_lane_is_the_first_nearest(y: float, lanes: int, width: float) -> None:
-    found = kernels.closest_lane(100.0, y, 0.0, constants(lanes, width))
-    assert found == naive.closest_lane(y, lanes, width)
+    assert kernels.closest_lane(y, lanes, width) == naive.closest_lane(y, lanes, width)
 
 
 @settings(derandomize=True, deadline=None)
@@ -112,18 +105,19 @@ def test_the_closest_lane_is_the_first_nearest(y: float, lanes: int, width: floa
     st.one_of(st.floats(-50.0, 50.0), st.sampled_from([np.nextafter(2.0, 3.0), 2.0 + 1e-13])),
     st.floats(-300.0, 300.0),
 )
-def test_the_closest_lane_is_highway_envs_at_any_heading(x: float, y: float, angle: float) -> None:
-    c, network = constants(3), RoadNetwork()
-    for lane in range(3):
-        ends = [0.0, lane * 4.0], [c.road_length, lane * 4.0]
-        network.add_lane("0", "1", StraightLane(*ends, width=4.0))
-    expected = network.get_closest_lane_index(np.array([x, y]), angle)[2]
-    assert kernels.closest_lane(x, y, angle, c) == expected
+def test_without_a_target_the_lane_is_highway_envs_at_any_heading(
+    x: float, y: float, heading: float
+) -> None:
+    scene = scene_of(x=[x], y=[y], heading=[heading], speed=[20.0])
+    network = road_of(scene).network
+    kernels.follow_no_lane(scene, np.ones((1, 1), dtype=np.bool_))
+    expected = network.get_closest_lane_index(np.array([x, y]), heading)[2]
+    assert scene.lane[0, 0] == scene.target_lane[0, 0] == expected
 
 
 @pytest.mark.parametrize(("y", "lane"), [(-9.0, 0), (1.9, 0), (2.0, 0), (2.1, 1), (30.0, 2)])
 def test_on_three_lanes_of_4_m_the_border_belongs_to_the_left(y: float, lane: int) -> None:
-    assert kernels.closest_lane(100.0, y, 0.0, constants(3)) == lane
+    assert kernels.closest_lane(y, 3, 4.0) == lane
 
 
 @settings(derandomize=True, deadline=None)
