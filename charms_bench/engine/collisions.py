@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, compiled_of_scenes
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
@@ -35,7 +35,7 @@ def are_noted(crashed: Bools, collision: Ints) -> bool:
     return not is_missing
 
 
-@compiled
+@compiled_of_scenes
 def note_collisions(scene: Scene, collision: Ints) -> None:
     """Sets how vehicles [B, N] have just collided, as indices into `COLLISIONS`."""
     x, y = scene.x, scene.y

@@ -224,14 +224,10 @@ class Simulation:
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
-        scene = self.scene
         self.phase = 0
-        self.steps += scene.active
-        running = scene.active & (self.ending == RUNNING)
-        self.ending[running & (self.steps >= self.settings.decisions)] = TIME
-        if self.settings.profile.offroad_terminal and self._egos_end_episodes:
-            self.ending[running & self.is_off_road] = OFF_ROAD
-        scene.active[self.ending != RUNNING] = False
+        ends_off_road = self.settings.profile.offroad_terminal and self._egos_end_episodes
+        has_left = self.is_off_road if ends_off_road else np.zeros_like(self.scene.active)
+        _end(self.settings.decisions, has_left, self.steps, self.ending, self.scene.active)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives M vehicles their meta-actions (M,)."""
@@ -249,11 +245,10 @@ class Simulation:
             raise self.blame(name, vehicles, str(error), error.vehicle) from error
         except PLUGIN_ERRORS as error:
             raise self.blame(name, vehicles, raised(error)) from error
-        actions = actions.copy()  # the policy may keep the array, and change it
         what, wrong = problem_of(actions, policy.actions, vehicles[0].size)
         if what:
             raise self.blame(name, vehicles, f"decide returned {what}", wrong)
-        return actions
+        return actions.copy()  # the policy may keep the array, and change it
 
     def blame(self, name: str, vehicles: Vehicles, what: str, wrong: int = 0) -> AgentError:
         """An agent's error about one of its M vehicles, given by its index."""
@@ -281,9 +276,10 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
         observation_of(policy.observation)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
-    if policy.actions not in ACTION_KINDS:
+    if not isinstance(policy.actions, str) or policy.actions not in ACTION_KINDS:
         raise InputError(
-            f"agent '{name}': actions is '{policy.actions}'; expected {' or '.join(ACTION_KINDS)}"
+            f"agent '{name}': its attribute `actions` is {str(policy.actions)[:80]!r}; expected "
+            f"{' or '.join(ACTION_KINDS)}"
         )
     hz = policy.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
@@ -328,6 +324,18 @@ class _CheckedModel(DriverModel):
         if what:
             raise self._simulation.blame(self._name, vehicles, f"drive returned {what}", wrong)
         return acceleration, target_lane
+
+
+@compiled
+def _end(decisions: int, has_left: Bools, steps: Ints, ending: Ints, active: Bools) -> None:
+    """Counts a decision interval of the active scenes (B,), and ends those that are over."""
+    for b in range(active.size):
+        steps[b] += active[b]
+        if active[b] and ending[b] == RUNNING and steps[b] >= decisions:
+            ending[b] = TIME
+        if active[b] and ending[b] in (RUNNING, TIME) and has_left[b]:
+            ending[b] = OFF_ROAD
+        active[b] = active[b] and ending[b] == RUNNING
 
 
 @compiled

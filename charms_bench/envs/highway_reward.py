@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from charms_bench.engine.kernels import are_off_road
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
+from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 20.0, 30.0
@@ -36,20 +36,21 @@ def highway_reward(
 
 
 @compiled_of_scenes
-def _rewards(scene: Scene, rows: Ints, places: Ints, off_road: Bools, rewards: Floats) -> None:
-    lanes = scene.constants.lanes
+def _rewards(scene: Scene, rows: Ints, places: Ints, rewards: Floats) -> None:
+    c = scene.constants
     for m in range(rows.size):
         b, i = rows[m], places[m]
         forward = scene.speed[b, i] * scene.direction_x[b, i]
-        lane, crashed = scene.target_lane[b, i], scene.crashed[b, i]
-        rewards[m] = highway_reward(forward, lane, crashed, off_road[m], lanes)
+        is_on_road = is_on_lane(scene.x[b, i], scene.y[b, i], scene.lane[b, i], c, 0.0)
+        target_lane, crashed = scene.target_lane[b, i], scene.crashed[b, i]
+        rewards[m] = highway_reward(forward, target_lane, crashed, not is_on_road, c.lanes)
 
 
 def highway_rewards(scene: Scene, vehicles: Vehicles) -> Floats:
     """`highway_reward` of M vehicles, (M,)."""
     rows, places = vehicles
     rewards = np.empty(rows.size)
-    _rewards(scene, rows, places, are_off_road(scene, rows, places), rewards)
+    _rewards(scene, rows, places, rewards)
     return rewards
 
 

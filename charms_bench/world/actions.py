@@ -51,7 +51,7 @@ def problem_of(actions: NDArray[Any], kind: ActionKind, vehicles: int) -> tuple[
     The text is empty if nothing is wrong.
     """
     expected_shape = (vehicles,) if kind == "meta" else (vehicles, len(CONTROLS))
-    is_type = np.issubdtype(actions.dtype, np.integer if kind == "meta" else np.floating)
+    is_type = actions.dtype.kind in ("iu" if kind == "meta" else "f")
     if actions.shape != expected_shape or not is_type:
         types = "integers" if kind == "meta" else "floats"
         found = f"{actions.dtype} of shape {actions.shape}"

@@ -216,7 +216,11 @@ def test_agents_are_listed_with_role_version_and_distribution() -> None:
         ("outside_policy", 0, "kept   policy decides for each vehicle independently"),
         ("outside_model", 0, "kept   model does not change the scene"),
         ("outside_traffic", 0, "kept   traffic follows its rng"),
-        ("outside_misshapen", 1, "broken policy returns one action per vehicle: shape (336, 2)"),
+        (
+            "outside_misshapen",
+            1,
+            "broken policy returns one action per vehicle: for row 0 of 336, decide",
+        ),
         ("outside_raising", 1, "raised ValueError: out of petrol"),
     ],
 )

@@ -251,5 +251,5 @@ def test_a_wrong_answer_is_the_agents_error(answer: Any, message: str) -> None:
 def test_an_unknown_kind_of_actions_is_named() -> None:
     policy = Answers(None)
     policy.actions = "throttle"  # type: ignore[assignment]
-    with pytest.raises(InputError, match="actions is 'throttle'; expected meta or continuous"):
+    with pytest.raises(InputError, match="actions` is 'throttle'; expected meta or continuous"):
         Simulation(SceneSettings(), 1, "odd", OneAgent("odd"), {"odd": policy})

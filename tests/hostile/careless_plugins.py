@@ -314,10 +314,10 @@ def decide(self, observations):
     _policy(
         "A policy that returns the same array in every call, and changes it later",
         """
-actions = np.zeros(100, dtype=np.int64)
+kept = np.zeros(100, dtype=np.int64)
 def decide(self, observations):
-    self.actions[:] = SLOWER
-    view = self.actions[: len(observations)]
+    self.kept[:] = SLOWER
+    view = self.kept[: len(observations)]
     view[:] = FASTER
     return view
 """,

@@ -50,9 +50,9 @@ def refuses(case: BadInput, folder: Path) -> str:
     answer = charms_bench(*arguments, cwd=folder)
     assert answer.returncode == 2, answer
     words = answer.stderr.strip()
-    assert words.startswith(("error: ", "Usage: ", "╭─ Error")) or "\nerror: " in words
+    assert words.startswith(("error: ", "Error: ", "Usage: ", "╭─ Error")) or "\nerror: " in words
     assert "Traceback" not in words
-    assert all(letter.isprintable() or letter == "\n" for letter in words)
+    assert all(letter.isprintable() or letter in "\n\t" for letter in words)
     assert len(words) < LONGEST
     assert answer.stdout == ""
     assert not (folder / CANARY).exists()

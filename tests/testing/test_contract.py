@@ -96,7 +96,7 @@ def test_a_policy_with_an_impossible_rate_or_observation_is_found() -> None:
         (
             lambda o: np.full((len(o), 2), 1 / len(o)),
             "policy_decides_for_each_vehicle_independently",
-            "336 actions differ if the vehicle is alone",
+            "336 of 336 actions differ in batches of 1",
         ),
     ],
 )
