@@ -1,0 +1,69 @@
+"""Checks whether a run folder is true."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.errors import RunFolderError
+from charms_bench.report.progress import note, progress
+from charms_bench.runs.folder import MANIFEST
+
+if TYPE_CHECKING:
+    from charms_bench.report.audit import Audit
+
+
+def audit(
+    path: PathLike,
+    *,
+    shards: int | None = 10,
+    seed: int | None = None,
+    workers: int | None = None,
+    suite_folder: PathLike = ".",
+    notice: Callable[[str], None] = note,
+) -> "Audit":
+    """Checks whether a run folder is true; nothing in it is changed.
+
+    It compares the software, files, networks, rows and tables in the folder with the manifest, with
+    a new simulation of some shards, and with tables computed from the rows.
+
+    Args:
+        path: The folder of an evaluation. Of other folders, it checks what it can.
+        shards: How many shards to simulate again; None is all.
+        seed: Chooses the shards; by default another seed each time.
+        workers: Processes; by default one per core.
+        suite_folder: Where relative paths in the suite start.
+        notice: Called with messages about problems that were solved, such as a worker that died.
+
+    Raises:
+        RunFolderError: The folder holds no run, or its manifest is damaged.
+        CharmsBenchError: A shard cannot be simulated.
+    """
+    from charms_bench.report.audit import Audit, audit_tables
+    from charms_bench.report.stored import holds
+    from charms_bench.runs.audit import Asked, audit_rare, audit_run
+    from charms_bench.runs.folder import CHECKSUMS, RunFolder
+    from charms_bench.runs.rare import MANIFEST as RARE
+
+    check_positive(shards=shards, workers=workers)
+    path = Path(path)
+    if not holds(path, MANIFEST):
+        if holds(path, RARE):
+            return Audit(path, tuple(audit_rare(path)))
+        raise RunFolderError(
+            f"{path}: holds no evaluation ({MANIFEST}); a training is checked by training it again"
+        )
+    folder = RunFolder(path)
+    suite = folder.suite().model_copy(update={"folder": Path(suite_folder)})
+    # Before the agents of the run are imported, which could change how tables are computed.
+    tables = list(audit_tables(path, suite))
+    count = len(list((path / CHECKSUMS).glob("*.sha256")))
+    with progress("shards", min(shards or count, count) or 1) as tell:
+        found = audit_run(
+            folder,
+            suite,
+            Asked(shards, seed, workers),
+            lambda cell, episodes: tell(cell.ego.title, 1),
+            notice,
+        )
+        return Audit(path, (*found, *tables))

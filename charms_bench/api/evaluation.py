@@ -1,0 +1,99 @@
+"""Runs a suite."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.results import Run
+from charms_bench.engine import ENGINES, EngineName
+from charms_bench.errors import InputError, suggestion
+from charms_bench.people.reference import read_references
+from charms_bench.report.progress import note, progress
+from charms_bench.runs import runner
+from charms_bench.runs.document import Document
+from charms_bench.runs.lock import locked
+from charms_bench.runs.runner import SHARD_LIMIT_S
+from charms_bench.runs.suite import check_networks, suite_of
+
+if TYPE_CHECKING:
+    pass
+
+
+def run(
+    suite: PathLike,
+    output: PathLike | None = None,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    engine: EngineName = "batched",
+    rows: PathLike | None = None,
+    cluster: str | None = None,
+    shard_limit_s: float | None = None,
+    notice: Callable[[str], None] = note,
+) -> Run:
+    """Runs a suite, or continues an interrupted run of it; finished parts are never run again.
+
+    Args:
+        suite: The YAML file.
+        output: The run folder; by default `runs/NAME`.
+        episodes: Episodes per cell, instead of the suite's.
+        seed: Seed of the first episode, instead of the suite's.
+        workers: Processes; by default one per core.
+        engine: `batched`, or `highway-env`, the slow reference.
+        rows: Another run's folder; episodes that it already has are copied.
+        cluster: Address of a Dask scheduler, such as `tcp://HOST:8786`.
+        shard_limit_s: Time limit for one shard, including the start of its worker; by default half
+            an hour.
+        notice: Called with messages about problems that were solved, such as a worker that died.
+
+    Raises:
+        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay.
+        KeyboardInterrupt: The run was interrupted; its note names the folder.
+    """
+    if engine not in ENGINES:
+        raise InputError(
+            f"no engine named '{engine}'. {suggestion(engine, dict.fromkeys(ENGINES))}"
+        )
+    check_positive(workers=workers, shard_limit_s=shard_limit_s)
+    if cluster is not None and engine != "batched":
+        raise InputError("a cluster runs the engine 'batched'; 'highway-env' runs on this machine")
+    if cluster is not None and workers is not None:
+        raise InputError("workers are processes on this machine; a cluster has its own")
+    document = Document(Path(suite))
+    if "pipeline" in document.data:
+        raise InputError(f"{suite}: is a training suite; use charms_bench.train")
+    changes = {"episodes": episodes, "seed": seed}
+    document.data |= {name: value for name, value in changes.items() if value is not None}
+    loaded = suite_of(document)
+    check_networks(document, loaded)
+    references = read_references(loaded.references, loaded.folder)
+    folder = Path(output or Path("runs") / loaded.suite)
+    on_dask = None
+    if cluster is not None:
+        from charms_bench.runs.cluster import on_cluster
+
+        on_dask = on_cluster(cluster)
+    try:
+        with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
+            finished = runner.run(
+                loaded,
+                folder,
+                engine,
+                workers,
+                lambda cell, count: tell(cell.ego.title, count),
+                None if rows is None else Path(rows),
+                shard_limit_s or SHARD_LIMIT_S,
+                notice,
+                on_dask,
+            )
+        from charms_bench.report.run_files import write_run
+
+        with locked(folder):
+            following = finished.following() if references else []
+            write_run(loaded, folder, finished.cells(), following, references)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(f"finished shards are in {folder}")
+        raise
+    return Run(finished, loaded.folder)

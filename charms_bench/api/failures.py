@@ -1,0 +1,73 @@
+"""Searches a scenario for failures of an agent."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.report.progress import progress
+from charms_bench.runs.document import Document
+from charms_bench.runs.suite import Cell, check_networks, suite_of
+
+if TYPE_CHECKING:
+    from charms_bench.episodes.search import Search
+
+
+def search(
+    suite: PathLike,
+    agent: str | None = None,
+    traffic: str | None = None,
+    output: PathLike = "found.yaml",
+    *,
+    failures: int = 10,
+    budget: int = 5000,
+    seed: int = 0,
+) -> "Search":
+    """Searches a scenario's parameters for failures of an agent, and writes them as a suite.
+
+    A failure is a collision that the suite's driver `preventable_by` avoids; in a suite without
+    one, any collision.
+
+    Args:
+        suite: The YAML file.
+        agent: Label of an ego of the suite, or the name of an installed agent; needed if the suite
+            has several other egos.
+        traffic: Label of the scenario; needed if the suite has several.
+        output: The file to write, as soon as there is a failure.
+        failures: Number of failures after which the search ends.
+        budget: Number of simulated episodes after which the search ends.
+        seed: Seed of the search.
+
+    Raises:
+        CharmsBenchError: The suite or an agent cannot be used, or a name is unknown.
+        KeyboardInterrupt: The search was interrupted; its note names the file.
+    """
+    from charms_bench.episodes.found import write_found
+    from charms_bench.episodes.search import Search, ego_of, scenario_of
+    from charms_bench.world.placement import ScenarioError
+
+    check_positive(failures=failures, budget=budget)
+    document = Document(Path(suite))
+    loaded = suite_of(document)
+    check_networks(document, loaded)
+    place = scenario_of(document.path, loaded, traffic)
+    reference = next((each for each in loaded.egos if each.title == loaded.preventable_by), None)
+    entry = loaded.traffics[place]
+    scene = loaded.scene.of_scenario(entry.traffic.scenario)
+    cell = Cell(ego=ego_of(document.path, loaded, agent), traffic=entry, scene=scene)
+    made = Search(cell, reference, loaded.folder)
+    path = Path(output)
+    made.found = lambda: write_found(made, document, place, path)
+    try:
+        with progress("episodes", budget) as tell:
+            made.told = lambda episodes: tell(cell.ego.title, episodes)
+            made.run(failures, budget, seed)
+    except KeyboardInterrupt as interrupt:
+        if made.failures:
+            interrupt.add_note(f"{len(made.failures)} failures are in {path}")
+        raise
+    except ScenarioError as error:
+        at = ("traffics", place, "traffic", "scenario", *error.location)
+        raise document.error(at, str(error)) from error
+    if made.failures:
+        made.found()
+    return made

@@ -1,0 +1,106 @@
+"""Estimates the probability of a rare event."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.errors import InputError
+from charms_bench.report.progress import note, progress
+from charms_bench.runs.document import Document
+from charms_bench.runs.lock import locked
+from charms_bench.runs.suite import check_networks, suite_of
+
+if TYPE_CHECKING:
+    from charms_bench.report.table import Table
+
+
+@dataclass(frozen=True)
+class Rare:
+    """The estimated probability of a rare event in every cell of a suite."""
+
+    path: Path
+    """The folder."""
+    table: "Table"
+    """The probability of every cell with its interval, and what the estimate cost."""
+    runs: pl.DataFrame
+    """One row per independent run: `agent`, `traffic`, `run`, `probability`, `episodes`, and the
+    lists `thresholds`, `shares` and `acceptance` of its levels."""
+
+    @property
+    def files(self) -> list[Path]:
+        """The tables in the folder that people read."""
+        return sorted(self.path.glob("tables/*.md"))
+
+
+def rare(
+    suite: PathLike,
+    event: str = "crash",
+    output: PathLike | None = None,
+    *,
+    runs: int = 10,
+    samples: int = 1000,
+    seed: int | None = None,
+    workers: int | None = None,
+    notice: Callable[[str], None] = note,
+) -> Rare:
+    """Estimates the probability of a rare event in an episode, or continues; see `Rare`.
+
+    The estimate is subset simulation over an episode's random draws, in independent runs.
+
+    Args:
+        suite: The YAML file. Its number of episodes does not matter.
+        event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
+        output: The folder; by default `runs/NAME-rare-EVENT`.
+        runs: Independent runs per cell, 5 to 1,000; more narrow the interval.
+        samples: Episodes per level of a run, a multiple of 10 from 100.
+        seed: Seed of all random draws, instead of the suite's.
+        workers: Processes; by default one per core.
+        notice: Called with messages about problems that were solved, such as a worker that died.
+
+    Raises:
+        CharmsBenchError: The suite, an agent, the event or the folder cannot be used; finished runs
+            stay.
+        KeyboardInterrupt: It was interrupted; the note names the folder.
+    """
+    from charms_bench.runs.rare import run_rare
+    from charms_bench.runs.rare_task import event_of
+
+    check_positive(workers=workers)
+    document = Document(Path(suite))
+    if "pipeline" in document.data:
+        raise InputError(f"{suite}: is a training suite; expected an evaluation")
+    document.data |= {} if seed is None else {"seed": seed}
+    loaded, definition = suite_of(document), event_of(event).definition
+    for index, entry in enumerate(loaded.traffics):
+        if entry.traffic.scenario is not None:
+            what = "rare draws where vehicles start, and a scenario places them; expected a traffic"
+            raise document.error(("traffics", index, "traffic", "scenario"), what)
+    check_networks(document, loaded)
+    name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
+    folder = Path(output or Path("runs") / name)
+    try:
+        with progress("runs", runs * len(loaded.cells)) as tell:
+            cells = run_rare(
+                loaded,
+                folder,
+                event,
+                runs,
+                samples,
+                workers,
+                lambda cell, count: tell(cell.ego.title, count),
+                notice,
+            )
+        from charms_bench.report.rare_table import rare_runs, rare_table
+        from charms_bench.report.run_files import write_table
+
+        table = rare_table(loaded, name, definition, samples, cells)
+        with locked(folder):
+            write_table(folder, table)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(f"finished runs are in {folder}")
+        raise
+    return Rare(folder, table, rare_runs(cells))

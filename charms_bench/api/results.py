@@ -1,0 +1,340 @@
+"""The results of a run: rows, tables, comparisons, episodes."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.auditing import audit
+from charms_bench.errors import InputError, suggestion
+from charms_bench.report.progress import progress
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.lock import locked
+from charms_bench.runs.suite import Suite
+
+if TYPE_CHECKING:
+    from charms_bench.episodes.avoidability import Avoidability
+    from charms_bench.episodes.criticality import Kind
+    from charms_bench.episodes.dataset import Format
+    from charms_bench.episodes.edge_cases import EdgeCase
+    from charms_bench.episodes.replay import Replay
+    from charms_bench.episodes.what_if import WhatIf
+    from charms_bench.report.audit import Audit
+    from charms_bench.report.table import Table
+
+
+def _labelled(cell: CellRows, rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows after the labels of their cell."""
+    return rows.select(
+        pl.lit(cell.agent).alias("agent"), pl.lit(cell.traffic).alias("traffic"), "*"
+    )
+
+
+class Run:
+    """A finished run of a suite. Rows and tables are read from its folder when they are needed."""
+
+    def __init__(self, finished: FinishedRun, suite_folder: Path) -> None:
+        self._finished = finished
+        self._suite_folder = suite_folder
+
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+        return self._finished.folder.path
+
+    @property
+    def suite(self) -> Suite:
+        """The suite that was run."""
+        return self._finished.suite
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """What was run: the suite, hashes of agents, versions of libraries, the machine."""
+        return self._finished.folder.manifest()
+
+    @cached_property
+    def cells(self) -> tuple[CellRows, ...]:
+        """Every ego in every traffic, each with its episode rows and its step rows."""
+        return tuple(self._finished.cells())
+
+    @property
+    def episodes(self) -> pl.DataFrame:
+        """The episode rows of all cells, with columns `agent` and `traffic`."""
+        return pl.concat(_labelled(cell, cell.episodes) for cell in self.cells)
+
+    @property
+    def steps(self) -> pl.DataFrame:
+        """The step rows of all cells, one per decision, with columns `agent` and `traffic`."""
+        return pl.concat(_labelled(cell, cell.steps) for cell in self.cells)
+
+    @property
+    def tables(self) -> "Mapping[str, Table]":
+        """The tables in the folder, by name: `ego`, `ego-drivers`, `ego-pairs`."""
+        from charms_bench.report.stored import stored_tables
+
+        return {table.name: table for table in stored_tables(self.path, self.suite).each()}
+
+    @property
+    def table(self) -> "Table":
+        """Every metric of every cell."""
+        return self.tables[self.suite.suite]
+
+    @property
+    def summary(self) -> "Table":
+        """The metrics that the suite prints."""
+        from charms_bench.report.suite_table import printed
+
+        return printed(self.table, self.suite.columns)
+
+    @property
+    def files(self) -> list[Path]:
+        """The tables and figures in the folder that people read."""
+        return sorted([*self.path.glob("tables/*.md"), *self.path.glob("figures/*.png")])
+
+    def compare(
+        self,
+        other: "Run | None" = None,
+        agents: tuple[str, str] | None = None,
+        metrics: Sequence[str] = (),
+        sets: Sequence[str] = (),
+    ) -> "Table":
+        """Compares two agents over the same episodes.
+
+        Args:
+            other: Another run of the same episodes; without one, two agents of this run.
+            agents: Their labels: of this run, and of the other if there is one.
+            metrics: Only these; by default all.
+            sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
+
+        Returns:
+            One row per pair, metric set and metric: both values, the difference with its interval,
+            and the p-value, corrected for the number of tests.
+
+        Raises:
+            InputError: The runs differ in more than the egos, or a name is unknown.
+        """
+        from charms_bench.report.comparison import compare
+        from charms_bench.runs.metric_sets import metric_sets
+        from charms_bench.runs.pairing import pairs_of
+
+        pairs = pairs_of(self._finished, None if other is None else other._finished, agents)
+        return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
+
+    def rescore(self, *sets: str) -> "Table":
+        """Computes metrics again from the stored rows and writes the table into the folder.
+
+        Args:
+            sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
+        """
+        from charms_bench.report.run_files import write_table
+        from charms_bench.report.suite_table import suite_table
+        from charms_bench.runs.metric_sets import metric_sets
+
+        found = metric_sets(sets)
+        with locked(self.path):
+            table = suite_table(self.suite, self.cells, found)
+            write_table(self.path, table)
+        return table
+
+    def edge_cases(
+        self,
+        top: int = 10,
+        kind: "Kind | None" = None,
+        agent: str | None = None,
+        traffic: str | None = None,
+    ) -> "list[EdgeCase]":
+        """The most critical episodes, most critical first.
+
+        Args:
+            top: How many at most.
+            kind: Only episodes of this kind, such as `near-miss`.
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default all.
+
+        Raises:
+            InputError: The kind is unknown.
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.criticality import IS_OF_KIND
+        from charms_bench.episodes.edge_cases import edge_cases
+        from charms_bench.episodes.replay import find_cells
+
+        if kind is not None and kind not in IS_OF_KIND:
+            known = {str(each): each for each in IS_OF_KIND}
+            raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
+        cells = find_cells(self._finished, agent, traffic)
+        return edge_cases(self._finished, top, kind, cells, self._suite_folder)
+
+    def replay(
+        self, episode: int, agent: str | None = None, traffic: str | None = None
+    ) -> "Replay":
+        """Simulates an episode again, with the states of all vehicles.
+
+        Args:
+            episode: Its seed.
+            agent: Label of the ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+
+        Raises:
+            InputError: The labels leave several episodes.
+            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.replay import find_cell, replay
+
+        cell = find_cell(self._finished, agent, traffic)
+        return replay(self._finished, cell, [episode], self._suite_folder)[0]
+
+    def dataset(
+        self,
+        format: "Format",
+        output: PathLike | None = None,
+        *,
+        agent: str | None = None,
+        traffic: str | None = None,
+        episodes: int | None = None,
+    ) -> Path:
+        """Simulates episodes again and writes them as a dataset for other tools.
+
+        Args:
+            format: `minari`, what the ego observed, did and gained, which needs the extra
+                `dataset`; or `highd`, the trajectories of all vehicles in highD's format.
+            output: The folder to write; by default one in the run folder.
+            agent: Label of the ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+            episodes: How many, from the first; by default all.
+
+        Returns:
+            The folder.
+
+        Raises:
+            InputError: The labels leave several egos, the folder exists, or the ego chooses no
+                actions that a Minari dataset could have.
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.dataset import write_dataset
+        from charms_bench.episodes.replay import find_cell
+
+        run, path = self._finished, None if output is None else Path(output)
+        cell = find_cell(run, agent, traffic)
+        with progress("episodes", episodes or run.suite.episodes) as tell:
+            title = run.suite.cells[cell].ego.title
+            return write_dataset(
+                run, cell, format, episodes, path, self._suite_folder, lambda n: tell(title, n)
+            )
+
+    def what_if(
+        self,
+        episode: int,
+        step: int,
+        agent: str,
+        vehicle: int | None = None,
+        ego: str | None = None,
+        traffic: str | None = None,
+    ) -> "WhatIf":
+        """An episode, and the same episode with another agent in a vehicle from a decision on.
+
+        Args:
+            episode: Its seed.
+            step: The first decision of the other agent; an episode's decisions begin with 1.
+            agent: The name of an installed agent, or the path of a network.
+            vehicle: The vehicle, by its number in replays; by default the ego.
+            ego: Label of the recorded ego; needed if the run has several.
+            traffic: Label of the traffic; needed if the run has several.
+
+        Raises:
+            InputError: There is no such decision, vehicle or agent, or the labels leave several
+                episodes.
+            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.replay import find_cell
+        from charms_bench.episodes.what_if import what_if
+
+        cell = find_cell(self._finished, ego, traffic, "ego and traffic")
+        return what_if(self._finished, cell, episode, step, agent, vehicle, self._suite_folder)
+
+    def avoidability(
+        self,
+        episodes: Sequence[int] | None = None,
+        agent: str | None = None,
+        traffic: str | None = None,
+        budget: int | None = None,
+    ) -> "list[Avoidability]":
+        """What could have been done about collisions of the ego.
+
+        Args:
+            episodes: Seeds of episodes that end with such a collision; by default all of them.
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default all.
+            budget: The most decisions to simulate in the search for one collision's escape.
+
+        Raises:
+            InputError: An episode does not end with a collision, or the labels leave several.
+            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+        """
+        from charms_bench.episodes.avoidability import BUDGET, avoidability, collisions
+        from charms_bench.episodes.replay import find_cell, find_cells
+
+        check_positive(budget=budget)
+        run, found = self._finished, []
+        if episodes is None:
+            asked = {cell: collisions(run, cell) for cell in find_cells(run, agent, traffic)}
+        else:
+            asked = {find_cell(run, agent, traffic): list(episodes)}
+        with progress("collisions", sum(map(len, asked.values()))) as tell:
+            for cell, seeds in asked.items():
+                title = run.suite.cells[cell].ego.title
+
+                def done(count: int, title: str = title) -> None:
+                    tell(title, count)
+
+                folder = self._suite_folder
+                found += avoidability(run, cell, seeds, folder, budget or BUDGET, tell=done)
+        return found
+
+    def audit(
+        self, shards: int | None = 10, seed: int | None = None, workers: int | None = None
+    ) -> "Audit":
+        """Checks whether the folder is true; see `charms_bench.audit`."""
+        return audit(
+            self.path, shards=shards, seed=seed, workers=workers, suite_folder=self._suite_folder
+        )
+
+    def report(self, output: PathLike = "report.html", top: int = 10) -> Path:
+        """Writes tables, figures and replays into one HTML file; returns its path.
+
+        Args:
+            output: The file.
+            top: How many of the most critical episodes to replay.
+        """
+        from charms_bench.report.html.report import write_report
+
+        write_report([self.path], Path(output), top, (), self._suite_folder)
+        return Path(output)
+
+    def __repr__(self) -> str:
+        suite = self.suite
+        cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffics"
+        return f"<Run {self.path}: {cells}, {suite.episodes:,} episodes each>"
+
+    def _repr_html_(self) -> str:
+        from charms_bench.report.html.table import notebook
+
+        return notebook(self.summary)
+
+
+def open_run(path: PathLike, suite_folder: PathLike = ".") -> Run:
+    """Opens a finished run.
+
+    Args:
+        path: Its folder.
+        suite_folder: Where relative paths in the suite start, of recordings for example. Networks
+            given by path are kept in the run folder itself.
+
+    Raises:
+        RunFolderError: It holds no run, an unfinished one or a damaged one.
+    """
+    return Run(open_finished(Path(path)), Path(suite_folder))
