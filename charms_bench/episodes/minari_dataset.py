@@ -62,7 +62,8 @@ def check_policy(run: FinishedRun, cell: int, folder: Path) -> Policy:
     """Returns the ego's policy, if its actions are those of an environment.
 
     Raises:
-        InputError: The ego is a driver model, or decides at another rate than the suite.
+        InputError: The ego is a driver model, has continuous actions, or decides at another rate
+            than the suite.
     """
     chosen = run.suite.cells[cell]
     policy, title = chosen.ego.agent.make(networks_in(run, cell, folder)), chosen.ego.title
@@ -70,6 +71,11 @@ def check_policy(run: FinishedRun, cell: int, folder: Path) -> Policy:
         raise InputError(
             f"{run.folder.path}: {title} is a driver model, which chooses no meta-actions; choose "
             "an ego that is a policy, or --format highd, which has the trajectories of all egos"
+        )
+    if policy.actions != "meta":
+        raise InputError(
+            f"{run.folder.path}: {title} has {policy.actions} actions; expected a policy that "
+            "chooses meta-actions, or --format highd, which has the trajectories of all egos"
         )
     if policy.decision_hz != chosen.scene.decision_hz:
         raise InputError(

@@ -9,6 +9,7 @@ from command_line import charms_bench as called
 import charms_bench
 from charms_bench.episodes import dataset, minari_dataset
 from charms_bench.errors import InputError
+from charms_bench.plugins.registry import make_agent
 
 SUITE = """\
 suite: small
@@ -81,6 +82,14 @@ def test_what_minari_cannot_hold_is_refused(
     pytest.importorskip("minari", reason="needs the extra 'dataset'")
     with pytest.raises(InputError, match=message):
         run.dataset("minari", **options)
+
+
+def test_an_ego_with_continuous_actions_is_refused(
+    run: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(make_agent("outside_policy")), "actions", "continuous")
+    with pytest.raises(InputError, match="Keep right has continuous actions; expected a policy"):
+        minari_dataset.check_policy(run._finished, 1, Path())
 
 
 def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:

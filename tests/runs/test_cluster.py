@@ -70,7 +70,14 @@ def start(
     main = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {before}"
     arguments = ["run", str(suite), "--output", str(output), "--json", *options]
     return subprocess.Popen(
-        [sys.executable, "-c", f"{main}\nfrom charms_bench.cli import main; main()", *arguments],
+        # -P: the installed package, like the calls in this process, and not that of the checkout.
+        [
+            sys.executable,
+            "-P",
+            "-c",
+            f"{main}\nfrom charms_bench.cli import main; main()",
+            *arguments,
+        ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
