@@ -10,8 +10,9 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from charms_bench.drawing import palette
+from charms_bench.drawing.motion import Motion
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 FINE = 2
 """Pictures are drawn this many times larger and then reduced, so that edges are smooth."""
@@ -35,9 +36,9 @@ AGENTS = [light for light, _ in palette.AGENTS]
 """Colours of the agents in the traffic, in the order of `Moment.traffic`."""
 
 
-@dataclass(frozen=True)
-class Moment:
-    """One moment of an episode with N vehicles."""
+@dataclass(frozen=True, kw_only=True)
+class Moment(Motion):
+    """One moment of an episode with N vehicles; its arrays are [N]."""
 
     settings: SceneSettings
     title: str
@@ -51,18 +52,6 @@ class Moment:
     """N names of agents; the ego's is empty if it is driven from outside."""
     traffic: Sequence[str]
     """The names of the agents that the legend lists beside the ego's."""
-    x: Floats
-    """[N], as all arrays below; units as in `scene.Scene`."""
-    y: Floats
-    heading: Floats
-    speed: Floats
-    acceleration: Floats
-    lane: Ints
-    target_lane: Ints
-    crashed: Bools
-    action: Ints
-    """The last meta-action, only meaningful where `has_action` is true."""
-    has_action: Bools
     gap_ahead: float
     """m, from the ego's front to its leader's rear; NaN if there is no leader."""
     ttc: float

@@ -230,7 +230,7 @@ class Simulation:
         _end(self.settings.decisions, has_left, self.steps, self.ending, self.scene.active)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
-        """Gives M vehicles their meta-actions (M,)."""
+        """Gives M vehicles their meta-actions (M,), or their continuous actions (M, 2)."""
         self.engine.command(vehicles, actions)
         if actions.ndim == 1:
             self.action[vehicles] = actions

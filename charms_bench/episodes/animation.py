@@ -1,11 +1,13 @@
 """Draws a replayed episode as an animated GIF."""
 
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from charms_bench.drawing.motion import Motion
 from charms_bench.drawing.picture import BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
@@ -16,10 +18,6 @@ HOLD_S = 2.0
 """How long the last picture is shown."""
 COLOURS = 96
 """Size of the GIF's palette, which limits the size of the file."""
-_OF_VEHICLES = (
-    "x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "crashed", "action",
-    "has_action",
-)  # fmt: skip
 
 
 def check_animation(path: Path) -> None:
@@ -64,7 +62,7 @@ def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:
         traffic=sorted({name for k, name in enumerate(replay.agents) if k != replay.ego}),
         gap_ahead=view.gap_ahead[frame],
         ttc=view.ttc[frame],
-        **{name: getattr(replay, name)[frame] for name in _OF_VEHICLES},
+        **{field.name: getattr(replay, field.name)[frame] for field in fields(Motion)},
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
+from charms_bench.drawing.motion import Motion
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.cell_simulation import drivers_in, simulation_of
@@ -20,7 +21,7 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.suite import Cell
-from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 TRAJECTORY_SCHEMA = pl.Schema(
     {
@@ -41,9 +42,12 @@ TRAJECTORY_SCHEMA = pl.Schema(
 )
 
 
-@dataclass(frozen=True)
-class Replay:
-    """An episode with N vehicles: its start, frame 0, and T simulation steps after it."""
+@dataclass(frozen=True, kw_only=True)
+class Replay(Motion):
+    """An episode with N vehicles: its start, frame 0, and T simulation steps after it.
+
+    Its arrays are [T + 1, N].
+    """
 
     cell: Cell
     settings: SceneSettings
@@ -55,19 +59,6 @@ class Replay:
     """N names of agents."""
     t_s: Floats
     """[T + 1] time since the start."""
-    x: Floats
-    """[T + 1, N], as all arrays below; units as in `scene.Scene`."""
-    y: Floats
-    heading: Floats
-    speed: Floats
-    acceleration: Floats
-    lane: Ints
-    target_lane: Ints
-    crashed: Bools
-    action: Ints
-    """The last meta-action, only meaningful where `has_action` is true."""
-    has_action: Bools
-    """Whether there is one: not before the first, and never under a driver model."""
     episodes: pl.DataFrame
     """The episode row (`engine.columns.EPISODE`)."""
     steps: pl.DataFrame

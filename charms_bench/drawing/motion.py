@@ -1,0 +1,23 @@
+"""The motion of vehicles, as replays keep it and pictures show it."""
+
+from dataclasses import dataclass
+
+from charms_bench.world.scene import Bools, Floats, Ints
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """What N vehicles do, [..., N]; units are as in `scene.Scene`."""
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    acceleration: Floats
+    lane: Ints
+    target_lane: Ints
+    crashed: Bools
+    action: Ints
+    """The last meta-action, only meaningful where `has_action` is true."""
+    has_action: Bools
+    """Whether there is one: not before the first, and never under a driver model."""
