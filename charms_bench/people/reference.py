@@ -78,13 +78,13 @@ class Reference(FrozenModel):
     unit: str
     """What is taken to be independent of each other: vehicles, recordings or runs."""
     speed: tuple[Counts, ...]
-    """Speeds of drivers at decisions in each unit, in the bins of `charms_bench.engine.following`;
+    """Speeds of drivers at decisions in each unit, in the bins of `charms_bench.world.following`;
     empty if the quantity was not recorded."""
     dhw: tuple[Counts, ...]
     """Distance headways at starts of lane changes, likewise."""
 
     def units(self, quantity: str) -> Floats:
-        """[U, BINS] counts of a quantity of `following.QUANTITIES`, by unit with any."""
+        """[U, BINS] counts of a quantity of `world.following.QUANTITIES`, by unit with any."""
         counts = np.array({"speed": self.speed, "dhw": self.dhw}[quantity], dtype=np.float64)
         counts = counts.reshape(-1, BINS)
         return counts[counts.any(axis=1)]
