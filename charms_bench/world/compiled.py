@@ -1,6 +1,7 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
 import weakref
+from collections.abc import Callable
 from functools import update_wrapper
 from typing import Any, TypeVar, cast
 
@@ -8,6 +9,8 @@ import numba
 import numpy as np
 
 F = TypeVar("F")
+_Known = tuple[Callable[[], Any], int, dict[Any, Any]]
+"""A scene's position, held weakly, the scene's identity and its machine code by other types."""
 
 
 def compiled(function: F) -> F:
@@ -26,20 +29,23 @@ class _OfScenes:
     """A compiled function whose first argument is a scene.
 
     At every call, numba looks up the machine code by the types of all arguments, which takes 5 µs
-    for the arrays of a scene. This remembers the machine code for the scene of the last call.
+    for the arrays of a scene, and much longer for read-only ones. This remembers the machine code
+    for two scenes, which are mostly a simulation's own scene and the one that it shows to agents.
     """
 
     def __init__(self, function: Any) -> None:
         update_wrapper(self, function)
         self._function = compiled(function)
-        self._last: tuple[Any, int, dict[Any, Any]] = (lambda: None, 0, {})
+        self._last: tuple[_Known, _Known] = ((lambda: None, 0, {}), (lambda: None, 0, {}))
 
     def __call__(self, scene: Any, *others: Any) -> Any:
-        position, identity, codes = self._last  # read at once, because threads share it
-        if position() is not scene.x or identity != id(scene):
-            codes = {}
-            # The position is held weakly, so that this keeps no scene alive.
-            self._last = (weakref.ref(scene.x), id(scene), codes)
+        recent, earlier = self._last  # read at once, because threads share it
+        if recent[0]() is not scene.x or recent[1] != id(scene):
+            if earlier[0]() is not scene.x or earlier[1] != id(scene):
+                # The position is held weakly, so that this keeps no scene alive.
+                earlier = (weakref.ref(scene.x), id(scene), {})
+            self._last = recent, earlier = earlier, recent
+        codes = recent[2]
         types = tuple(map(_type, others))
         if types not in codes:
             signature = tuple(map(numba.typeof, (scene, *others)))
