@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import yaml
 from charms_agents.human.samples import Samples, SampleStore
 from charms_agents.training.curve import Epoch
-from charms_agents.training.network import read_network, untrained
+from charms_agents.training.network import export, read_network, untrained
 from charms_agents.training.own_driving import own_driving
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
@@ -29,22 +30,18 @@ from charms_agents.training.settings import (
 )
 from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import Fit
-from torch.nn import Sequential
 
-from charms_bench.engine.simulation import Simulation
+import charms_bench
+from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.plugins.traffic import OneAgent
 from charms_bench.report.figures.drawing import crosses, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Column, Number, Row, Table
-from charms_bench.runs.suite import load_suite
-from charms_bench.statistics.intervals import wilson
-from charms_bench.world.observations import neighbours
 
 DOCS = Path(__file__).parent.parent / "docs"
 PULLS = (0.0, 0.002, 0.02, 0.2, 2.0, 20.0)
-FIRST_SEED, EPISODES, AT_ONCE = 900_700_000, 1_000, 500
+FIRST_SEED, EPISODES = 900_700_000, 1_000
 COLUMNS = (
     Column("log-likelihood", form=".3f"),
     Column("agreement", form=".1%"),
@@ -59,45 +56,33 @@ class Outcome:
     """A network after learning: what it says of held-out drivers, and how it drives."""
 
     human: Epoch
-    crashed: int
-    speed_mps: float
-
-    @property
-    def crashed_share(self) -> Number:
-        return Number(self.crashed / EPISODES, *wilson(self.crashed, EPISODES))
+    crashed_share: Number
+    speed_mps: Number
 
     @property
     def numbers(self) -> tuple[Number, ...]:
         human = (self.human.log_likelihood, self.human.agreement, self.human.temperature)
-        return (*map(Number, human), self.crashed_share, Number(self.speed_mps))
+        return (*map(Number, human), self.crashed_share, self.speed_mps)
 
 
-def outcome(fit: Fit) -> Outcome:
-    """Lets a network learn and drive."""
-    fit.learn()
-    network = fit.network
-    scene, agents = load_suite(DOCS.parent / "suites" / "ego.yaml").scene, ["idm_mobil"]
-    crashed, speeds = 0, []
-    for first in range(FIRST_SEED, FIRST_SEED + EPISODES, AT_ONCE):
-        traffic, drivers = OneAgent("idm_mobil"), {name: make_agent(name) for name in agents}
-        simulation = Simulation(scene, AT_ONCE, None, traffic, drivers)
-        simulation.reset(np.arange(first, first + AT_ONCE, dtype=np.uint64))
-        running = simulation.scene.active
-        while running.any():
-            rows = np.flatnonzero(running)
-            egos = rows, simulation.scene.ego[rows]
-            speeds.append(simulation.scene.speed[egos].copy())
-            actions = np.zeros(AT_ONCE, dtype=np.int64)
-            actions[rows] = best_actions(network, neighbours(simulation.scene, egos))
-            simulation.step(actions)
-        crashed += int(simulation.failed.sum())
-    return Outcome(fit.curve[-1], crashed, float(np.concatenate(speeds).mean()))
-
-
-def best_actions(network: Sequential, observations: np.ndarray) -> np.ndarray:
-    with torch.no_grad():
-        values: np.ndarray = network(torch.from_numpy(observations).flatten(1)).numpy()
-    return values.argmax(axis=1)
+def driven(fits: dict[str, Fit], folder: Path) -> dict[str, Outcome]:
+    """The outcomes of networks that have learnt, by name; each drives the same episodes."""
+    suite = yaml.safe_load((DOCS.parent / "suites" / "ego.yaml").read_text(encoding="utf-8"))
+    egos = []
+    for number, (name, fit) in enumerate(fits.items()):
+        file = folder / f"{number}.onnx"
+        export(fit.network, file, {"decision_hz": f"{Policy.decision_hz:g}"}, fit.observations)
+        egos.append({"agent": str(file), "label": name})
+    suite |= {"egos": egos, "seed": FIRST_SEED, "episodes": EPISODES}
+    path = folder / "suite.yaml"
+    path.write_text(yaml.safe_dump(suite), encoding="utf-8")
+    table = charms_bench.run(path, folder / "run").table
+    names = [column.name for column in table.columns]
+    crashed, speed = names.index("crashed_episodes"), names.index("speed_mean")
+    return {
+        name: Outcome(fit.curve[-1], row.numbers[crashed], Number(row.numbers[speed].value))
+        for (name, fit), row in zip(fits.items(), table.rows, strict=True)
+    }
 
 
 def commonest(samples: Samples) -> float:
@@ -107,8 +92,8 @@ def commonest(samples: Samples) -> float:
     return float(agrees[samples.held_out, action].mean())
 
 
-def outcomes(suite_file: Path, start: Path, samples: Samples) -> dict[str, Outcome]:
-    """The outcome of each way to learn, by what the table calls it."""
+def learnt(suite_file: Path, start: Path, samples: Samples) -> dict[str, Fit]:
+    """Learns in each way, by what the table calls it."""
     suite = load_training(suite_file)
     assert suite.human is not None
     stage, seed = suite.stages[start.stem], suite.seed
@@ -123,22 +108,21 @@ def outcomes(suite_file: Path, start: Path, samples: Samples) -> dict[str, Outco
     first_seed = FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED
     own = own_driving(network, stage.scene, traffic, drivers, first_seed)
     tuning, imitation = suite.human.fine_tuning, suite.human.imitation
-    layers = suite.hyperparameters.hidden_layers
-
-    def tuned(**changes: float) -> Outcome:
-        settings = Supervised(**{**tuning.model_dump(), **changes})
-        return outcome(Fit(network, samples, settings, seed, standardised, own))
-
-    fresh = Fit(folded(untrained(layers, seed)), samples, imitation, seed, standardised=True)
-    before = Fit(network, samples, tuning.model_copy(update={"epochs": 0}), seed, standardised)
-    found = {"before": outcome(before), "imitation": outcome(fresh)}
-    print(found, file=sys.stderr, flush=True)
+    fresh = folded(untrained(suite.hyperparameters.hidden_layers, seed))
+    before = tuning.model_copy(update={"epochs": 0})
+    fits = {
+        "before": Fit(network, samples, before, seed, standardised),
+        "imitation": Fit(fresh, samples, imitation, seed, standardised=True),
+    }
     for rehearsal in (tuning.rehearsal, 0.0):
         for pull in PULLS:
             name = f"{pull:g}{'' if rehearsal else ', no rehearsal'}"
-            found[name] = tuned(pull=pull, rehearsal=rehearsal)
-            print(name, found[name], file=sys.stderr, flush=True)
-    return found
+            settings = Supervised(**{**tuning.model_dump(), "pull": pull, "rehearsal": rehearsal})
+            fits[name] = Fit(network, samples, settings, seed, standardised, own)
+    for name, fit in fits.items():
+        fit.learn()
+        print(name, fit.curve[-1].in_words, file=sys.stderr, flush=True)
+    return fits
 
 
 def draw(found: dict[str, Outcome]) -> None:
@@ -172,13 +156,9 @@ def main(suite: Path, start: Path, recordings: Path) -> None:
     torch.set_num_threads(1)
     human = load_training(suite).human
     assert human is not None
-    with tempfile.TemporaryDirectory() as cache:
-        samples = SampleStore(recordings, Path(cache), human.samples).load()
-    finish(outcomes(suite, start, samples), samples)
-
-
-def finish(found: dict[str, Outcome], samples: Samples) -> None:
-    """Draws the figure, and writes and prints the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        samples = SampleStore(recordings, Path(folder), human.samples).load()
+        found = driven(learnt(suite, start, samples), Path(folder))
     draw(found)
     rows = tuple(Row((name,), each.numbers) for name, each in found.items())
     text = markdown(Table("human-frontier", "", ("lambda",), COLUMNS, rows))
