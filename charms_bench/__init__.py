@@ -1,4 +1,4 @@
-"""A benchmark harness for driving behaviour on highway-env's motorway, compiled.
+"""A compiled benchmark harness for driving behaviour on highway-env's motorway.
 
 All public names are here; each is imported when it is first used, so `import charms_bench` is fast.
 """

@@ -11,7 +11,7 @@ from charms_bench.cli.terminal import FigurePath, Json, app, print_json, print_r
 
 @app.command()
 def data(
-    folder: Annotated[Path, typer.Argument(help="Recordings in highD's format.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of recordings in highD's format.")],
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:

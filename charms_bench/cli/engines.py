@@ -15,7 +15,7 @@ from charms_bench.errors import InputError
 def verify(
     suite: Annotated[
         Path | None,
-        typer.Option(help="Compare the cells of this suite instead of the built-in cases."),
+        typer.Option(help="Compare the engines in this suite instead of the built-in cases."),
     ] = None,
     episodes: Annotated[
         int | None, typer.Option(min=1, max=1_000_000, help="Number of episodes per case.")
@@ -24,7 +24,7 @@ def verify(
     continuous: Annotated[
         bool,
         typer.Option(
-            "--continuous", help="Drive the egos by random accelerations and steering angles."
+            "--continuous", help="Drive the egos with random accelerations and steering angles."
         ),
     ] = False,
     workers: Workers = None,
@@ -98,8 +98,8 @@ def bench(
     learners: Annotated[
         bool,
         typer.Option(
-            help="Measure environments in which all vehicles are driven from outside, by random "
-            "actions, in decisions of vehicles per second."
+            help="Measure environments in which a program drives all vehicles with random actions; "
+            "the speed is in decisions of vehicles per second."
         ),
     ] = False,
     scale: Annotated[

@@ -33,7 +33,7 @@ def edge_cases(
     kind: Annotated[
         Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"] | None,
         typer.Option(
-            help="Only this kind. In an abandoned lane change, another vehicle takes the gap."
+            help="List only this kind. In an abandoned lane change, another vehicle takes the gap."
         ),
     ] = None,
     agent: EgoLabel = None,
@@ -41,12 +41,14 @@ def edge_cases(
     avoidable: Annotated[
         bool,
         typer.Option(
-            "--avoidable", help="Say which collisions could have been avoided, how late, by whom."
+            "--avoidable",
+            help="For each collision, state until when the ego could have avoided it, and which "
+            "agents would have avoided it.",
         ),
     ] = False,
     budget: Annotated[
         int,
-        typer.Option(min=1, help="Decisions to simulate per collision at most, for --avoidable."),
+        typer.Option(min=1, help="For --avoidable: maximum number of decisions per collision."),
     ] = 200_000,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
@@ -179,7 +181,10 @@ def what_if(
     at: Annotated[
         int,
         typer.Option(
-            "--at", metavar="STEP", min=1, help="First decision of the other agent, from 1."
+            "--at",
+            metavar="STEP",
+            min=1,
+            help="First decision of the other agent; decisions are counted from 1.",
         ),
     ],
     other: Annotated[
@@ -202,7 +207,7 @@ def what_if(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Simulate an episode again with another agent in a vehicle from a decision on."""
+    """Simulate an episode again, with another agent driving one vehicle."""
     from charms_bench import api
     from charms_bench.report.html.what_if import check_page, write_what_if
     from charms_bench.report.terminal import grid
@@ -246,13 +251,13 @@ def search(
     ] = 5000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Suite of the failures to write.")
+        Path, typer.Option("--output", "-o", help="File to write: a suite of the failures.")
     ] = Path("found.yaml"),
     as_json: Json = False,
 ) -> None:
     """Search a scenario for failures of an agent, and write them as a suite.
 
-    A failure is a collision that the suite's driver preventable_by avoids in the same scenario.
+    A failure is a collision that the driver named by `preventable_by` avoids in the same scenario.
     """
     from charms_bench import api
 

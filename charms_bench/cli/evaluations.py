@@ -31,7 +31,8 @@ VERDICTS = {
 def run(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
     episodes: Annotated[
-        int | None, typer.Option(min=1, help="Number of episodes per cell; overrides the suite.")
+        int | None,
+        typer.Option(min=1, help="Episodes per ego and traffic; overrides the suite."),
     ] = None,
     workers: Workers = None,
     engine: Annotated[
@@ -256,8 +257,8 @@ def report(
         str | None,
         typer.Option(
             metavar="STEP:AGENT[:VEHICLE]",
-            help="Beside each --episode, show it with another agent from a decision on; see "
-            "`charms-bench what-if`.",
+            help="Also show the future of each --episode with another agent from decision STEP on; "
+            "see `charms-bench what-if`.",
         ),
     ] = None,
     suite_folder: SuiteFolder = Path(),
@@ -285,16 +286,17 @@ def audit(
     shards: Annotated[int, typer.Option(min=1, help="Number of shards to simulate again.")] = 10,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed that chooses the shards; the default is another each time."),
+        typer.Option(min=0, help="Seed that chooses the shards; by default, a new one."),
     ] = None,
     workers: Workers = None,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Check whether a run folder is true: its rows, tables and networks.
+    """Check whether the rows, tables and networks of a run are correct.
 
     Some shards are simulated again, and all tables are computed again. The exit code is 0 if
-    everything is true, 1 if something is false, and 2 if something cannot be checked here.
+    everything is true, 1 if something is false, and 2 if the installed software cannot check
+    something.
     """
     from charms_bench import api
 

@@ -1,4 +1,4 @@
-"""`agents`, `traffic`, `check`, `new-agent` and `export`: what drives, and how to add more."""
+"""`agents`, `traffic`, `check`, `new-agent` and `export`: list, test and add agents."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -138,7 +138,7 @@ def export(
         list[Path],
         typer.Argument(
             metavar="CHECKPOINT... [OUT.onnx]",
-            help="Zip file of a DQN, PPO, A2C, SAC or TD3 saved by Stable-Baselines3, and the ONNX "
+            help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3, and the ONNX "
             "file to write; with --to, any number of zip files.",
         ),
     ],

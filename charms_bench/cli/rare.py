@@ -15,12 +15,15 @@ def rare(
         str,
         typer.Option(
             metavar="NAME[:OPTION=VALUE,...]",
-            help="The event: crash, ttc:below_s=1.0, or one of a plugin.",
+            help="Event: crash, ttc:below_s=1.0, or an event of a plugin.",
         ),
     ] = "crash",
     runs: Annotated[
         int,
-        typer.Option(help="Independent runs per cell, 5 to 1,000; more narrow the interval."),
+        typer.Option(
+            help="Independent runs per ego and traffic, 5 to 1,000; more runs give a "
+            "narrower interval."
+        ),
     ] = 10,
     samples: Annotated[
         int, typer.Option(help="Episodes per level of a run, a multiple of 10 from 100.")
@@ -36,8 +39,8 @@ def rare(
 ) -> None:
     """Estimate the probability of a crash or another rare event in an episode of a suite.
 
-    It uses subset simulation, which needs far fewer episodes than waiting for the event. Finished
-    runs are not made again.
+    It uses subset simulation, which needs far fewer episodes than plain simulation. Finished runs
+    are not repeated.
     """
     from charms_bench import api
     from charms_bench.report.terminal import grid

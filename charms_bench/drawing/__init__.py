@@ -1,1 +1,1 @@
-"""What animations and environments draw: the picture of a scene, its colours, and a window."""
+"""Drawing for animations and environments: the picture of a scene, its colours, and a window."""

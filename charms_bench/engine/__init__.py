@@ -1,13 +1,13 @@
-"""The two engines, `batched` and `highway-env`, and what both do.
+"""The two engines, `batched` and `highway-env`, and the rules that both follow.
 
 In one simulation step every driver model acts, in the order of the engine's `models`. The vehicles
-of one model act in the order of spawning, and each sees the target lanes of those before it. Then
-all vehicles move, and then collisions are found. Actions given by `command` take effect before the
-step that follows.
+of one model act in the order of spawning, and each sees the target lanes of the vehicles before it.
+Then all vehicles move, and then collisions are found. Actions given by `command` take effect before
+the step that follows.
 
 A vehicle with continuous actions keeps its acceleration and its steering angle until the next
-action. As in highway-env, it has no target: the traffic takes its target speed for 0, and its
-target lane is its nearest lane.
+action. As in highway-env, it has no targets: the traffic treats its target speed as 0 and its
+nearest lane as its target lane.
 
 On every x86-64 processor, the engines are equal to the last bit if `highway-env` runs in a process
 that `exact_maths` has prepared. In any other process, the bits of `highway-env` depend on the

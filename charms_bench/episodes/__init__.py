@@ -1,1 +1,1 @@
-"""One episode looked at: criticality, edge cases, replay, what happened, animation."""
+"""Single episodes: criticality, edge cases, replays, descriptions of what happened, animations."""

@@ -1,1 +1,1 @@
-"""Human driving: recordings in highD's format, and what they hold."""
+"""Human driving: recordings in highD's format, and summaries of their contents."""

@@ -1,1 +1,1 @@
-"""Agents and traffics: the contracts, the registry, ONNX policies and the scaffold."""
+"""Agents, traffics and events: their interfaces, the registry, ONNX policies and the scaffold."""

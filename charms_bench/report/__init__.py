@@ -1,1 +1,1 @@
-"""What a person reads of a run."""
+"""The tables, figures and HTML reports of a run."""

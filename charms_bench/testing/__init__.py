@@ -1,4 +1,4 @@
-"""Plugins held against their contract, engines against each other and against the clock."""
+"""Tests of plugins against their rules, a comparison of the engines, and speed measurements."""
 
 from charms_bench.testing.contract import agent_rules, example_scene, traffic_rules
 

@@ -1,1 +1,1 @@
-"""What is simulated: profiles, scenes, lanes, actions and observations."""
+"""The simulated world: profiles, scenes, lanes, actions and observations."""

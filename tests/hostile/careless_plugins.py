@@ -60,7 +60,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that brakes after 20 calls of any of its instances, and never before",
+        "A policy that brakes after 20 calls to all of its instances together, and not before",
         """
 calls = [0]
 def decide(self, observations):
@@ -77,7 +77,7 @@ def decide(self, observations):
         "rng = np.random.default_rng(1)",
     ),
     _policy(
-        "A policy that draws its weights when it is made",
+        "A policy that draws random weights when it is created",
         """
 def __init__(self):
     self.weights = rng.normal(size=(35, 5))
@@ -87,7 +87,7 @@ def decide(self, observations):
         "rng = np.random.default_rng(5)",
     ),
     _policy(
-        "A policy that looks at the size of its batch",
+        "A policy whose actions depend on the size of its batch",
         """
 def decide(self, observations):
     return np.full(len(observations), FASTER if len(observations) > 1 else IDLE)
@@ -102,7 +102,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that decides by the place in the batch",
+        "A policy whose actions depend on a vehicle's place in the batch",
         """
 def decide(self, observations):
     return np.arange(len(observations)) % 5
@@ -117,7 +117,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that returns an object whose array is another one each time",
+        "A policy that returns an object that gives a different array each time it is read",
         """
 def decide(self, observations):
     return Lazy(len(observations))
@@ -142,7 +142,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that recurses without end",
+        "A policy with an endless recursion",
         """
 def decide(self, observations):
     return self.decide(observations)
@@ -162,7 +162,7 @@ def decide(self, observations):
         "import sys\nsys.exit(0)",
     ),
     _policy(
-        "A policy whose random observation is its own",
+        "A policy with its own kind of observation, which is random",
         """
 observation = Glance()
 def decide(self, observations):
@@ -198,7 +198,7 @@ def decide(self, observations):
         "import ctypes",
     ),
     _policy(
-        "A policy whose rate is a text",
+        "A policy whose decision rate is a text instead of a number",
         """
 decision_hz = "often"
 def decide(self, observations):
@@ -206,7 +206,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy whose hash of weights is another one each time",
+        "A policy whose hash of weights is different each time",
         """
 @property
 def weights_sha256(self):
@@ -229,11 +229,11 @@ def decide(self, observations):
         f"scene.timer_s[:] = 0.0\n{KEEPS}",
     ),
     _model(
-        "A driver model that looks at the number of scenes",
+        "A driver model whose answers depend on the number of scenes",
         "return np.full(vehicles[0].size, float(len(scene.x) > 1)), scene.lane[vehicles]",
     ),
     _model(
-        "A driver model that looks at another scene",
+        "A driver model whose answers for a scene depend on another scene",
         "return np.full(vehicles[0].size, scene.temperament[0, 1]), scene.lane[vehicles]",
     ),
     _model(
@@ -246,7 +246,7 @@ def decide(self, observations):
         "    return scene.speed[vehicles] * 0 / 0, scene.lane[vehicles]",
     ),
     _traffic(
-        "A traffic that has random numbers of its own",
+        "A traffic that draws from its own random numbers",
         """
 agents = ("idm_mobil", "stackelberg")
 rng = np.random.default_rng(4)
