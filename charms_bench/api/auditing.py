@@ -1,4 +1,4 @@
-"""Checks whether a run folder is true."""
+"""Checks whether the contents of a run folder are correct."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +22,7 @@ def audit(
     suite_folder: PathLike = ".",
     notice: Callable[[str], None] = note,
 ) -> "Audit":
-    """Checks whether a run folder is true; nothing in it is changed.
+    """Checks whether the contents of a run folder are correct, and changes nothing.
 
     It compares the software, files, networks, rows and tables in the folder with the manifest, with
     a new simulation of some shards, and with tables computed from the rows.
@@ -30,7 +30,7 @@ def audit(
     Args:
         path: The folder of an evaluation. Of other folders, it checks what it can.
         shards: How many shards to simulate again; None is all.
-        seed: Chooses the shards; by default another seed each time.
+        seed: Chooses the shards; by default, each audit draws a new seed.
         workers: Processes; by default one per core.
         suite_folder: Where relative paths in the suite start.
         notice: Called with messages about problems that were solved, such as a worker that died.

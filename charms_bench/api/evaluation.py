@@ -33,7 +33,7 @@ def run(
     shard_limit_s: float | None = None,
     notice: Callable[[str], None] = note,
 ) -> Run:
-    """Runs a suite, or continues an interrupted run of it; finished parts are never run again.
+    """Runs a suite, or continues an interrupted run of it; finished shards are not simulated again.
 
     Args:
         suite: The YAML file.

@@ -24,8 +24,8 @@ def search(
 ) -> "Search":
     """Searches a scenario's parameters for failures of an agent, and writes them as a suite.
 
-    A failure is a collision that the suite's driver `preventable_by` avoids; in a suite without
-    one, any collision.
+    A failure is a collision that the driver named by `preventable_by` in the suite avoids. In a
+    suite without this key, every collision is a failure.
 
     Args:
         suite: The YAML file.

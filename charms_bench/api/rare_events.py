@@ -55,7 +55,7 @@ def rare(
         suite: The YAML file. Its number of episodes does not matter.
         event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
         output: The folder; by default `runs/NAME-rare-EVENT`.
-        runs: Independent runs per cell, 5 to 1,000; more narrow the interval.
+        runs: Independent runs per cell, 5 to 1,000; more runs give a narrower interval.
         samples: Episodes per level of a run, a multiple of 10 from 100.
         seed: Seed of all random draws, instead of the suite's.
         workers: Processes; by default one per core.

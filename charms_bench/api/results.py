@@ -106,7 +106,7 @@ class Run:
 
         Args:
             other: Another run of the same episodes; without one, two agents of this run.
-            agents: Their labels: of this run, and of the other if there is one.
+            agents: Labels of the two egos. The second is of the other run if there is one.
             metrics: Only these; by default all.
             sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
 
@@ -200,7 +200,7 @@ class Run:
         """Simulates episodes again and writes them as a dataset for other tools.
 
         Args:
-            format: `minari`, what the ego observed, did and gained, which needs the extra
+            format: `minari`, the ego's observations, actions and rewards, which needs the extra
                 `dataset`; or `highd`, the trajectories of all vehicles in highD's format.
             output: The folder to write; by default one in the run folder.
             agent: Label of the ego; needed if the run has several.
@@ -211,8 +211,8 @@ class Run:
             The folder.
 
         Raises:
-            InputError: The labels leave several egos, the folder exists, or the ego chooses no
-                actions that a Minari dataset could have.
+            InputError: The labels leave several egos, the folder exists, or a Minari dataset
+                cannot contain the ego's actions.
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
         from charms_bench.episodes.dataset import write_dataset
@@ -235,7 +235,7 @@ class Run:
         ego: str | None = None,
         traffic: str | None = None,
     ) -> "WhatIf":
-        """An episode, and the same episode with another agent in a vehicle from a decision on.
+        """An episode, and the same episode with another agent driving a vehicle from a decision on.
 
         Args:
             episode: Its seed.
@@ -263,7 +263,7 @@ class Run:
         traffic: str | None = None,
         budget: int | None = None,
     ) -> "list[Avoidability]":
-        """What could have been done about collisions of the ego.
+        """Until when collisions of the ego could have been avoided, and by which agents.
 
         Args:
             episodes: Seeds of episodes that end with such a collision; by default all of them.
@@ -298,7 +298,7 @@ class Run:
     def audit(
         self, shards: int | None = 10, seed: int | None = None, workers: int | None = None
     ) -> "Audit":
-        """Checks whether the folder is true; see `charms_bench.audit`."""
+        """Checks whether the contents of the folder are correct; see `charms_bench.audit`."""
         return audit(
             self.path, shards=shards, seed=seed, workers=workers, suite_folder=self._suite_folder
         )

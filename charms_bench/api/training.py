@@ -26,7 +26,7 @@ def train(
     Args:
         suite: The YAML file.
         output: The run folder; by default `runs/NAME`, with the name of the file.
-        workers: Most stages at a time; by default one per core.
+        workers: How many stages to train at the same time; by default one per core.
         only: The stage to train, with those that it needs; by default all.
         recordings: The folder of human recordings, instead of the suite's.
 

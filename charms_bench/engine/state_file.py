@@ -34,7 +34,7 @@ def save_state(state: SceneState, path: str | Path) -> None:
     """Writes a state, one line per field.
 
     Raises:
-        InputError: The state is of a scenario, which the file does not hold.
+        InputError: The state belongs to a scenario, which the file format cannot store.
         RunFolderError: The folder cannot be written to.
     """
     if state.settings.scenario is not None:

@@ -19,7 +19,7 @@ def highway_reward(
     """The reward of highway-env 1.12's `highway-v0`, in [0, 1] (Leurent 2018).
 
     -1 for a crash, 0.1 for the share of lanes to the left of the target lane, 0.4 for the forward
-    speed as a share of 20 to 30 m/s; from [-1, 0.5] onto [0, 1], and 0 off the road
+    speed as a share of 20 to 30 m/s; mapped from [-1, 0.5] onto [0, 1]; 0 off the road
     [`HighwayEnv._reward`].
 
     Args:

@@ -1,4 +1,4 @@
-"""Several vehicles of each scene driven from outside, each until it crashes or leaves the road."""
+"""Several vehicles of each scene that the caller drives, until each crashes or leaves the road."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import index
@@ -117,7 +117,7 @@ class Learners:
 
 
 class FromOutside(Traffic):
-    """A traffic in which some vehicles have no agent, because they are driven from outside.
+    """A traffic in which some vehicles have no agent, because the caller drives them.
 
     Args:
         numbers: These vehicles; see `Learners`. The ego is no part of a traffic.

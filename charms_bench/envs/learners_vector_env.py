@@ -1,4 +1,4 @@
-"""Many learners as arrays: L vehicles in each of B scenes are driven from outside."""
+"""Many learners as arrays: the caller drives L vehicles in each of B scenes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -40,8 +40,8 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     Args:
         scenes: B.
-        learners: The L vehicles that are driven from outside, of which one is 0, the ego; k is the
-            k-th of the others in the order of spawning. None for all vehicles.
+        learners: The L vehicles that the caller drives. Vehicle 0, the ego, must be one of them;
+            vehicle k is the k-th of the others in the order of spawning. None means all vehicles.
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The learners' observation; see `charms_bench.world.observations`.

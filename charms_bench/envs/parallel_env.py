@@ -31,7 +31,7 @@ Step = tuple[
 
 
 class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
-    """One episode after another, in which all vehicles or some of them are driven from outside.
+    """One episode after another, in which the caller drives all vehicles or some of them.
 
     The agents are `vehicle_0`, the ego, and `vehicle_k`, the k-th of the other vehicles in the
     order of spawning. An agent terminates, and leaves `agents`, when its vehicle crashes or leaves
@@ -42,8 +42,8 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
     suite evaluates on.
 
     Args:
-        learners: The numbers of the vehicles that are driven from outside, of which one is 0; None
-            for all vehicles.
+        learners: The numbers of the vehicles that the caller drives; they include 0. None means
+            all vehicles.
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The agents' observation; see `charms_bench.world.observations`.

@@ -23,7 +23,7 @@ C = TypeVar("C")
 
 
 class Reward(Protocol[C]):
-    """The reward of a decision. It keeps no state; what it needs from before is of type C."""
+    """The reward of a decision. It keeps no state; `prepare` returns what it needs, of type C."""
 
     def prepare(self, simulation: Simulation, actions: Actions) -> C:
         """What to remember of the scene before the egos' actions are carried out."""
@@ -33,7 +33,7 @@ class Reward(Protocol[C]):
 
 
 class EpisodesState(NamedTuple):
-    """The state of every running episode, and of what the environment counts."""
+    """The state of every running episode, and the environment's counters."""
 
     scenes: SceneState
     returns: Floats
@@ -84,7 +84,7 @@ def state_in(options: dict[str, Any] | None) -> SceneState | None:
 
 
 def check_actions(actions: NDArray[Any], kind: ActionKind, egos: int) -> None:
-    """Refuses what are not the actions of B egos.
+    """Refuses arrays that are not actions of B egos.
 
     Raises:
         InputError: The shape or the type is wrong, or an action is out of range.

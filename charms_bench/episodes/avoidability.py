@@ -1,4 +1,4 @@
-"""Whether the ego could have avoided a collision, how late, and whose action led to it.
+"""Until when the ego could have avoided a collision, and whose action led to it.
 
 A future avoids the collision if the ego neither collides nor leaves the road until the end of the
 first decision interval that ends at least 2 s after the recorded collision. All other vehicles
@@ -55,7 +55,7 @@ class Replacement:
 
 @dataclass(frozen=True)
 class Avoidability:
-    """What could have been done about one collision of the ego."""
+    """How one collision of the ego could have been avoided."""
 
     ego: str
     """Title of the ego."""
@@ -94,7 +94,7 @@ def avoidability(
     agents: Sequence[str] | None = None,
     tell: Callable[[int], None] = lambda done: None,
 ) -> list[Avoidability]:
-    """What could have been done about the collisions of some episodes of a cell, in their order.
+    """How the collisions of some episodes of a cell could have been avoided, in their order.
 
     Args:
         run: A finished run.

@@ -35,7 +35,7 @@ class EdgeCase:
     imposed_braking_mps2: float | None
     abandoned_changes: int
     gaps_lost: int
-    """Of these, how many were abandoned because another vehicle took the gap."""
+    """How many lane changes the ego abandoned because another vehicle took the gap."""
     what: str
     """One sentence about what happened."""
 

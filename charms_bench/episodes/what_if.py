@@ -72,7 +72,7 @@ def what_if(
     vehicle: int | None,
     folder: Path,
 ) -> WhatIf:
-    """Simulates an episode again, with another agent in a vehicle from a decision on.
+    """Simulates an episode again, with another agent driving a vehicle from a decision on.
 
     Args:
         run: A finished run.

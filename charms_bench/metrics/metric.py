@@ -30,7 +30,7 @@ EPISODES = pl.lit(1)
 
 
 def ratio(totals: Floats) -> Floats:
-    """The last sum over the one before it."""
+    """The last sum divided by the sum before it."""
     below = totals[..., -2]
     result = np.full(below.shape, np.nan)
     np.divide(totals[..., -1], below, out=result, where=below > 0)

@@ -1,8 +1,8 @@
 """The built-in metric sets: `paper`, as the paper's tables define it, and `standard`.
 
 `paper` counts the steps with a leader within 50 m (logged steps) and measures from centre to
-centre. `standard` is what traffic safety uses: exposure in km, gaps from bumper to bumper, and all
-steps between a warm-up and a collision.
+centre. `standard` follows traffic safety research: exposure in km, gaps from bumper to bumper, and
+all steps between a warm-up and a collision.
 """
 
 from charms_bench.metrics import (

@@ -35,7 +35,7 @@ class Learnable:
 
 
 class Sampler(Protocol):
-    """What an entry point of the group `charms_bench.samplers` makes when called."""
+    """Samples human decisions; made by an entry point of the group `charms_bench.samplers`."""
 
     def add(self, recording: Recording, rows: pl.DataFrame, observations: Observations) -> None:
         """Takes the decisions of a recording, as `situations` returns them."""
@@ -61,7 +61,7 @@ class Survey:
         Units are SI; quantities of vehicles are taken at each decision, 3 times a second.
 
         carriageways: The number of carriageways, by their number of lanes.
-        offset_mean_m: Far from 0, the lane markings are not where drivers see them.
+        offset_mean_m: If it is far from 0, the lane markings are not where drivers see them.
         following_distance_m: Quantiles of the distance to a leader within 50 m.
         """
         recordings, decisions = self.recordings, self.decisions

@@ -13,7 +13,7 @@ class Event(ABC):
     """Something that happens in few episodes, and how close an episode comes to it."""
 
     definition: str
-    """What happens, as the table of results says it."""
+    """What happens, in the words that the table of results shows."""
 
     includes_failure: ClassVar[bool] = False
     """Whether it also happens when the ego collides or leaves the road."""

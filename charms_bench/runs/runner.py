@@ -24,10 +24,10 @@ from charms_bench.runs.workers import in_processes
 from charms_bench.world.scene import EVALUATION_SEEDS
 
 SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
-"""Enough scenes for the compiled engine to be fast; few enough to lose little to a kill."""
+"""Enough scenes for the compiled engine to be fast; few enough that a killed run loses little."""
 
 SHARD_LIMIT_S = 1800.0
-"""Far longer than a shard takes whose agents answer."""
+"""Far longer than a shard takes if its agents answer."""
 
 Progress = Callable[[Cell, int], None]
 """Called for every finished shard with its cell and its number of episodes."""

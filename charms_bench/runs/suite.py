@@ -28,7 +28,7 @@ PLACED_AT_ONCE = 100_000
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffics."""
 PRESENTATION = ("title", "columns", "pairs", "preventable_by", "references")
-"""Fields of a suite that decide no row, only how results are presented."""
+"""Fields of a suite that affect only the presentation of results, and no row."""
 
 
 class EgoEntry(FrozenModel):

@@ -65,10 +65,10 @@ def clustered(sums: Floats, kind: Interval) -> Bounds:
 
     The events and trials are divided by the design effect: the variance of the ratio, linearised
     (Korn & Graubard 1998, Survey Methodology 24), over its variance if all events were independent.
-    Few episodes with events tell little about it. So it is averaged with the design effect of full
-    correlation, which weighs as much as `PRIOR_EPISODES` of them, and the quantile is that of
-    Student's t with two degrees of freedom per episode with events and two more. If fewer episodes
-    have occasions without events, these are counted instead.
+    If few episodes have events, the design effect is uncertain. It is therefore averaged with the
+    design effect of full correlation, whose weight is `PRIOR_EPISODES` episodes with events.
+    The quantile is that of Student's t with 2 k + 2 degrees of freedom for k episodes with events.
+    If fewer episodes have trials without events, k is their number.
 
     Args:
         sums: [E, k] with exposure and events in the last two columns. The first has the largest

@@ -63,12 +63,12 @@ class SceneSettings(FrozenModel):
     traffic_vehicles: Annotated[int, Field(ge=0, le=2000)] = 20
     density: Positive = 1.0
     ego_slots: Annotated[int, Field(ge=1)] = 6
-    """The ego is one of this many first vehicles; each is equally likely."""
+    """How many of the first vehicles can be the ego; each is equally likely."""
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     duration_s: Positive = 20.0
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
-    """Places the vehicles; a suite gives it as a traffic, which is where it is stored."""
+    """The scenario that places the vehicles; in a suite, it stands in the place of a traffic."""
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "SceneSettings":
