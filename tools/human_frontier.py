@@ -163,10 +163,8 @@ def main(suite: Path, start: Path, recordings: Path) -> None:
     rows = tuple(Row((name,), each.numbers) for name, each in found.items())
     text = markdown(Table("human-frontier", "", ("lambda",), COLUMNS, rows))
     text += (
-        f"\nIf all five actions are equally likely, the log-likelihood is {-np.log(5):.3f}. "
-        f"Always choosing the commonest action agrees with {commonest(samples):.1%}".replace(
-            "%", " %"
-        )
+        f"\nIf all five actions are equally likely, the log-likelihood is {-np.log(5):.3f}. Always "
+        f"choosing the commonest action agrees with {commonest(samples):.1%}".replace("%", " %")
         + f" of the held-out samples. The {samples.held_out.sum():,} held-out samples come from "
         f"{samples.rows['driver'].filter(samples.held_out).n_unique()} drivers; the other "
         f"{samples.rows['driver'].filter(~samples.held_out).n_unique()} drivers have "
