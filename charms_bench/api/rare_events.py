@@ -25,7 +25,7 @@ class Rare:
     path: Path
     """The folder."""
     table: "Table"
-    """The probability of every cell with its interval, and what the estimate cost."""
+    """The probability of every cell with its interval, and the number of simulated episodes."""
     runs: pl.DataFrame
     """One row per independent run: `agent`, `traffic`, `run`, `probability`, `episodes`, and the
     lists `thresholds`, `shares` and `acceptance` of its levels."""

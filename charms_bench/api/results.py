@@ -331,8 +331,8 @@ def open_run(path: PathLike, suite_folder: PathLike = ".") -> Run:
 
     Args:
         path: Its folder.
-        suite_folder: Where relative paths in the suite start, of recordings for example. Networks
-            given by path are kept in the run folder itself.
+        suite_folder: Where relative paths in the suite start, for example paths of recordings.
+            Networks given by path are kept in the run folder itself.
 
     Raises:
         RunFolderError: It holds no run, an unfinished one or a damaged one.

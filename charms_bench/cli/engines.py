@@ -113,8 +113,9 @@ def bench(
 ) -> None:
     """Measure environment steps and vehicle updates per second.
 
-    It measures the compiled engine, highway-env and, if it is installed, EnvPool. An environment
-    step is a decision of the ego; a vehicle update is one vehicle in one simulation step.
+    The command measures the compiled engine, highway-env and, if it is installed, EnvPool. An
+    environment step is one decision of the ego. A vehicle update is one simulation step of one
+    vehicle.
     """
     from charms_bench.testing.bench import bench as measure
 

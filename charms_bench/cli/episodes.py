@@ -1,4 +1,4 @@
-"""`edge-cases`, `replay` and `what-if`: single episodes of a run."""
+"""`edge-cases`, `replay`, `what-if` and `search`: single episodes."""
 
 import re
 from dataclasses import asdict
@@ -198,7 +198,7 @@ def what_if(
         typer.Option(min=0, help="The vehicle, by its number in replays; the default is the ego."),
     ] = None,
     ego: Annotated[
-        str | None, typer.Option("--ego", help="The recorded ego, by its label in the tables.")
+        str | None, typer.Option("--ego", help="Label of the recorded ego, as in the tables.")
     ] = None,
     traffic: TrafficLabel = None,
     output: Annotated[

@@ -1,4 +1,4 @@
-"""`run`, `show`, `compare`, `rescore` and `report`: suites and their runs."""
+"""`run`, `show`, `compare`, `rescore`, `report` and `audit`: suites and their runs."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -295,8 +295,8 @@ def audit(
     """Check whether the rows, tables and networks of a run are correct.
 
     Some shards are simulated again, and all tables are computed again. The exit code is 0 if
-    everything is true, 1 if something is false, and 2 if the installed software cannot check
-    something.
+    every check passes, 1 if a check fails, and 2 if a check cannot be made with the installed
+    software.
     """
     from charms_bench import api
 

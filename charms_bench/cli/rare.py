@@ -39,8 +39,8 @@ def rare(
 ) -> None:
     """Estimate the probability of a crash or another rare event in an episode of a suite.
 
-    It uses subset simulation, which needs far fewer episodes than plain simulation. Finished runs
-    are not repeated.
+    The command uses subset simulation, which needs far fewer episodes than plain simulation.
+    Finished runs are not repeated.
     """
     from charms_bench import api
     from charms_bench.report.terminal import grid

@@ -25,7 +25,7 @@ MASKS = {
     "has_follower": ["follower", "follower_distance", "follower_speed"],
     "follower_drives": ["follower_acceleration"],
 }
-"""The columns whose values may not exist, by what a step needs for them to exist."""
+"""The columns with values that can be missing, by what a step must have for these values."""
 _MASK_RECORD = np.dtype([(name, np.bool_) for name in ("recorded", *MASKS)])
 
 
@@ -99,7 +99,7 @@ class Recording:
         return self._following.table(self._simulation.seeds)
 
     def drivers(self) -> pl.DataFrame:
-        """Returns what each driver does and suffers (`columns.DRIVER`), sorted by its keys."""
+        """Returns what each driver causes and undergoes (`columns.DRIVER`), sorted by its keys."""
         return self._conduct.table()
 
 

@@ -65,7 +65,7 @@ def run(
         rows: The folder of another run; shards that both runs have are copied from it.
         shard_limit_s: Seconds that a shard may take.
         notice: Called with a message about what went wrong and was put right.
-        cluster: Simulates the shards instead of processes on this machine; see
+        cluster: Simulates the shards on a cluster and not in processes on this machine; see
             `cluster.on_cluster`.
 
     Raises:

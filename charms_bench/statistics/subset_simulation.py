@@ -40,7 +40,7 @@ class SubsetRun:
     """One run of subset simulation."""
 
     thresholds: tuple[float, ...]
-    """The threshold of each level; of the last, 0."""
+    """The threshold of each level; that of the last level is 0."""
     shares: tuple[float, ...]
     """The share of each level's points at or below its threshold."""
     acceptance: tuple[float, ...]
