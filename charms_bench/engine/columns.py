@@ -34,7 +34,9 @@ STEP: Mapping[str, Column] = {
     "acceleration": Column(
         pl.Float32(), "m/s²", "Acceleration commanded in the last simulation step."
     ),
-    "steering": Column(pl.Float32(), "rad", "Steering angle commanded in that step."),
+    "steering": Column(
+        pl.Float32(), "rad", "Steering angle commanded in the last simulation step."
+    ),
     "lane": Column(pl.Int8(), "", "Lane nearest to the ego; 0 is the leftmost."),
     "target_lane": Column(
         pl.Int8(), "", "Lane that the ego steers to; with continuous actions, `lane`."
@@ -50,7 +52,9 @@ STEP: Mapping[str, Column] = {
     ),
     "leader_distance": Column(pl.Float32(), "m", "Distance to that leader, centre to centre."),
     "leader_speed": Column(pl.Float32(), "m/s", "Speed of that leader."),
-    "follower": Column(pl.Int16(), "", "Follower on the ego's lane, likewise."),
+    "follower": Column(
+        pl.Int16(), "", "Follower on the ego's lane, by its place in the order of spawning."
+    ),
     "follower_distance": Column(pl.Float32(), "m", "Distance to that follower, centre to centre."),
     "follower_speed": Column(pl.Float32(), "m/s", "Speed of that follower."),
     "follower_acceleration": Column(
@@ -72,8 +76,8 @@ EPISODE: Mapping[str, Column] = {
     "struck": Column(
         pl.Boolean(),
         "",
-        "In a rear-end collision, whether the ego was struck by its follower, and not its leader "
-        "by the ego; null for every other ending.",
+        "In a rear-end collision, whether the follower struck the ego; false if the ego struck its "
+        "leader, and null for every other ending.",
     ),
     "steps": Column(pl.Int32(), "", "Decisions of the ego."),
     "duration_s": Column(pl.Float64(), "s", "Simulated time."),
@@ -129,7 +133,9 @@ DRIVER: Mapping[str, Column] = {
     "abandoned": Column(
         pl.Int32(), "", "Lane changes given up before the new lane was the nearest lane."
     ),
-    "gaps_lost": Column(pl.Int32(), "", "Of these, those whose gap another vehicle took."),
+    "gaps_lost": Column(
+        pl.Int32(), "", "Lane changes given up because another vehicle took the gap."
+    ),
     "gaps_taken": Column(
         pl.Int32(), "", "Gaps taken from a vehicle that then gave up its lane change."
     ),
@@ -137,27 +143,29 @@ DRIVER: Mapping[str, Column] = {
         pl.Int32(), "", "Lane changes that made the new follower brake by more than 2 m/s²."
     ),
     "hard_braking_to": Column(
-        pl.Int32(), "", "Times that a vehicle braked by more than 2 m/s² for such a lane change."
+        pl.Int32(),
+        "",
+        "Times that a vehicle braked by more than 2 m/s² after another's lane change.",
     ),
-    "conflicts_by": Column(
-        pl.Int32(), "", "Conflicts, which are TTCs below 1.5 s, that the vehicles began."
-    ),
-    "conflicts_to": Column(pl.Int32(), "", "Conflicts that the other vehicle began."),
+    "conflicts_by": Column(pl.Int32(), "", "Conflicts (TTC below 1.5 s) that the vehicles caused."),
+    "conflicts_to": Column(pl.Int32(), "", "Conflicts that another vehicle caused."),
     "near_misses_by": Column(
         pl.Int32(),
         "",
-        "Near misses, which are TTCs below 1.5 s or DRACs above 3.35 m/s² without a collision, "
-        "that the vehicles began.",
+        "Near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) that the vehicles "
+        "caused.",
     ),
-    "near_misses_to": Column(pl.Int32(), "", "Near misses that the other vehicle began."),
+    "near_misses_to": Column(pl.Int32(), "", "Near misses that another vehicle caused."),
     "pet_by": Column(pl.Int32(), "", "Encroachments of at most 5 s in which the vehicles cut in."),
-    "pet_by_sum_s": Column(pl.Float64(), "s", "Sum of their post-encroachment times (PET)."),
-    "pet_below_2s_by": Column(pl.Int32(), "", "Of these, those with a PET below 2 s."),
+    "pet_by_sum_s": Column(
+        pl.Float64(), "s", "Sum of the post-encroachment times (PET) in `pet_by`."
+    ),
+    "pet_below_2s_by": Column(pl.Int32(), "", "Encroachments in `pet_by` with a PET below 2 s."),
     "pet_to": Column(
         pl.Int32(), "", "Encroachments of at most 5 s in which another vehicle cut in."
     ),
-    "pet_to_sum_s": Column(pl.Float64(), "s", "Sum of their post-encroachment times."),
-    "pet_below_2s_to": Column(pl.Int32(), "", "Of these, those with a PET below 2 s."),
+    "pet_to_sum_s": Column(pl.Float64(), "s", "Sum of the post-encroachment times in `pet_to`."),
+    "pet_below_2s_to": Column(pl.Int32(), "", "Encroachments in `pet_to` with a PET below 2 s."),
     "rss_by_s": Column(
         pl.Float64(), "s", "Time too close to a vehicle ahead by RSS, along and across the road."
     ),

@@ -13,18 +13,18 @@ ACCELERATING = LOGGED.among("accelerating steps", ACCELERATION > 0)
 JERK = pl.col("jerk_mps3")
 
 PAPER_ACC_MEAN = ACCELERATING.mean(
-    "acc_mean", "m/s²", ACCELERATION, "acceleration in the logged steps in which it is positive"
+    "acc_mean", "m/s²", ACCELERATION, "mean of the positive accelerations in logged steps"
 )
 PAPER_ACC_STD = LOGGED.deviation("acc_std", "m/s²", ACCELERATION, "acceleration in logged steps")
 PAPER_HARSH_ACC_RATE = LOGGED.share(
     "harsh_acc_rate",
     HARSH,
-    "share of logged steps with more than 2.5 m/s², accelerating or braking",
+    "share of logged steps in which the ego accelerates or brakes by more than 2.5 m/s²",
 )
 PAPER_HARSH_ACC_RATE_ALL_STEPS = STEPS.share(
     "harsh_acc_rate_all_steps",
     HARSH,
-    "share of all steps with more than 2.5 m/s², accelerating or braking",
+    "share of all steps in which the ego accelerates or brakes by more than 2.5 m/s²",
 )
 
 
@@ -38,7 +38,7 @@ def harsh_acc_rate(driving: Sample) -> Metric:
     return driving.share(
         "harsh_acc_rate",
         HARSH,
-        "share of time with more than 2.5 m/s², accelerating or braking",
+        "share of time in which the ego accelerates or brakes by more than 2.5 m/s²",
     )
 
 
@@ -48,5 +48,5 @@ def jerk_rms(driving: Sample) -> Metric:
         "jerk_rms",
         "m/s³",
         JERK,
-        "change of acceleration between decisions over the decision interval",
+        "change of acceleration between two decisions, divided by their interval",
     )

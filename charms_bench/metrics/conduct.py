@@ -15,16 +15,16 @@ from charms_bench.metrics.metric import Metric
 _PER_1000KM = {
     "gaps_lost": "lane changes given up because another vehicle took the gap",
     "gaps_taken": "gaps taken from vehicles that gave up their lane changes",
-    "conflicts_to": "conflicts, which are TTCs below 1.5 s, that the other vehicle began",
-    "conflicts_by": "conflicts, which are TTCs below 1.5 s, begun",
+    "conflicts_to": "conflicts (TTC below 1.5 s) caused by another vehicle",
+    "conflicts_by": "conflicts caused (TTC below 1.5 s)",
     "near_misses_to": "near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) "
-    "that the other vehicle began",
-    "near_misses_by": "near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) "
-    "begun",
-    "hard_braking_to": "times of braking by more than 2 m/s² within 2 s for a vehicle that "
-    "changed lanes",
-    "hard_braking_by": "lane changes within 2 s of which the new follower brakes by more than "
-    "2 m/s²",
+    "caused by another vehicle",
+    "near_misses_by": "near misses caused (TTC below 1.5 s or DRAC above 3.35 m/s², and no "
+    "collision)",
+    "hard_braking_to": "times of braking by more than 2 m/s² within 2 s after another vehicle's "
+    "lane change",
+    "hard_braking_by": "lane changes after which the new follower brakes by more than 2 m/s² "
+    "within 2 s",
 }
 """The events of a driver, by the column that counts them."""
 Sums = Callable[[str], pl.Expr]
@@ -64,13 +64,16 @@ def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
         Metric(
             name=f"{prefix}pet_below_2s_{side}",
             unit="",
-            description=f"share with a post-encroachment time below 2 s, of those of at most 5 s, "
+            description=f"share of the post-encroachment times of at most 5 s that are below 2 s, "
             f"{when} {who}",
             rests_on="encroachments",
             sums=(of(f"pet_{side}"), of(f"pet_below_2s_{side}")),
             interval="share",
         )
-        for side, when in (("to", "when others cut in ahead of"), ("by", "after cutting in by"))
+        for side, when in (
+            ("to", "after other vehicles change lanes ahead of"),
+            ("by", "after lane changes of"),
+        )
     )
     dangerous = (
         Metric(
@@ -111,9 +114,11 @@ OF_DRIVERS = (
     _rate(pl.col, "rear_end_struck", "collisions with the front of another vehicle", _VEHICLES),
     _rate(pl.col, "side", "side collisions", _VEHICLES),
     *conduct_metrics(pl.col, _VEHICLES),
-    _per_vehicle_time("speed_mean", "m/s", "distance_m", f"distance over time of {_VEHICLES}"),
     _per_vehicle_time(
-        "harsh", "", "harsh_s", "share of time with more than 2.5 m/s², accelerating or braking"
+        "speed_mean", "m/s", "distance_m", f"distance of {_VEHICLES} divided by their time"
+    ),
+    _per_vehicle_time(
+        "harsh", "", "harsh_s", "share of time accelerating or braking by more than 2.5 m/s²"
     ),
     Metric(
         name="lane_changes_per_km",

@@ -40,7 +40,7 @@ def conflicts_per_1000km(driving: Sample, threshold_s: float) -> Metric:
     return driving.per_km(
         "conflicts_per_1000km",
         _begins(threshold_s),
-        f"times that the bumper-to-bumper TTC to a leader falls below {threshold_s:g} s",
+        f"number of times that the bumper-to-bumper TTC falls below {threshold_s:g} s",
         km=1000,
     )
 
@@ -49,14 +49,14 @@ def conflict_beginnings(driving: Sample, threshold_s: float) -> tuple[Metric, ..
     """The shares of conflicts by the manoeuvre that began them."""
     conflicts = driving.among("conflicts", _begins(threshold_s))
     by_another = (
-        "share of conflicts within 2 s of another vehicle's lane change, into the ego's lane or "
-        "out of it, that gave the ego this leader"
+        "share of conflicts within 2 s after another vehicle's lane change, into or out of the "
+        "ego's lane, by which the ego got its leader"
     )
     return (
         conflicts.share(
             "conflicts_by_ego",
             CHANGER == EGO,
-            "share of conflicts within 2 s of the ego's lane change to behind this leader",
+            "share of conflicts within 2 s after a lane change by which the ego got its leader",
         ),
         conflicts.share("conflicts_by_another", CHANGER == ANOTHER, by_another),
         conflicts.share(

@@ -23,7 +23,7 @@ DHW_STD = LOGGED.deviation("dhw_std", "m", DISTANCE, "distance headway in logged
 def time_headway_mean(driving: Sample) -> Metric:
     """The mean time headway while the ego follows a leader."""
     return driving.among("following steps", HEADWAY <= FREE_HEADWAY_S).mean(
-        "time_headway_mean", "s", HEADWAY, "time headway while following, which is up to 6 s"
+        "time_headway_mean", "s", HEADWAY, "time headway while it is at most 6 s"
     )
 
 

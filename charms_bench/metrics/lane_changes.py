@@ -29,8 +29,8 @@ def lane_change_duration_mean(driving: Sample) -> Metric:
     return Metric(
         name="lane_change_duration_mean",
         unit="s",
-        description="time from start to end of the lateral movement, which is faster than "
-        "0.1 m/s, per lane change: mean over those that end within the episode",
+        description="time from start to end of the lateral movement (faster than 0.1 m/s) per lane "
+        "change: mean over the movements that end within the episode",
         rests_on=ended.name,
         sums=(ended.only(CHANGES).sum(), ended.only(MOVEMENT).sum()),
     )
@@ -66,7 +66,7 @@ def imposed_braking_mean(driving: Sample) -> Metric:
         "imposed_braking_mean",
         "m/s²",
         IMPOSED,
-        "strongest braking of the new follower within 2 s of a lane change, mean",
+        "strongest braking of the new follower within 2 s after a lane change",
     )
 
 
@@ -75,6 +75,6 @@ def imposed_braking_above(driving: Sample, limit_mps2: float) -> Metric:
     return _imposing(driving).share(
         f"imposed_braking_above_{in_name(limit_mps2)}",
         IMPOSED.gt(limit_mps2),
-        "share of lane changes within 2 s of which the new follower brakes by more "
-        f"than {limit_mps2:g} m/s²",
+        "share of lane changes after which the new follower brakes by more than "
+        f"{limit_mps2:g} m/s² within 2 s",
     )

@@ -13,7 +13,7 @@ PAPER_SPEED_STD = LOGGED.deviation("speed_std", "m/s", SPEED, "speed in logged s
 TRAFFIC_SPEED_MEAN = Metric(
     name="traffic_speed_mean",
     unit="m/s",
-    description="distance over time of the other vehicles, wrecks included",
+    description="distance of the other vehicles divided by their time, including crashed vehicles",
     rests_on="vehicles",
     sums=(VEHICLES, VEHICLES * pl.first("duration_s"), pl.first("traffic_distance_m")),
 )

@@ -18,5 +18,5 @@ def yaw_rate_rms(driving: Sample) -> Metric:
         "yaw_rate_rms",
         "rad/s",
         YAW_RATE,
-        "change of heading between decisions over the decision interval",
+        "change of heading between two decisions, divided by their interval",
     )

@@ -92,6 +92,6 @@ def time_integrated(driving: Sample, threshold_s: float) -> Metric:
         "tit",
         "s²",
         total((threshold_s - TTC) * pl.col("interval_s"), driving.where & TTC.lt(threshold_s)),
-        f"time integrated TTC: {threshold_s:g} s less TTC, over the time in an episode in which "
-        "that is positive, mean",
+        f"time integrated TTC: {threshold_s:g} s minus the TTC, integrated over the time in which "
+        "this is positive, mean over the episodes",
     )
