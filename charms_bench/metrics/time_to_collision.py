@@ -46,7 +46,7 @@ def ttc_min(driving: Sample) -> Metric:
         ttc.min().clip(upper_bound=TTC_CAP_S),
         "smallest bumper-to-bumper TTC of an episode, at most 100 s: mean over the episodes in "
         "which the ego closes in on a leader",
-        rests_on="episodes with a closing leader",
+        rests_on="episodes with a TTC",
         counts=ttc.is_not_null().any(),
     )
 
