@@ -117,7 +117,7 @@ def decide(self, observations):
 """,
     ),
     _policy(
-        "A policy that returns an object that gives a different array each time it is read",
+        "A policy whose answer is a different array each time it is read",
         """
 def decide(self, observations):
     return Lazy(len(observations))
