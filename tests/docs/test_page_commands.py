@@ -47,6 +47,10 @@ SHORTENED = [
         r"(charms-bench run suites/train.yaml) --recordings FOLDER",
         r"\1 --recordings recordings --only charms_efficient_egoistic",
     ),
+    (
+        r"(charms-bench run suites/train-seeds.yaml) --recordings FOLDER",
+        r"\1 --recordings recordings --only imitation",
+    ),
     # The built-in cases are 1,026 episodes of highway-env.
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
@@ -82,7 +86,7 @@ def recordings(folder: Path) -> None:
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
     """A folder with the files that the commands name."""
-    for name in ("suites", "tools", "docs"):
+    for name in ("suites", "tools", "docs", "networks"):
         shutil.copytree(ROOT / name, tmp_path / name)
     shutil.copy(ROOT / "README.md", tmp_path)
     short_training(tmp_path / "suites")
