@@ -11,7 +11,7 @@ from charms_bench.envs import ID
 from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
-    from charms_bench.drawing.window import Window
+    from charms_bench.envs.window import Window
 
 RENDER_MODES = ["rgb_array", "human"]
 SHOWN = 4
@@ -41,7 +41,7 @@ class Renderer:
         if self._mode != "human":
             return
         if self._window is None:
-            from charms_bench.drawing.window import Window
+            from charms_bench.envs.window import Window
 
             self._window = Window(ID)
         rows = range(min(SHOWN, self._simulation.seeds.size))
@@ -66,7 +66,7 @@ class Renderer:
 
 def frame_of(simulation: Simulation, row: int) -> NDArray[np.uint8]:
     """The picture (height, width, 3) of a scene; its height is even, as most videos demand."""
-    from charms_bench.drawing.picture import Moment, picture  # Pillow and matplotlib
+    from charms_bench.world.picture import Moment, picture  # Pillow and matplotlib
 
     scene, settings = simulation.scene, simulation.settings
     ego = int(scene.ego[row])

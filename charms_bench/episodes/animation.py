@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from charms_bench.drawing.motion import Motion
-from charms_bench.drawing.picture import BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.world.files import write_atomically
+from charms_bench.world.motion import Motion
+from charms_bench.world.picture import BRAKE, INDICATOR, WRECK, Moment, picture
 
 HOLD_S = 2.0
 """How long the last picture is shown."""

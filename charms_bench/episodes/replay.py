@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from charms_bench.drawing.motion import Motion
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.cell_simulation import drivers_in, simulation_of
@@ -21,6 +20,7 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.suite import Cell
+from charms_bench.world.motion import Motion
 from charms_bench.world.scene import Floats, SceneSettings
 
 TRAJECTORY_SCHEMA = pl.Schema(

@@ -1,1 +1,1 @@
-"""The simulated world: profiles, scenes, lanes, actions and observations."""
+"""The simulated world: profiles, scenes, lanes, actions, observations, and their pictures."""

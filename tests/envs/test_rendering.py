@@ -13,7 +13,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from handmade_replay import replay_of
 
-from charms_bench.drawing.picture import FINE, HEADER, LINE, picture
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.rendering import SHOWN, frame_of
@@ -21,6 +20,7 @@ from charms_bench.episodes.animation import moment_of
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
 from charms_bench.world.actions import FASTER, LANE_LEFT
+from charms_bench.world.picture import FINE, HEADER, LINE, picture
 
 pygame = pytest.importorskip("pygame")
 

@@ -7,7 +7,11 @@ import pytest
 from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
-from charms_bench.drawing.picture import (
+from charms_bench.episodes.animation import animate, moment_of
+from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.replay import Replay
+from charms_bench.errors import InputError
+from charms_bench.world.picture import (
     AGENTS,
     ASPHALT,
     BRAKE,
@@ -16,10 +20,6 @@ from charms_bench.drawing.picture import (
     WRECK,
     picture,
 )
-from charms_bench.episodes.animation import animate, moment_of
-from charms_bench.episodes.ego_view import ego_view
-from charms_bench.episodes.replay import Replay
-from charms_bench.errors import InputError
 
 RED = ImageColor.getrgb(WRECK)
 

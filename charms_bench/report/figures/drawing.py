@@ -1,4 +1,4 @@
-"""What all figures share: axes with a plain look, error bars, and a file written whole."""
+"""What all figures share: colours, axes with a plain look, error bars, a file written whole."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,13 +9,22 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from charms_bench.drawing.palette import INK
 from charms_bench.errors import InputError
 from charms_bench.report.table import Number
 from charms_bench.world.files import write_atomically
 from charms_bench.world.scene import Floats
 
 ENDINGS = (".pdf", ".png", ".svg")
+SERIES = (
+    "#0072b2", "#d55e00", "#009e73", "#b5679a", "#b07900", "#3a96d0", "#7a8290", "#96602c"
+)  # fmt: skip
+"""For lines and points, after Okabe & Ito 2008; each stands out from white and black by 3 to 1."""
+MARKERS = "osD^vPX*"
+LINE_STYLES = ("-", "--", ":", "-.")
+GREY = "#b9c2cb"
+EDGE = "#6b7785"
+INK = "#1a1a1a"
+"""Text on light fields of colour, whatever is behind the figure."""
 
 
 def check_figure(path: Path) -> None:
@@ -42,6 +51,17 @@ def panels(
     for axes in every[count:]:
         axes.remove()
     return figure, every[:count]
+
+
+def series(place: int) -> dict[str, str]:
+    """The colour and line style of a line, different for the first 32 places."""
+    style = LINE_STYLES[(place + place // len(SERIES)) % len(LINE_STYLES)]
+    return {"color": SERIES[place % len(SERIES)], "linestyle": style}
+
+
+def points(place: int) -> dict[str, str]:
+    """The colour and marker of a group of points."""
+    return {"color": SERIES[place % len(SERIES)], "marker": MARKERS[place % len(MARKERS)]}
 
 
 def crosses(axes: Any, x: Sequence[Number], y: Sequence[Number], **look: Any) -> None:

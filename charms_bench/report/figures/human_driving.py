@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.drawing.palette import EDGE, GREY, series
 from charms_bench.people.reference import Reference
-from charms_bench.report.figures.drawing import panels
+from charms_bench.report.figures.drawing import EDGE, GREY, panels, series
 from charms_bench.report.realism_table import COARSE_BIN, TITLE, coarse
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.world.scene import Floats

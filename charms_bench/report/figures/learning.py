@@ -4,8 +4,7 @@ import polars as pl
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from charms_bench.drawing.palette import series
-from charms_bench.report.figures.drawing import panels
+from charms_bench.report.figures.drawing import panels, series
 from charms_bench.report.training_tables import CurveColumn, Training
 
 

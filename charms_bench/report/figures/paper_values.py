@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from charms_bench.drawing.palette import SERIES
-from charms_bench.report.figures.drawing import panels
+from charms_bench.report.figures.drawing import SERIES, panels
 from charms_bench.report.table import Table
 
 PANELS = 4

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from charms_bench.drawing.palette import SERIES
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, raised
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.report.figures.drawing import panels, save
+from charms_bench.report.figures.drawing import SERIES, panels, save
 
 SAMPLED = 200_000
 """Vehicles that are assigned: the standard error of a share is at most 0.11 %."""

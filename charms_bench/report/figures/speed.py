@@ -6,8 +6,7 @@ from typing import Protocol
 
 from matplotlib.figure import Figure
 
-from charms_bench.drawing.palette import series
-from charms_bench.report.figures.drawing import panels
+from charms_bench.report.figures.drawing import panels, series
 
 
 class Measured(Protocol):

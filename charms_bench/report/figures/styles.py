@@ -3,8 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.drawing.palette import points
-from charms_bench.report.figures.drawing import crosses, heat_map, panels
+from charms_bench.report.figures.drawing import crosses, heat_map, panels, points
 from charms_bench.report.table import Table
 
 PLACED = {"speed_mean": "mean speed, m/s", "dhw_mean": "mean headway to the leader, m"}

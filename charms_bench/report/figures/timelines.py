@@ -3,11 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from charms_bench.drawing.palette import SERIES
 from charms_bench.episodes.ego_view import EgoView
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.conflicts import CONFLICT_TTC_S
-from charms_bench.report.figures.drawing import panels
+from charms_bench.report.figures.drawing import SERIES, panels
 from charms_bench.world.scene import Floats, Ints
 
 GAP_SHOWN_M, TTC_SHOWN_S = 60.0, 10.0

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
-from charms_bench.drawing.palette import points
-from charms_bench.report.figures.drawing import crosses, panels, take_text_as_it_is
+from charms_bench.report.figures.drawing import crosses, panels, points, take_text_as_it_is
 from charms_bench.report.table import Number, Table
 from charms_bench.runs.suite import Suite
 

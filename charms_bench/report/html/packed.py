@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.drawing.picture import BRAKE_LIGHT_MPS2
 from charms_bench.episodes.ego_view import EgoView
 from charms_bench.episodes.replay import Replay
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.picture import BRAKE_LIGHT_MPS2
 from charms_bench.world.scene import Bools, Floats, Ints
 
 CRASHED, BRAKES, LEFT, RIGHT = 1, 2, 4, 8

@@ -7,10 +7,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from charms_bench.drawing.palette import AGENTS, VEHICLES
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
 from charms_bench.report.table import Column
+from charms_bench.world.palette import AGENTS, VEHICLES
 
 SCRIPTS = ("tables.js", "player.js", "controls.js")
 

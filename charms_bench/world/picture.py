@@ -9,9 +9,9 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from charms_bench.drawing import palette
-from charms_bench.drawing.motion import Motion
+from charms_bench.world import palette
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.motion import Motion
 from charms_bench.world.scene import Floats, SceneSettings
 
 FINE = 2
