@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from numbers import Real
 
 from charms_agents.charms import STYLES, SVOS
+from charms_bench import Mixture
 from charms_bench.errors import InputError, suggestion
-from charms_bench.plugins.traffic import Mixture
 
 
 class Pch(Mixture):

@@ -18,7 +18,7 @@ accelerates, so the model is for single scenarios.
 
 import numpy as np
 
-from charms_bench.plugins.agent import DriverModel
+from charms_bench import DriverModel
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 

@@ -15,7 +15,7 @@ from charms_baselines.idm import (
     motion_behind,
     on_own_lane,
 )
-from charms_bench.plugins.agent import DriverModel
+from charms_bench import DriverModel
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charms_bench.plugins.agent import Policy
+from charms_bench import Policy
 from charms_bench.world.actions import IDLE, SLOWER, Actions
 from charms_bench.world.observations import FRONT, X_SCALE_M
 from charms_bench.world.scene import Observations

@@ -18,8 +18,8 @@ from charms_baselines.idm import (
     motion_behind,
     on_own_lane,
 )
+from charms_bench import DriverModel
 from charms_bench.errors import InputError
-from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.compiled import clip, compiled
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
