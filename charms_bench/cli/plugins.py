@@ -45,8 +45,9 @@ def traffic(
 ) -> None:
     """Print the shares of agents that a traffic assigns to its vehicles."""
     from charms_bench.plugins.registry import make_traffic
+    from charms_bench.plugins.shares import SAMPLED, shares
     from charms_bench.report.figures.drawing import check_figure
-    from charms_bench.report.figures.shares import SAMPLED, draw, shares
+    from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
 
