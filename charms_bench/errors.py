@@ -3,6 +3,7 @@
 CharmsBenchError
 ├── InputError          a file, name, option or value from outside is wrong
 │   ├── SuiteError      a suite file; names file and line
+│   ├── ScenarioError   a scenario cannot be placed; leads to the value in it
 │   ├── RegistryError   a plugin is unknown, claimed twice or cannot be loaded
 │   ├── ModelError      an ONNX file is missing, broken or of the wrong shape
 │   ├── RunFolderError  a run folder cannot be read, written or continued
@@ -35,6 +36,14 @@ class InputError(CharmsBenchError):
 
 class SuiteError(InputError):
     """A suite file cannot be run."""
+
+
+class ScenarioError(InputError):
+    """A scenario cannot be placed; `location` leads to the value in the scenario."""
+
+    def __init__(self, location: Sequence[str | int], what: str) -> None:
+        super().__init__(what)
+        self.location = location
 
 
 class RegistryError(InputError):

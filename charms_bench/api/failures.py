@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.errors import ScenarioError
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Cell, check_networks, suite_of
@@ -43,7 +44,6 @@ def search(
     """
     from charms_bench.episodes.found import write_found
     from charms_bench.episodes.search import Search, ego_of, scenario_of
-    from charms_bench.world.placement import ScenarioError
 
     check_positive(failures=failures, budget=budget)
     document = Document(Path(suite))

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from charms_bench.errors import InputError, first_problem, suggestion
+from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -17,7 +17,7 @@ from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.world.fields import Finite, FrozenModel, Line, Name
-from charms_bench.world.placement import ScenarioError, place
+from charms_bench.world.placement import place
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import InputError, suggestion
+from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.world.formula import Formula, evaluate
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
@@ -14,14 +14,6 @@ from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Sc
 
 Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
-
-
-class ScenarioError(InputError):
-    """A scenario cannot be placed; `location` leads to the value in the scenario."""
-
-    def __init__(self, location: Location, what: str) -> None:
-        super().__init__(what)
-        self.location = location
 
 
 class Placement(NamedTuple):
