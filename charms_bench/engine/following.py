@@ -5,25 +5,15 @@ every vehicle that has a leader within 50 m on its lane, centre to centre: the v
 its distance headway to that leader in the interval in which it starts a lane change.
 """
 
-from typing import Any
-
 import numpy as np
 import polars as pl
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from charms_bench.engine.columns import COUNT_SCHEMA, table
 from charms_bench.world.compiled import compiled
+from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Ints, Scene
-
-FOLLOWING_RANGE_M = 50.0
-"""A vehicle follows a leader that is at most this far ahead, centre to centre."""
-BIN = 0.5
-"""Width of a bin: m/s for speeds, m for headways."""
-BINS = 100
-"""Number of bins; the last bin has no upper edge."""
-QUANTITIES = ("speed", "dhw")
 
 
 class FollowingCounts:
@@ -47,12 +37,6 @@ class FollowingCounts:
             "count": self._counts[scene, quantity, bin_],
         }
         return table(columns, COUNT_SCHEMA).sort("episode", "quantity", "bin")
-
-
-@register_jitable
-def bins_of(values: Any) -> Any:
-    """Returns the bin of each value; compiled code calls it with a number."""
-    return np.int64(np.minimum(np.maximum(values / BIN, 0), BINS - 1))
 
 
 @compiled

@@ -9,10 +9,10 @@ window are not observed.
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.following import FOLLOWING_RANGE_M
 from charms_bench.engine.kernels import locate
 from charms_bench.errors import DataError
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
+from charms_bench.world.following import FOLLOWING_RANGE_M
 from charms_bench.world.observations import RANGE_M, neighbours
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings

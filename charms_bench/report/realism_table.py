@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.following import BIN, BINS, QUANTITIES, bins_of
 from charms_bench.people.reference import Reference
 from charms_bench.report.suite_table import DIGITS
 from charms_bench.report.table import Column, Number, Table, long_schema
@@ -27,6 +26,7 @@ from charms_bench.statistics.divergence import (
 )
 from charms_bench.statistics.human_sample import around, perfect_samples
 from charms_bench.statistics.intervals import resampled_totals
+from charms_bench.world.following import BIN, BINS, QUANTITIES, bins_of
 from charms_bench.world.scene import Floats
 
 KEYS = ("traffic",)

@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from charms_bench.engine.following import BINS, QUANTITIES
 from charms_bench.metrics import Metric, sums_by_episode
+from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import Floats, SceneSettings
 
 Rows = tuple[pl.DataFrame, ...]

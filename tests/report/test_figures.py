@@ -6,7 +6,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from charms_bench.engine.following import BINS
 from charms_bench.errors import InputError
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices
@@ -17,6 +16,7 @@ from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
+from charms_bench.world.following import BINS
 
 SUITE = Suite.model_validate(
     {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}

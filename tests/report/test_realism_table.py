@@ -9,7 +9,6 @@ from scipy import stats
 from scipy.spatial.distance import jensenshannon
 
 from charms_bench.engine.columns import COUNT_SCHEMA
-from charms_bench.engine.following import BIN, BINS
 from charms_bench.people.reference import Reference
 from charms_bench.report.realism_table import (
     KEYS,
@@ -26,6 +25,7 @@ from charms_bench.report.table import long_schema
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import RESAMPLES, resample
+from charms_bench.world.following import BIN, BINS
 
 EPISODES = 30
 UNITS = 25

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from charms_bench.engine.following import FOLLOWING_RANGE_M
 from charms_bench.people.survey import Learnable, Survey
 from charms_bench.report.figures.drawing import GREY, SERIES, panels, save
+from charms_bench.world.following import FOLLOWING_RANGE_M
 
 
 def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
