@@ -49,7 +49,7 @@ def write_commonroad(replay: Replay, path: Path) -> None:
         date=DATE,
         author="charms-bench",
         affiliation="",
-        source=f"{replay.cell.ego.title} in {replay.cell.traffic.title}, episode {replay.episode}",
+        source=f"{replay.cell.title}, episode {replay.episode}",
         timeStepSize=_decimal(1 / replay.settings.simulation_hz),
     )
     # No place on Earth has these coordinates, which CommonRoad uses for an invented road.

@@ -27,7 +27,7 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
     egos = [search.cell.ego, *([search.reference] if search.reference else [])]
     suite: dict[str, Any] = {
         "suite": path.stem,
-        "title": f"Failures of {search.cell.ego.title} in {search.cell.traffic.title}",
+        "title": f"Failures of {search.cell.title}",
         "episodes": len(search.failures),
         "scene": document.data.get("scene", {}),
         "egos": [

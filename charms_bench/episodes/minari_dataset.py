@@ -118,7 +118,7 @@ def write_minari(
     data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
     spec = environment_of(chosen, observation)
     storage = MinariStorage.new(data, observations, actions, spec)
-    title = f"{chosen.ego.title} in {chosen.traffic.title}"
+    title = chosen.title
     storage.update_metadata(
         {
             "dataset_id": name,

@@ -163,8 +163,7 @@ def find_cell(
     """
     cells = find_cells(run, ego, traffic)
     if len(cells) > 1:
-        found = (run.suite.cells[cell] for cell in cells)
-        titles = "; ".join(f"{cell.ego.title} in {cell.traffic.title}" for cell in found)
+        titles = "; ".join(run.suite.cells[cell].title for cell in cells)
         raise InputError(
             f"{run.folder.path}: {len(cells)} cells have this episode; choose one with {how}. "
             f"Cells: {titles}"

@@ -110,8 +110,7 @@ def _note(cells: Sequence[RareCell]) -> str:
     if not lost:
         return meaning
     which = "; ".join(
-        f"{each.cell.ego.title} in {each.cell.traffic.title}: "
-        f"{sum(run.probability == 0 for run in each.runs)} of {len(each.runs)}"
+        f"{each.cell.title}: {sum(run.probability == 0 for run in each.runs)} of {len(each.runs)}"
         for each in lost
     )
     return (

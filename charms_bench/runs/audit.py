@@ -178,11 +178,10 @@ def _plan(
     recorded = agents if isinstance(agents, dict) else {}
     told = set()
     for index, cell in enumerate(suite.cells):
-        title = f"{cell.ego.title} in {cell.traffic.title}"
         try:
             planned = plan_cell(suite, index, engine, folder)
         except CharmsBenchError as error:
-            yield Finding("software", title, "unknown", str(error))
+            yield Finding("software", cell.title, "unknown", str(error))
             continue
         software = next(iter(planned.values())).software
         other = {

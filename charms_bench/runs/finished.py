@@ -86,7 +86,7 @@ def open_finished(path: Path) -> FinishedRun:
         present = sum(shard.episodes for shard in shards if shard.cell == index)
         if present != suite.episodes:
             raise RunFolderError(
-                f"{path}: holds {present:,} of {suite.episodes:,} episodes of {cell.ego.title} in "
-                f"{cell.traffic.title}; finish the run with `charms-bench run`"
+                f"{path}: holds {present:,} of {suite.episodes:,} episodes of {cell.title}; "
+                "finish the run with `charms-bench run`"
             )
     return FinishedRun(suite, folder, shards)

@@ -146,7 +146,7 @@ def plan_cell(
         episodes = min(SHARD_EPISODES[engine], suite.episodes - start)
         first, last = suite.seed + start, suite.seed + start + episodes - 1
         task = ShardTask(
-            title=f"{cell.ego.title} in {cell.traffic.title}, episodes {first} to {last}",
+            title=f"{cell.title}, episodes {first} to {last}",
             engine=engine,
             scene=cell.scene,
             ego=ego,

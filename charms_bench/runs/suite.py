@@ -67,6 +67,11 @@ class Cell(FrozenModel):
     """The suite's, with the vehicles of the traffic's scenario."""
 
     @property
+    def title(self) -> str:
+        """Its name in messages."""
+        return f"{self.ego.title} in {self.traffic.title}"
+
+    @property
     def paper(self) -> dict[str, float]:
         """Values that the paper reports for the cell, by metric."""
         return {**self.traffic.paper, **self.ego.paper}
