@@ -1,6 +1,5 @@
 """What an audit has found; and the tables of a run, computed again from its rows."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +10,16 @@ from charms_bench.errors import CharmsBenchError, RunFolderError
 from charms_bench.metrics import MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
-from charms_bench.report.stored import read_file, read_table
+from charms_bench.report.stored import read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.audit import VERDICTS, Finding, Verdict
 from charms_bench.runs.code_hashes import module_blobs, row_modules
 from charms_bench.runs.finished import FinishedRun, open_finished
-from charms_bench.runs.metric_sets import metric_sets
+from charms_bench.runs.folder import FILE_LIMIT_BYTES
+from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
+from charms_bench.world.files import read_file
 
 
 def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
@@ -82,17 +83,17 @@ def _stored_sets(path: Path) -> Sequence[MetricSet]:
     labels = read_table(path, long_schema(KEYS, LONG))["metric_set"].unique(maintain_order=True)
     texts = []
     for label in labels:
-        match = re.fullmatch(r"(.+?)-(\d+)(?:\((.*)\))?", label or "")
-        if match is None:
+        text = asked_by(label or "")
+        if text is None:
             raise RunFolderError(f"{path}: no metric set is labelled '{label}'")
-        texts.append(f"{match[1]}:{match[3]}" if match[3] else match[1])
+        texts.append(text)
     return metric_sets(texts)
 
 
 def _difference(path: Path, expected: bytes) -> str:
     """Says where a file first differs; empty if it does not."""
     try:
-        found = read_file(path)
+        found = read_file(path, FILE_LIMIT_BYTES)
     except RunFolderError as error:
         return str(error)
     if found == expected:

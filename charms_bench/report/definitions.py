@@ -1,6 +1,5 @@
 """Columns for metrics: what each metric means, which a stored table does not say itself."""
 
-import re
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -8,7 +7,7 @@ from charms_bench.errors import CharmsBenchError
 from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.metrics.metric import Interval
 from charms_bench.report.table import Column
-from charms_bench.runs.metric_sets import metric_sets
+from charms_bench.runs.metric_sets import asked_by, metric_sets
 
 RESAMPLED = "percentiles of resampled episodes"
 INTERVALS: Mapping[Interval, str] = {
@@ -52,10 +51,8 @@ def installed_column(label: str, metric: str) -> Column:
 
 @lru_cache
 def _installed(label: str) -> dict[str, Column]:
-    match = re.fullmatch(r"(.+?)-(\d+)(?:\((.*)\))?", label)
-    name, options = (match[1], match[3]) if match else (label, None)
     try:
-        (found,) = metric_sets([f"{name}:{options}" if options else name])
+        (found,) = metric_sets([asked_by(label) or label])
     except CharmsBenchError:
         return {}
     return columns_of(found) if found.label == label else {}

@@ -19,7 +19,7 @@ from charms_bench.report import (
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import read_limited
+from charms_bench.world.files import read_file
 
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
@@ -106,7 +106,9 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
         RunFolderError: It cannot be read, or has control characters in it.
     """
     try:
-        table = pl.read_csv(read_file(path), schema_overrides=schema, infer_schema_length=None)
+        table = pl.read_csv(
+            read_file(path, FILE_LIMIT_BYTES), schema_overrides=schema, infer_schema_length=None
+        )
     except pl.exceptions.PolarsError as error:
         raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     words = [*table.columns, *(word for column in table.select(cs.string()) for word in column)]
@@ -114,15 +116,3 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
         raise RunFolderError(f"{path}: has control characters: {strange[0]!a}; write it again")
     numbers = cs.float()
     return table.with_columns(pl.when(numbers.is_finite()).then(numbers))
-
-
-def read_file(path: Path) -> bytes:
-    """The content of a file of a run folder.
-
-    Raises:
-        RunFolderError: It cannot be read.
-    """
-    try:
-        return read_limited(path, FILE_LIMIT_BYTES)
-    except OSError as error:
-        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error

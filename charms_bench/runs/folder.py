@@ -25,9 +25,10 @@ from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
+from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.suite import PRESENTATION, Suite
-from charms_bench.world.files import read_limited, write_bytes
+from charms_bench.world.files import read_file, read_limited, write_bytes
 from charms_bench.world.scene import DECISIONS_LIMIT
 
 FORMAT = 3
@@ -76,39 +77,17 @@ class RunFolder:
             RunFolderError: The folder holds something else, another process uses it, or it
                 cannot be read or written.
         """
-        if self._holds_something_else():
-            raise RunFolderError(
-                f"{self.path} is not empty and holds no run; choose another folder with --output"
-            )
+        refuse_foreign(self.path, MANIFEST, "run")
         with locked(self.path):
             if (self.path / MANIFEST).exists():
-                self._refuse_another(suite, engine)
+                fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
+                ours = {"suite": fields, "engine": engine}
+                manifest = self.manifest()
+                refuse_another(self.path, "run", {key: manifest.get(key) for key in ours}, ours)
             for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
                 for partial in (self.path / folder).glob(".*.partial"):
                     partial.unlink()
             yield
-
-    def _holds_something_else(self) -> bool:
-        """A run that was killed before it wrote its manifest leaves only hidden files."""
-        try:
-            return (
-                self.path.exists()
-                and not (self.path / MANIFEST).exists()
-                and any(not path.name.startswith(".") for path in self.path.iterdir())
-            )
-        except OSError as error:
-            raise RunFolderError(f"{self.path}: cannot be read: {error.strerror}") from error
-
-    def _refuse_another(self, suite: Suite, engine: str) -> None:
-        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
-        ours = {"suite": fields, "engine": engine}
-        manifest = self.manifest()
-        found = {key: manifest.get(key) for key in ours}
-        for field, was, now in differing_fields(found, ours):
-            raise RunFolderError(
-                f"{self.path} holds another run: {field.removeprefix('suite.')} was {was}, now "
-                f"{now}; choose another folder with --output, or delete this one"
-            )
 
     def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
         """Writes the suite, the software and the machine of the run.
@@ -147,12 +126,7 @@ class RunFolder:
             RunFolderError: The manifest is missing, damaged or of another format.
         """
         path = self.path / MANIFEST
-        try:
-            manifest = json.loads(read_limited(path, FILE_LIMIT_BYTES))
-        except OSError as error:
-            raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, RecursionError) as error:
-            raise RunFolderError(f"{path}: is not JSON: {error}") from error
+        manifest = read_manifest(path, FILE_LIMIT_BYTES)
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
         if manifest.get("format") != FORMAT:
@@ -316,11 +290,7 @@ class RunFolder:
         copy = self._network(sha256)
         if not copy.exists():
             return None
-        try:
-            data = read_limited(copy, FILE_LIMIT_BYTES)
-        except OSError as error:
-            raise RunFolderError(f"{copy}: cannot be read: {error.strerror}") from error
-        if hashlib.sha256(data).hexdigest() != sha256:
+        if hashlib.sha256(read_file(copy, FILE_LIMIT_BYTES)).hexdigest() != sha256:
             raise RunFolderError(f"{copy}: has changed since it was written; run the suite again")
         return copy
 
@@ -377,15 +347,3 @@ def _checksums(name: str, files: ShardFiles) -> bytes:
 
 def _checksum(kind: str, name: str, data: bytes) -> bytes:
     return f"{hashlib.sha256(data).hexdigest()}  {kind}/{name}.parquet".encode()
-
-
-def differing_fields(one: Any, other: Any, at: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yields where two JSON values differ: the path of the field, and both values."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in {**one, **other}:
-            yield from differing_fields(one.get(key), other.get(key), f"{at}.{key}".lstrip("."))
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        for index, pair in enumerate(zip(one, other, strict=True)):
-            yield from differing_fields(*pair, f"{at}[{index}]")
-    elif one != other:
-        yield at, one, other

@@ -5,6 +5,7 @@ from keyword options. The options become part of its label, so that a table show
 its values were computed with.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -34,6 +35,12 @@ def metric_sets(texts: Sequence[str]) -> tuple[MetricSet, ...]:
         if labels.count(label) > 1:
             raise InputError(f"metric set '{label}': given twice")
     return found
+
+
+def asked_by(label: str) -> str | None:
+    """Returns the text that asks for the set that a table calls `label`; None if it is no label."""
+    match = re.fullmatch(r"(.+?)-\d+(?:\((.*)\))?", label)
+    return match and ":".join(filter(None, match.groups()))
 
 
 def _metric_set(text: str) -> MetricSet:

@@ -7,7 +7,7 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.specs import by_content
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
-from charms_bench.runs.folder import differing_fields
+from charms_bench.runs.manifest import differing_fields
 
 Pair = tuple[CellRows, CellRows]
 

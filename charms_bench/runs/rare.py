@@ -11,13 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.errors import CharmsBenchError, InputError, RunFolderError
+from charms_bench.errors import CharmsBenchError, InputError
 from charms_bench.plugins.specs import networks_of
-from charms_bench.runs.folder import differing_fields
 from charms_bench.runs.lock import locked
+from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
 from charms_bench.runs.shard import forget_agents
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
@@ -127,7 +126,7 @@ def _plan(suite: Suite, event: str, runs: int, samples: int) -> dict[tuple[int, 
         networks = networks_of(ego, traffic.make(), suite.folder)
         software = software_of(ego, traffic, networks, event)
         for run in range(runs):
-            title = f"{cell.ego.title} in {cell.traffic.title}, run {run + 1}"
+            title = f"{cell.title}, run {run + 1}"
             tasks[index, run] = RareTask(
                 title, suite.scene, ego, traffic, networks, event, samples, suite.seed, run,
                 software,
@@ -141,43 +140,14 @@ def _opened(folder: Path, suite: Suite, event: str, samples: int) -> Iterator[No
     fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
     ours = {"format": FORMAT, "suite": fields, "event": event, "samples": samples}
     path = folder / MANIFEST
-    if _holds_something_else(folder):
-        raise RunFolderError(
-            f"{folder} is not empty and holds no estimation of a rare event; choose another "
-            "folder with --output"
-        )
+    refuse_foreign(folder, MANIFEST, "estimation of a rare event")
     with locked(folder):
         if path.exists():
-            for field, was, now in differing_fields(_manifest(path), ours):
-                raise RunFolderError(
-                    f"{folder} holds another estimation: {field.removeprefix('suite.')} was {was}, "
-                    f"now {now}; choose another folder with --output, or delete this one"
-                )
+            refuse_another(folder, "estimation", read_manifest(path, FILE_LIMIT_BYTES), ours)
         for partial in folder.glob("**/.*.partial"):
             partial.unlink()
         write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
         yield
-
-
-def _holds_something_else(folder: Path) -> bool:
-    """An estimation that was killed before it wrote its manifest leaves only hidden files."""
-    try:
-        return (
-            folder.exists()
-            and not (folder / MANIFEST).exists()
-            and any(not path.name.startswith(".") for path in folder.iterdir())
-        )
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
-
-
-def _manifest(path: Path) -> Any:
-    try:
-        return json.loads(read_limited(path, FILE_LIMIT_BYTES))
-    except OSError as error:
-        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise RunFolderError(f"{path}: is not JSON: {error}") from error
 
 
 def _file(folder: Path, place: tuple[int, int], task: RareTask) -> Path:

@@ -3,10 +3,8 @@
 A run depends on this module and on what it imports, and its key is a hash of all that code.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +16,11 @@ from charms_bench.errors import AgentError, RunFolderError
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.held import HeldEvent
 from charms_bench.plugins.registry import EVENTS, find, make_event
-from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.options import name_and_options
-from charms_bench.runs.shard import HeldDrivers, Software, installed, origin_of
+from charms_bench.runs.shard import HeldDrivers, Software, installed, key_of, origin_of
 from charms_bench.statistics.subset_simulation import Seeds, SubsetRun, subset_simulation
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -64,11 +62,7 @@ class RareTask:
             "run": self.run,
             "software": asdict(self.software),
         }
-        contents = {
-            name: f"{self.software.agents[name]['weights_sha256']} {number}"
-            for number, name in enumerate(self.networks)
-        }
-        return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
+        return key_of(inputs, self.software, self.networks)
 
 
 def event_of(text: str) -> Event:

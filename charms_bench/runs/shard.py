@@ -5,7 +5,7 @@ So this module imports nothing that does not decide rows.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from hashlib import sha256
@@ -92,12 +92,19 @@ class ShardTask:
             "episodes": self.episodes,
             "software": asdict(self.software),
         }
-        # Numbered, so that two names for the same content stay two keys of a mixture.
-        contents = {
-            name: f"{self.software.agents[name]['weights_sha256']} {number}"
-            for number, name in enumerate(self.networks)
-        }
-        return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
+        return key_of(inputs, self.software, self.networks)
+
+
+def key_of(inputs: Mapping[str, Any], software: Software, networks: Collection[str]) -> str:
+    """Returns the hash of a task's inputs, with the contents of networks in place of their names.
+
+    The contents are numbered, so that two names for the same content stay two keys of a mixture.
+    """
+    contents = {
+        name: f"{software.agents[name]['weights_sha256']} {number}"
+        for number, name in enumerate(networks)
+    }
+    return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
 
 
 def simulate(task: ShardTask) -> ShardFiles:

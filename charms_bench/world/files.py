@@ -40,6 +40,18 @@ def read_limited(path: Path, limit: int) -> bytes:
     raise OSError(errno.EFBIG, f"larger than {limit:,} bytes")
 
 
+def read_file(path: Path, limit: int) -> bytes:
+    """The content of a regular file of a run folder; see `read_limited`.
+
+    Raises:
+        RunFolderError: The file cannot be read, or has more than `limit` bytes.
+    """
+    try:
+        return read_limited(path, limit)
+    except OSError as error:
+        raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Lets `write` fill a temporary file and then moves it to `path`.
 

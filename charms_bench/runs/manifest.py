@@ -1,0 +1,68 @@
+"""What a folder with a manifest holds: it is compared before anything in the folder is changed."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from charms_bench.errors import RunFolderError
+from charms_bench.world.files import read_file
+
+
+def read_manifest(path: Path, limit: int) -> Any:
+    """Returns the content of a JSON file of at most `limit` bytes.
+
+    Raises:
+        RunFolderError: It cannot be read, or is not JSON.
+    """
+    try:
+        return json.loads(read_file(path, limit))
+    except (ValueError, RecursionError) as error:
+        raise RunFolderError(f"{path}: is not JSON: {error}") from error
+
+
+def refuse_foreign(folder: Path, manifest: str, kind: str) -> None:
+    """Refuses a folder that is not empty and has no manifest.
+
+    What was killed before it wrote its manifest leaves only hidden files.
+
+    Raises:
+        RunFolderError: It is such a folder, or cannot be read; `kind` is what it should hold.
+    """
+    try:
+        is_foreign = (
+            folder.exists()
+            and not (folder / manifest).exists()
+            and any(not path.name.startswith(".") for path in folder.iterdir())
+        )
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
+    if is_foreign:
+        raise RunFolderError(
+            f"{folder} is not empty and holds no {kind}; choose another folder with --output"
+        )
+
+
+def refuse_another(folder: Path, kind: str, found: Any, ours: Any) -> None:
+    """Refuses a folder whose manifest differs from ours.
+
+    Raises:
+        RunFolderError: It differs; names the first field that does.
+    """
+    for field, was, now in differing_fields(found, ours):
+        raise RunFolderError(
+            f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now {now}; "
+            "choose another folder with --output, or delete this one"
+        )
+
+
+def differing_fields(one: Any, other: Any, at: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yields where two JSON values differ: the path of the field, and both values."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in {**one, **other}:
+            yield from differing_fields(one.get(key), other.get(key), f"{at}.{key}".lstrip("."))
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for index, pair in enumerate(zip(one, other, strict=True)):
+            yield from differing_fields(*pair, f"{at}[{index}]")
+    elif one != other:
+        yield at, one, other
