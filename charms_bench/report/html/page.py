@@ -3,16 +3,30 @@
 import hashlib
 from base64 import b64encode
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from charms_bench import __version__
+from charms_bench.errors import InputError
+from charms_bench.report.figures.timelines import LEFT, RIGHT
 from charms_bench.report.html.sections import Section
 from charms_bench.report.html.table import TEMPLATES, definition_ids, environment
 from charms_bench.report.table import Column
 from charms_bench.world.palette import AGENTS, VEHICLES
 
 SCRIPTS = ("tables.js", "player.js", "controls.js")
+
+
+def check_page(path: Path) -> None:
+    """Refuses a file name that is not a page's.
+
+    Raises:
+        InputError: The name does not end in `.html`.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path}: expected a name that ends in .html")
 
 
 def render(sections: Sequence[Section], **content: Any) -> str:
@@ -31,6 +45,9 @@ def render(sections: Sequence[Section], **content: Any) -> str:
     return template.render(
         content,
         sections=sections,
+        version=__version__,
+        cursor_from=LEFT,
+        cursor_to=RIGHT,
         ids=ids,
         definitions=definitions,
         groups={place: ", ".join(filter(None, found)) for place, found in groups.items()},

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from charms_bench import __version__
 from charms_bench.errors import InputError
-from charms_bench.report.figures.timelines import LEFT, RIGHT
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.episodes import asked, choose, futures
-from charms_bench.report.html.page import render
+from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
 from charms_bench.report.html.what_if import what_if_section
@@ -40,8 +38,7 @@ def write_report(
     Raises:
         CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
     """
-    if output.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{output}: expected a name that ends in .html")
+    check_page(output)
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]
     if episodes and not runs:
@@ -68,9 +65,6 @@ def write_report(
         is_report=True,
         has_ghosts=bool(others),
         provenance=[_provenance(source) for source in sources],
-        version=__version__,
-        cursor_from=LEFT,
-        cursor_to=RIGHT,
     ).encode()
     write_bytes(output, page)
     return {

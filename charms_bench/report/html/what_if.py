@@ -2,25 +2,12 @@
 
 from pathlib import Path
 
-from charms_bench import __version__
 from charms_bench.episodes.what_if import WhatIf
-from charms_bench.errors import InputError
-from charms_bench.report.figures.timelines import LEFT, RIGHT
 from charms_bench.report.html.episode import for_page
-from charms_bench.report.html.page import render
+from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import Section
 from charms_bench.report.what_if_table import what_if_table
 from charms_bench.world.files import write_bytes
-
-
-def check_page(path: Path) -> None:
-    """Refuses a file name that is not a page's.
-
-    Raises:
-        InputError: The name does not end in `.html`.
-    """
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"{path}: expected a name that ends in .html")
 
 
 def write_what_if(found: WhatIf, path: Path) -> None:
@@ -42,9 +29,6 @@ def write_what_if(found: WhatIf, path: Path) -> None:
         is_report=False,
         has_ghosts=True,
         provenance=[],
-        version=__version__,
-        cursor_from=LEFT,
-        cursor_to=RIGHT,
     )
     write_bytes(path, page.encode())
 
@@ -53,7 +37,7 @@ def what_if_section(found: WhatIf, name: str) -> Section:
     """The section of two futures; links call it `name`."""
     recorded, table = found.recorded, what_if_table(found)
     facts = [
-        f"{recorded.cell.ego.title} in {recorded.cell.traffic.title}",
+        recorded.cell.title,
         f"recorded: {recorded.what_happened()}",
         f"what if: {found.other.what_happened()}",
     ]
