@@ -15,9 +15,9 @@ from charms_bench.cli.terminal import (
     TrafficLabel,
     app,
     interruptible,
-    out,
     print_json,
     print_records,
+    print_table,
     say,
 )
 
@@ -83,7 +83,6 @@ def _print_avoidability(
     """Prints what could have been done about the most critical collisions of the egos."""
     from charms_bench.errors import InputError
     from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
-    from charms_bench.report.terminal import grid
 
     if kind not in (None, "collision"):
         raise InputError(f"--avoidable is about collisions, not --kind {kind}")
@@ -104,7 +103,7 @@ def _print_avoidability(
         say(f"No collision in {opened.path}.")
         return
     for table in (avoidability_table(found, opened.suite.scene), rescuers_table(found)):
-        out().print(grid(table, out().width, stacked=False))
+        print_table(table)
 
 
 @app.command()
@@ -209,8 +208,8 @@ def what_if(
 ) -> None:
     """Simulate an episode again, with another agent driving one vehicle."""
     from charms_bench import api
-    from charms_bench.report.html.what_if import check_page, write_what_if
-    from charms_bench.report.terminal import grid
+    from charms_bench.report.html.page import check_page
+    from charms_bench.report.html.what_if import write_what_if
     from charms_bench.report.what_if_table import what_if_table
 
     if output is not None:
@@ -231,7 +230,7 @@ def what_if(
         print_json({**facts, "page": str(page)})
         return
     say(f"Recorded: {recorded}\nWhat if:  {instead}")
-    out().print(grid(what_if_table(found), out().width, stacked=False))
+    print_table(what_if_table(found))
     say(f"Page: {page}")
 
 
@@ -275,7 +274,7 @@ def search(
             }
         )
         return
-    where = f"{made.cell.ego.title} in {made.cell.traffic.title}"
+    where = made.cell.title
     if not made.failures:
         say(f"{where}: no failure in {made.simulations:,} episodes")
         return

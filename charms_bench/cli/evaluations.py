@@ -15,6 +15,7 @@ from charms_bench.cli.terminal import (
     interruptible,
     out,
     print_json,
+    print_table,
     say,
 )
 from charms_bench.errors import InputError
@@ -111,17 +112,15 @@ def run(
 
 def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False) -> None:
     """The table that a command has made, and where the files are."""
-    from charms_bench.report.terminal import grid
-
     if as_json:
         print_json(table.frame().to_dicts())
         return
     if run.suite.title:
         say(run.suite.title)
-    out().print(grid(table.without_constant_keys() if everything else run.summary, out().width))
+    print_table(table.without_constant_keys() if everything else run.summary, stacked=True)
     preventable = f"{run.suite.suite}-preventable"
     if not everything and preventable in run.tables:
-        out().print(grid(run.tables[preventable], out().width))
+        print_table(run.tables[preventable], stacked=True)
     say(f"Written: {', '.join(map(str, run.files))}")
 
 
@@ -169,14 +168,13 @@ def show(
 
 
 def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
-    from charms_bench.report.terminal import grid
     from charms_bench.report.training_tables import drawn_curves
 
     if as_json:
         print_json(training.to_dict())
         return
     if training.stages is not None:
-        out().print(grid(training.stages, out().width))
+        print_table(training.stages, stacked=True)
     if curves:
         out().print(drawn_curves(training, out().width))
 
@@ -212,7 +210,6 @@ def compare(
     """
     from charms_bench import api
     from charms_bench.report.comparison import by_pair, to_dicts
-    from charms_bench.report.terminal import grid
 
     other = None if second is None else api.open_run(second)
     table = api.open_run(first).compare(other, agents, metrics or (), metric_sets or ())
@@ -220,7 +217,7 @@ def compare(
         print_json(to_dicts(table))
         return
     for part in by_pair(table):
-        out().print(grid(part, out().width, stacked=False))
+        print_table(part)
 
 
 @app.command()

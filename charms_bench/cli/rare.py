@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from charms_bench.cli.terminal import Json, Workers, app, interruptible, out, print_json, say
+from charms_bench.cli.terminal import (
+    Json,
+    Workers,
+    app,
+    interruptible,
+    print_json,
+    print_table,
+    say,
+)
 
 
 @app.command()
@@ -43,7 +51,6 @@ def rare(
     Finished runs are not repeated.
     """
     from charms_bench import api
-    from charms_bench.report.terminal import grid
 
     with interruptible():
         made = api.rare(
@@ -52,5 +59,5 @@ def rare(
     if as_json:
         print_json(made.table.frame().to_dicts())
         return
-    out().print(grid(made.table.without_constant_keys(), out().width))
+    print_table(made.table.without_constant_keys(), stacked=True)
     say(f"Written: {', '.join(map(str, made.files))}")

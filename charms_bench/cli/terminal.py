@@ -15,6 +15,8 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from charms_bench.report.table import Table
+
 app = typer.Typer(
     name="charms-bench",
     no_args_is_help=True,
@@ -116,14 +118,19 @@ def interruptible() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def print_table(table: "Table", stacked: bool = False) -> None:
+    """Prints a table as wide as the terminal; see `report.terminal.grid`."""
+    from charms_bench.report.terminal import grid
+
+    out().print(grid(table, out().width, stacked))
+
+
 def print_records(key: str, records: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> None:
     """Prints records as a table with these columns beside `key`; forms are as in `Column`."""
     from charms_bench.report.table import Column, Table
-    from charms_bench.report.terminal import grid
 
     columns = tuple(Column(name, form=form) for name, form in forms.items())
-    table = Table.from_records(records, "", "", (key,), columns)
-    out().print(grid(table, out().width, stacked=False))
+    print_table(Table.from_records(records, "", "", (key,), columns))
 
 
 def print_json(value: Any) -> None:
