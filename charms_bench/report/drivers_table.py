@@ -13,8 +13,7 @@ import polars as pl
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.conduct import OF_DRIVERS
 from charms_bench.report.definitions import columns_of
-from charms_bench.report.suite_table import DIGITS
-from charms_bench.report.table import Column, Table, long_schema
+from charms_bench.report.table import Column, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
@@ -42,9 +41,7 @@ def drivers_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
         for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
             numbers = (found.value, found.low, found.high, found.n)
             records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
-    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
-    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
-    return from_frame(frame.with_columns(rounded), suite)
+    return from_frame(long_frame(records, KEYS, LONG), suite)
 
 
 def _sums(cell: CellRows) -> dict[str, list[Floats]]:

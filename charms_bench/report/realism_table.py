@@ -14,8 +14,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.people.reference import Reference
-from charms_bench.report.suite_table import DIGITS
-from charms_bench.report.table import Column, Number, Table, long_schema
+from charms_bench.report.table import Column, Number, Table, long_frame
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.divergence import (
@@ -140,10 +139,8 @@ def realism_table(
                     scores = np.quantile(scored, [0.5, 0.025, 0.975]).tolist()
                     records.append((PERFECT, reference.name, metric, *scores, n))
     places = {reference.name: place for place, reference in enumerate(references)}
-    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
-    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
     order = pl.col("reference").replace_strict(places)
-    return from_frame(frame.with_columns(rounded).sort(order, maintain_order=True), suite)
+    return from_frame(long_frame(records, KEYS, LONG).sort(order, maintain_order=True), suite)
 
 
 def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> dict[str, Floats]:

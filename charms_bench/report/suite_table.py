@@ -8,7 +8,7 @@ import polars as pl
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.report.definitions import columns_of, installed_column
-from charms_bench.report.table import Column, Number, Row, Table, long_schema
+from charms_bench.report.table import Column, Number, Row, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
@@ -23,8 +23,6 @@ LONG = {
     "n": "n",
     "paper": "reference",
 }
-DIGITS = 6
-"""Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
 MATRICES = {
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
     "speed_mean": ("Mean speed of egos, m/s", 1.0),
@@ -55,9 +53,7 @@ def suite_table(
             paper = cell.paper.get(metric) if label == PAPER.label else None
             numbers = (found.value, found.low, found.high, found.n, paper)
             records.append((cell.agent, cell.traffic, label, metric, *numbers))
-    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
-    frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
-    return from_frame(frame.with_columns(rounded), suite, columns)
+    return from_frame(long_frame(records, KEYS, LONG), suite, columns)
 
 
 def from_frame(

@@ -18,6 +18,8 @@ LONG = {
     for name in ("group", "name", "value", "low", "high", "n", "reference", "p", "marked")
 }
 """The columns of a long frame after the keys, each with the part of a number that it holds."""
+DIGITS = 6
+"""Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
 _TYPES: dict[str, pl.DataType] = {
     "group": pl.String(),
     "name": pl.String(),
@@ -30,6 +32,15 @@ def long_schema(keys: Sequence[str], long: Mapping[str, str]) -> dict[str, pl.Da
     """The columns of a long frame with these keys and parts of numbers."""
     types = {name: _TYPES.get(part, pl.Float64()) for name, part in long.items()}
     return {**dict.fromkeys(keys, pl.String()), **types}
+
+
+def long_frame(
+    records: Iterable[Sequence[object]], keys: Sequence[str], long: Mapping[str, str]
+) -> pl.DataFrame:
+    """Records as a long frame: values are rounded to `DIGITS`, and NaN is null."""
+    frame = pl.DataFrame(records, schema=long_schema(keys, long), orient="row")
+    rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
+    return frame.with_columns(rounded)
 
 
 @dataclass(frozen=True)
