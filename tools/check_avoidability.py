@@ -15,9 +15,9 @@ import numpy as np
 from charms_bench import open_run
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
-from charms_bench.episodes.cell_simulation import simulation_of
-from charms_bench.episodes.replay import Replay, find_cell, replay
-from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.episodes.recorded_cell import RecordedCell, find_cell
+from charms_bench.episodes.replay import Replay, replay
+from charms_bench.runs.finished import open_finished
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Bools, Ints
 
@@ -74,12 +74,12 @@ def escapes(
     return len(sequences) > 0
 
 
-def check(run: FinishedRun, cell: int, seed: int, step: int) -> None:
+def check(cell: RecordedCell, seed: int, step: int) -> None:
     """Raises an AssertionError if the decision is not the last one with an escape."""
-    (episode,) = replay(run, cell, [seed], Path())
-    scene = run.suite.scene
+    (episode,) = replay(cell, [seed])
+    scene = cell.run.suite.scene
     longer = scene.model_copy(update={"duration_s": scene.duration_s + 3.0})
-    simulation = simulation_of(run, cell, SCENES, Path(), settings=longer, is_ego_outside=True)
+    simulation = cell.simulation(SCENES, settings=longer, is_ego_outside=True)
     frame = int(episode.crashed[:, episode.ego].argmax())
     until = -(-(frame + 2 * scene.simulation_hz) // scene.steps_per_decision)
     assert escapes(simulation, episode, step, until, needs_proof=False)
@@ -94,13 +94,12 @@ def main() -> None:
     parser.add_argument("--traffic")
     parser.add_argument("--collisions", type=int, default=10)
     asked = parser.parse_args()
-    run = open_finished(asked.run)
-    cell = find_cell(run, asked.agent, asked.traffic)
+    cell = find_cell(open_finished(asked.run), Path(), asked.agent, asked.traffic)
     found = open_run(asked.run).avoidability(agent=asked.agent, traffic=asked.traffic)
     known = [each for each in found if each.last_step is not None]
     for each in known[:: max(1, len(known) // asked.collisions)][: asked.collisions]:
         print(f"episode {each.episode}, collision in decision {each.step}", flush=True)
-        check(run, cell, each.episode, each.last_step or 0)
+        check(cell, each.episode, each.last_step or 0)
         print(f"    the last decision with an escape is {each.last_step}, as found", flush=True)
 
 

@@ -20,13 +20,12 @@ from seeds import seeds_table
 from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
-from charms_bench.episodes.edge_cases import edge_cases
+from charms_bench import open_run
 from charms_bench.report.markdown import markdown
 from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.report.training_tables import stored_training
-from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
@@ -139,8 +138,7 @@ def crossplay(run: Path) -> str:
 
 def edges(run: Path) -> str:
     """The first of the most critical episodes of the suite `ego`, and how to see one."""
-    finished = open_finished(run)
-    found = edge_cases(finished, 2, None, range(len(finished.suite.cells)), ROOT / "suites")
+    found = open_run(run, ROOT / "suites").edge_cases(2)
     listed = "rank ego           traffic   episode criticality what happened"
     for case in found:
         listed += f"\n{case.rank:4} {case.ego:13} {case.traffic:9} {case.episode:7} "

@@ -161,13 +161,13 @@ class Run:
         """
         from charms_bench.episodes.criticality import IS_OF_KIND
         from charms_bench.episodes.edge_cases import edge_cases
-        from charms_bench.episodes.replay import find_cells
+        from charms_bench.episodes.recorded_cell import find_cells
 
         if kind is not None and kind not in IS_OF_KIND:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
-        cells = find_cells(self._finished, agent, traffic)
-        return edge_cases(self._finished, top, kind, cells, self._suite_folder)
+        cells = find_cells(self._finished, self._suite_folder, agent, traffic)
+        return edge_cases(cells, top, kind)
 
     def replay(
         self, episode: int, agent: str | None = None, traffic: str | None = None
@@ -183,10 +183,11 @@ class Run:
             InputError: The labels leave several episodes.
             RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
         """
-        from charms_bench.episodes.replay import find_cell, replay
+        from charms_bench.episodes.recorded_cell import find_cell
+        from charms_bench.episodes.replay import replay
 
-        cell = find_cell(self._finished, agent, traffic)
-        return replay(self._finished, cell, [episode], self._suite_folder)[0]
+        cell = find_cell(self._finished, self._suite_folder, agent, traffic)
+        return replay(cell, [episode])[0]
 
     def dataset(
         self,
@@ -216,15 +217,13 @@ class Run:
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
         from charms_bench.episodes.dataset import write_dataset
-        from charms_bench.episodes.replay import find_cell
+        from charms_bench.episodes.recorded_cell import find_cell
 
-        run, path = self._finished, None if output is None else Path(output)
-        cell = find_cell(run, agent, traffic)
-        with progress("episodes", episodes or run.suite.episodes) as tell:
-            title = run.suite.cells[cell].ego.title
-            return write_dataset(
-                run, cell, format, episodes, path, self._suite_folder, lambda n: tell(title, n)
-            )
+        path = None if output is None else Path(output)
+        cell = find_cell(self._finished, self._suite_folder, agent, traffic)
+        with progress("episodes", episodes or self.suite.episodes) as tell:
+            title = cell.cell.ego.title
+            return write_dataset(cell, format, episodes, path, lambda n: tell(title, n))
 
     def what_if(
         self,
@@ -250,11 +249,11 @@ class Run:
                 episodes.
             RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
         """
-        from charms_bench.episodes.replay import find_cell
+        from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.what_if import what_if
 
-        cell = find_cell(self._finished, ego, traffic, "ego and traffic")
-        return what_if(self._finished, cell, episode, step, agent, vehicle, self._suite_folder)
+        cell = find_cell(self._finished, self._suite_folder, ego, traffic, "ego and traffic")
+        return what_if(cell, episode, step, agent, vehicle)
 
     def avoidability(
         self,
@@ -276,23 +275,22 @@ class Run:
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
         from charms_bench.episodes.avoidability import BUDGET, avoidability, collisions
-        from charms_bench.episodes.replay import find_cell, find_cells
+        from charms_bench.episodes.recorded_cell import find_cell, find_cells
 
         check_positive(budget=budget)
-        run, found = self._finished, []
+        which, found = (self._finished, self._suite_folder, agent, traffic), []
         if episodes is None:
-            asked = {cell: collisions(run, cell) for cell in find_cells(run, agent, traffic)}
+            asked = [(cell, collisions(cell)) for cell in find_cells(*which)]
         else:
-            asked = {find_cell(run, agent, traffic): list(episodes)}
-        with progress("collisions", sum(map(len, asked.values()))) as tell:
-            for cell, seeds in asked.items():
-                title = run.suite.cells[cell].ego.title
+            asked = [(find_cell(*which), list(episodes))]
+        with progress("collisions", sum(len(seeds) for _, seeds in asked)) as tell:
+            for cell, seeds in asked:
+                title = cell.cell.ego.title
 
                 def done(count: int, title: str = title) -> None:
                     tell(title, count)
 
-                folder = self._suite_folder
-                found += avoidability(run, cell, seeds, folder, budget or BUDGET, tell=done)
+                found += avoidability(cell, seeds, budget or BUDGET, tell=done)
         return found
 
     def audit(

@@ -8,7 +8,6 @@ react as their agents do.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,14 +15,13 @@ import polars as pl
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
-from charms_bench.episodes.cell_simulation import simulation_of
 from charms_bench.episodes.escape import EscapeSearch
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import AGENTS, make_agent, plugins
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.runs.finished import FinishedRun
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.scene import Bools, Ints, Observations, SceneSettings
 
@@ -79,17 +77,15 @@ class Avoidability:
     """Decisions that the search simulated."""
 
 
-def collisions(run: FinishedRun, cell: int) -> list[int]:
+def collisions(cell: RecordedCell) -> list[int]:
     """The seeds of a cell's episodes that end with a collision of the ego."""
-    episodes = run.cells()[cell].episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    episodes = cell.rows.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
     return [int(seed) for seed in episodes["episode"]]
 
 
 def avoidability(
-    run: FinishedRun,
-    cell: int,
+    cell: RecordedCell,
     episodes: Sequence[int],
-    folder: Path,
     budget: int = BUDGET,
     agents: Sequence[str] | None = None,
     tell: Callable[[int], None] = lambda done: None,
@@ -97,10 +93,8 @@ def avoidability(
     """How the collisions of some episodes of a cell could have been avoided, in their order.
 
     Args:
-        run: A finished run.
-        cell: The index of the cell.
+        cell: The cell.
         episodes: Seeds of episodes that end with a collision of the ego.
-        folder: Where relative paths of networks in the suite start.
         budget: The most decisions that the search may simulate for one collision.
         agents: The agents that are tried; by default, all that are installed and usable.
         tell: Called with the number of collisions done since the last call.
@@ -109,10 +103,10 @@ def avoidability(
         InputError: An episode does not end with a collision of the ego.
         CharmsBenchError: As for `replay.replay`.
     """
-    tried = _usable(run.suite.cells[cell].scene) if agents is None else tuple(agents)
+    tried = _usable(cell.cell.scene) if agents is None else tuple(agents)
     found: list[Avoidability] = []
     for start in range(0, len(episodes), AT_ONCE):
-        chunk = _Chunk(run, cell, episodes[start : start + AT_ONCE], folder, budget)
+        chunk = _Chunk(cell, episodes[start : start + AT_ONCE], budget)
         found += chunk.results(tried, tell)
     return found
 
@@ -142,17 +136,15 @@ class _Always(Policy):
 class _Chunk:
     """Some episodes of a cell, with their states before every decision."""
 
-    def __init__(
-        self, run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, budget: int
-    ) -> None:
-        self._run, self._cell, self._folder, self._budget = run, cell, folder, budget
-        scene = run.suite.cells[cell].scene
-        self._replays = replay(run, cell, episodes, folder)
+    def __init__(self, cell: RecordedCell, episodes: Sequence[int], budget: int) -> None:
+        self._cell, self._budget = cell, budget
+        scene = cell.cell.scene
+        self._replays = replay(cell, episodes)
         for each in self._replays:
             if each.ending not in ("rear_end", "side"):
                 raise InputError(
-                    f"{run.folder.path}: episode {each.episode} does not end with a collision of "
-                    f"the ego, but with '{each.ending}'"
+                    f"{cell.run.folder.path}: episode {each.episode} does not end with a collision "
+                    f"of the ego, but with '{each.ending}'"
                 )
         # The last collision may be so late that 2 s after it the episode would be over.
         more = {"duration_s": scene.duration_s + AFTERWARDS_S + 1 / scene.decision_hz}
@@ -173,8 +165,7 @@ class _Chunk:
     def _simulation(
         self, scenes: int, guests: Mapping[str, Agent] | None = None, outside: bool = False
     ) -> Simulation:
-        run, cell, folder = self._run, self._cell, self._folder
-        return simulation_of(run, cell, scenes, folder, guests or {}, self._settings, outside)
+        return self._cell.simulation(scenes, guests or {}, self._settings, outside)
 
     def _before(self, episode: int, step: int) -> SceneState:
         """The state of one episode, by its place, before a decision."""

@@ -13,9 +13,9 @@ import polars as pl
 from charms_bench.episodes.edge_cases import AT_ONCE
 from charms_bench.episodes.highd_format import drivers, write_recording
 from charms_bench.episodes.minari_dataset import check_name, check_policy, write_minari
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import InputError, RunFolderError, suggestion
-from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.suite import Cell
 
 Format = Literal["minari", "highd"]
@@ -25,23 +25,19 @@ DRIVERS = "drivers.csv"
 
 
 def write_dataset(
-    run: FinishedRun,
-    cell: int,
+    recorded: RecordedCell,
     kind: Format,
     count: int | None,
     output: Path | None,
-    folder: Path,
     tell: Callable[[int], object],
 ) -> Path:
     """Writes the first episodes of a cell into a new folder, and returns the folder.
 
     Args:
-        run: A finished run.
-        cell: The index of the cell.
+        recorded: The cell.
         kind: One of `FORMATS`.
         count: How many episodes; by default all.
         output: The folder; by default one in the run folder.
-        folder: Where relative paths of networks in the suite start.
         tell: Called with the number of episodes that have been written.
 
     Raises:
@@ -51,19 +47,19 @@ def write_dataset(
     """
     if kind not in FORMATS:
         raise InputError(f"no format '{kind}'. {suggestion(kind, dict.fromkeys(FORMATS))}")
-    suite = run.suite
+    suite = recorded.run.suite
     if count is not None and not 1 <= count <= suite.episodes:
         raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")
-    path = output or run.folder.path / "datasets" / _default_name(suite.cells[cell], kind)
+    path = output or recorded.run.folder.path / "datasets" / _default_name(recorded.cell, kind)
     if kind == "minari":
         check_name(path)
-        check_policy(run, cell, folder)
+        check_policy(recorded)
     episodes = range(suite.seed, suite.seed + (count or suite.episodes))
     with _new_folder(path) as partial:
         if kind == "minari":
-            write_minari(run, cell, episodes, folder, partial, path.name, tell)
+            write_minari(recorded, episodes, partial, path.name, tell)
         else:
-            _write_highd(run, cell, episodes, folder, partial, tell)
+            _write_highd(recorded, episodes, partial, tell)
     return path
 
 
@@ -79,17 +75,11 @@ def _default_name(cell: Cell, kind: Format) -> str:
 
 
 def _write_highd(
-    run: FinishedRun,
-    cell: int,
-    episodes: Sequence[int],
-    folder: Path,
-    path: Path,
-    tell: Callable[[int], object],
+    recorded: RecordedCell, episodes: Sequence[int], path: Path, tell: Callable[[int], object]
 ) -> None:
     names = []
     for first in range(0, len(episodes), AT_ONCE):
-        some = episodes[first : first + AT_ONCE]
-        for replayed in replay(run, cell, some, folder):
+        for replayed in replay(recorded, episodes[first : first + AT_ONCE]):
             write_recording(replayed, path)
             names.append(drivers(replayed))
             tell(1)

@@ -20,12 +20,10 @@ from charms_bench.engine.simulation import ENDINGS
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.vector_env import spaces_of
-from charms_bench.episodes.cell_simulation import networks_in, simulation_of
-from charms_bench.episodes.recorded import check_steps, recorded_steps
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import is_network
-from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.suite import Cell
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, Observation, observation_of
@@ -58,38 +56,36 @@ def check_name(path: Path) -> None:
         )
 
 
-def check_policy(run: FinishedRun, cell: int, folder: Path) -> Policy:
+def check_policy(recorded: RecordedCell) -> Policy:
     """Returns the ego's policy, if its actions are those of an environment.
 
     Raises:
         InputError: The ego is a driver model, has continuous actions, or decides at another rate
             than the suite.
     """
-    chosen = run.suite.cells[cell]
-    policy, title = chosen.ego.agent.make(networks_in(run, cell, folder)), chosen.ego.title
+    chosen, path = recorded.cell, recorded.run.folder.path
+    policy, title = chosen.ego.agent.make(recorded.networks), chosen.ego.title
     if not isinstance(policy, Policy):
         raise InputError(
-            f"{run.folder.path}: {title} is a driver model, which chooses no meta-actions; choose "
+            f"{path}: {title} is a driver model, which chooses no meta-actions; choose "
             "an ego that is a policy, or --format highd, which has the trajectories of all egos"
         )
     if policy.actions != "meta":
         raise InputError(
-            f"{run.folder.path}: {title} has {policy.actions} actions; expected a policy that "
+            f"{path}: {title} has {policy.actions} actions; expected a policy that "
             "chooses meta-actions, or --format highd, which has the trajectories of all egos"
         )
     if policy.decision_hz != chosen.scene.decision_hz:
         raise InputError(
-            f"{run.folder.path}: {title} decides {policy.decision_hz:g} times per second and the "
+            f"{path}: {title} decides {policy.decision_hz:g} times per second and the "
             f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates"
         )
     return policy
 
 
 def write_minari(
-    run: FinishedRun,
-    cell: int,
+    recorded: RecordedCell,
     episodes: Sequence[int],
-    folder: Path,
     path: Path,
     name: str,
     tell: Callable[[int], object],
@@ -97,10 +93,8 @@ def write_minari(
     """Writes a dataset into an empty folder.
 
     Args:
-        run: A finished run.
-        cell: The index of the cell; `check_policy` accepts its ego.
+        recorded: A cell, whose ego `check_policy` accepts.
         episodes: The seeds.
-        folder: Where relative paths of networks in the suite start.
         path: The folder of the dataset.
         name: The name by which Minari will load it.
         tell: Called with the number of episodes that have been written.
@@ -111,27 +105,27 @@ def write_minari(
     import minari
     from minari.dataset.minari_storage import MinariStorage
 
-    chosen = run.suite.cells[cell]
-    observation = observation_of(check_policy(run, cell, folder).observation)
+    chosen = recorded.cell
+    observation = observation_of(check_policy(recorded).observation)
     observations, actions = spaces_of(chosen.scene, observation)
     # `minari.create_dataset_from_buffers` keeps all episodes in memory and takes no folder.
     data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
     spec = environment_of(chosen, observation)
+    suite = recorded.run.suite.suite
     storage = MinariStorage.new(data, observations, actions, spec)
-    title = chosen.title
     storage.update_metadata(
         {
             "dataset_id": name,
             "algorithm_name": chosen.ego.title,
             "author": {"charms-bench"},
-            "description": f"{title}, {len(episodes)} episodes of suite {run.suite.suite}",
+            "description": f"{chosen.title}, {len(episodes)} episodes of suite {suite}",
             "requirements": [f"charms-bench=={__version__}"],
             "minari_version": minari.__version__,
         }
     )
     for first in range(0, len(episodes), AT_ONCE):
         some = episodes[first : first + AT_ONCE]
-        buffers, endings = _simulated(run, cell, some, folder, observation)
+        buffers, endings = _simulated(recorded, some, observation)
         storage.update_episodes(buffers)
         numbers = range(first, first + len(some))
         storage.update_episode_metadata([{"ending": each} for each in endings], numbers)
@@ -159,12 +153,12 @@ def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
 
 
 def _simulated(
-    run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, observation: Observation
+    recorded: RecordedCell, episodes: Sequence[int], observation: Observation
 ) -> tuple[list["EpisodeBuffer"], list[str]]:
     """Returns the egos' episodes, and how each ended."""
     from minari.data_collector import EpisodeBuffer
 
-    simulation = simulation_of(run, cell, len(episodes), folder)
+    simulation = recorded.simulation(len(episodes))
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording, reward, egos = Recording(simulation), HighwayReward(), simulation.ego_vehicles
     observed = [observation(simulation.scene, egos)]
@@ -175,7 +169,7 @@ def _simulated(
         taken.append(simulation.action[egos])
         gained.append(reward(simulation, None))
         observed.append(observation(simulation.scene, egos))
-    check_steps(run, cell, folder, recorded_steps(run, cell, episodes), recording.steps())
+    recorded.check_steps(recorded.steps(episodes), recording.steps())
     observations, actions, rewards = np.stack(observed), np.stack(taken), np.stack(gained)
     failed, truncated = simulation.failed, simulation.truncated
     buffers = []

@@ -14,11 +14,8 @@ import polars as pl
 
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.episodes.cell_simulation import drivers_in, simulation_of
-from charms_bench.episodes.recorded import check_steps, recorded_steps
-from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.plugins.registry import make_agent
-from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.suite import Cell
 from charms_bench.world.motion import Motion
 from charms_bench.world.scene import Floats, SceneSettings
@@ -134,56 +131,19 @@ _OF_SCENE = (
 )  # fmt: skip
 
 
-def find_cells(run: FinishedRun, ego: str | None, traffic: str | None) -> list[int]:
-    """Returns the indices of the cells whose ego and traffic have these titles; None is any.
-
-    Raises:
-        RunFolderError: The run has no ego or no traffic with that title.
-    """
-    asked = (("ego", ego, run.suite.egos), ("traffic", traffic, run.suite.traffics))
-    for what, title, entries in asked:
-        titles = {entry.title: entry for entry in entries}
-        if title is not None and title not in titles:
-            known = suggestion(title, titles)
-            raise RunFolderError(f"{run.folder.path}: no {what} called '{title}'. {known}")
-    return [
-        index
-        for index, cell in enumerate(run.suite.cells)
-        if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title)
-    ]
-
-
-def find_cell(
-    run: FinishedRun, ego: str | None, traffic: str | None, how: str = "agent and traffic"
-) -> int:
-    """Returns the only one of `find_cells`.
-
-    Raises:
-        InputError: No cell or several have these titles; the message says `how` to choose one.
-    """
-    cells = find_cells(run, ego, traffic)
-    if len(cells) > 1:
-        titles = "; ".join(run.suite.cells[cell].title for cell in cells)
-        raise InputError(
-            f"{run.folder.path}: {len(cells)} cells have this episode; choose one with {how}. "
-            f"Cells: {titles}"
-        )
-    return cells[0]
-
-
-def replay(run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path) -> list[Replay]:
+def replay(cell: RecordedCell, episodes: Sequence[int]) -> list[Replay]:
     """Simulates episodes of a cell, given by their seeds, again; returns them in the same order.
 
-    All are kept in memory. Relative paths of networks in the suite start from `folder`.
+    All are kept in memory.
 
     Raises:
         RunFolderError: The run has no such episode, or the new rows differ from those of the run.
         CharmsBenchError: An agent cannot be made.
     """
-    stored = recorded_steps(run, cell, episodes)
-    replays = simulate(run, cell, episodes, folder)
+    stored = cell.steps(episodes)
+    replays = simulate(cell, episodes)
     for each in replays:
-        check_steps(run, cell, folder, stored.filter(episode=each.episode), each.steps)
+        cell.check_steps(stored.filter(episode=each.episode), each.steps)
     return replays
 
 
@@ -197,16 +157,15 @@ class Seat(NamedTuple):
     agent: str
 
 
-def simulate(
-    run: FinishedRun, cell: int, episodes: Sequence[int], folder: Path, seat: Seat | None = None
-) -> list[Replay]:
+def simulate(cell: RecordedCell, episodes: Sequence[int], seat: Seat | None = None) -> list[Replay]:
     """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
 
     If there is a seat, its agent takes it in each episode.
     """
-    is_guest = seat is not None and seat.agent not in drivers_in(run, cell)
-    guests = {seat.agent: make_agent(seat.agent)} if seat is not None and is_guest else {}
-    simulation = simulation_of(run, cell, len(episodes), folder, guests)
+    guests = {}
+    if seat is not None and seat.agent not in {driver.key for driver in cell.drivers}:
+        guests[seat.agent] = make_agent(seat.agent)
+    simulation = cell.simulation(len(episodes), guests)
     settings = simulation.settings
     simulation.reset(np.array(episodes, dtype=np.uint64))
     recording = Recording(simulation)
@@ -231,7 +190,7 @@ def simulate(
         length = int(simulation.steps[b]) * interval + 1
         replays.append(
             Replay(
-                cell=run.suite.cells[cell],
+                cell=cell.cell,
                 settings=settings,
                 episode=episode,
                 ego=int(simulation.scene.ego[b]),

@@ -1,15 +1,14 @@
 """What if another agent had driven a vehicle from some decision on?"""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from charms_bench.engine.conduct import HARSH_MPS2
 from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, Seat, replay, simulate
 from charms_bench.errors import InputError
-from charms_bench.runs.finished import FinishedRun
 from charms_bench.world.scene import Floats
 
 
@@ -63,38 +62,28 @@ class WhatIf:
         ]
 
 
-def what_if(
-    run: FinishedRun,
-    cell: int,
-    episode: int,
-    step: int,
-    agent: str,
-    vehicle: int | None,
-    folder: Path,
-) -> WhatIf:
+def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: int | None) -> WhatIf:
     """Simulates an episode again, with another agent driving a vehicle from a decision on.
 
     Args:
-        run: A finished run.
-        cell: The index of the episode's cell.
+        cell: The episode's cell.
         episode: Its seed.
         step: The agent's first decision, from 1.
         agent: The name of an installed agent, or the path of a network.
         vehicle: The vehicle's index in the order of spawning; None is the ego.
-        folder: Where relative paths of networks in the suite start.
 
     Raises:
         InputError: There is no such decision, agent or vehicle.
         RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
     """
-    (recorded,) = replay(run, cell, [episode], folder)
+    (recorded,) = replay(cell, [episode])
     decisions, vehicles = recorded.steps.height, len(recorded.agents)
     if not 1 <= step <= decisions:
         raise InputError(f"episode {episode} has the decisions 1 to {decisions}, not {step}")
     place = recorded.ego if vehicle is None else vehicle
     if not 0 <= place < vehicles:
         raise InputError(f"episode {episode} has the vehicles 0 to {vehicles - 1}, not {vehicle}")
-    (other,) = simulate(run, cell, [episode], folder, Seat(step, place, agent))
+    (other,) = simulate(cell, [episode], Seat(step, place, agent))
     return WhatIf(recorded, other, step, place, agent)
 
 

@@ -11,8 +11,8 @@ from charms_bench.engine.kernels import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.episodes.avoidability import Avoidability, avoidability, collisions
-from charms_bench.episodes.cell_simulation import simulation_of
 from charms_bench.episodes.escape import EscapeSearch
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
@@ -40,9 +40,13 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
 
 
 @pytest.fixture(scope="module")
-def found(finished: FinishedRun) -> list[Avoidability]:
-    tried = ["idm_mobil", "imitation"]
-    return avoidability(finished, 0, collisions(finished, 0)[:6], Path(), agents=tried)
+def cell(finished: FinishedRun) -> RecordedCell:
+    return RecordedCell(finished, 0, Path())
+
+
+@pytest.fixture(scope="module")
+def found(cell: RecordedCell) -> list[Avoidability]:
+    return avoidability(cell, collisions(cell)[:6], agents=["idm_mobil", "imitation"])
 
 
 def longer(finished: FinishedRun) -> SceneSettings:
@@ -51,19 +55,18 @@ def longer(finished: FinishedRun) -> SceneSettings:
 
 
 def test_from_the_decision_after_the_last_one_every_plain_sequence_collides(
-    finished: FinishedRun, found: list[Avoidability]
+    finished: FinishedRun, cell: RecordedCell, found: list[Avoidability]
 ) -> None:
     checked = 0
     for each in found:
         first = (each.last_step or 0) + 1
         if (length := each.step - first + 1) == 0 or length > 4:
             continue  # the slow check in tools/ covers longer ones
-        (episode,) = replay(finished, 0, [each.episode], Path())
+        (episode,) = replay(cell, [each.episode])
         recorded = episode.action[1 :: episode.frame_of(1), episode.ego][: first - 1]
         sequences = np.array(list(product(range(len(ACTIONS)), repeat=length)))
-        plain = simulation_of(
-            finished, 0, len(sequences), Path(), settings=longer(finished), is_ego_outside=True
-        )
+        settings = longer(finished)
+        plain = cell.simulation(len(sequences), settings=settings, is_ego_outside=True)
         plain.reset(np.full(len(sequences), each.episode, dtype=np.uint64))
         for action in recorded:
             plain.step(np.full(len(sequences), action))
@@ -96,17 +99,16 @@ def test_the_recorded_agent_collides_again_and_a_replacement_does_not(
     assert replaced > 0
 
 
-def test_a_budget_that_ends_leaves_an_unknown(finished: FinishedRun) -> None:
-    first = collisions(finished, 0)[:1]
-    (each,) = avoidability(finished, 0, first, Path(), budget=4, agents=[])
+def test_a_budget_that_ends_leaves_an_unknown(cell: RecordedCell) -> None:
+    (each,) = avoidability(cell, collisions(cell)[:1], budget=4, agents=[])
     assert (each.verdict, each.last_step, each.nodes) == ("unknown", None, 0)
 
 
-def test_an_episode_without_a_collision_is_refused(finished: FinishedRun) -> None:
+def test_an_episode_without_a_collision_is_refused(cell: RecordedCell) -> None:
     seeds = range(SUITE["seed"], SUITE["seed"] + 30)  # type: ignore[operator, arg-type]
-    other = next(seed for seed in seeds if seed not in collisions(finished, 0))
+    other = next(seed for seed in seeds if seed not in collisions(cell))
     with pytest.raises(InputError, match=f"episode {other} does not end with a collision"):
-        avoidability(finished, 0, [other], Path(), agents=[])
+        avoidability(cell, [other], agents=[])
 
 
 def test_the_tables_count_verdicts_and_agents(

@@ -8,6 +8,7 @@ from command_line import charms_bench as called
 
 import charms_bench
 from charms_bench.episodes import dataset, minari_dataset
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 
@@ -89,7 +90,7 @@ def test_an_ego_with_continuous_actions_is_refused(
 ) -> None:
     monkeypatch.setattr(type(make_agent("outside_policy")), "actions", "continuous")
     with pytest.raises(InputError, match="Keep right has continuous actions; expected a policy"):
-        minari_dataset.check_policy(run._finished, 1, Path())
+        minari_dataset.check_policy(RecordedCell(run._finished, 1, Path()))
 
 
 def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:

@@ -9,6 +9,7 @@ import pytest
 from command_line import charms_bench
 
 from charms_bench.episodes.edge_cases import edge_cases
+from charms_bench.episodes.recorded_cell import find_cells
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
@@ -28,7 +29,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
 
 
 def test_collisions_come_first_and_then_the_most_critical(finished: FinishedRun) -> None:
-    found = edge_cases(finished, 60, None, [0, 1], Path())
+    found = edge_cases(find_cells(finished, Path()), 60, None)
     assert [case.rank for case in found] == list(range(1, 61))
     assert [case.criticality for case in found] == sorted(
         (case.criticality for case in found), reverse=True
@@ -40,14 +41,14 @@ def test_collisions_come_first_and_then_the_most_critical(finished: FinishedRun)
 
 
 def test_every_collision_is_told_as_one(finished: FinishedRun) -> None:
-    found = edge_cases(finished, 60, "collision", [0, 1], Path())
+    found = edge_cases(find_cells(finished, Path()), 60, "collision")
     verbs = ("hit vehicle", "was hit from behind", "steered", "clipped", "left the road")
     assert found
     assert all(any(verb in case.what for verb in verbs) for case in found)
 
 
 def test_a_near_miss_is_told_by_its_measured_ttc(finished: FinishedRun) -> None:
-    found = edge_cases(finished, 60, "near-miss", [0, 1], Path())
+    found = edge_cases(find_cells(finished, Path()), 60, "near-miss")
     assert found
     for case in found:
         assert case.ending == "time"
@@ -56,7 +57,7 @@ def test_a_near_miss_is_told_by_its_measured_ttc(finished: FinishedRun) -> None:
 
 
 def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: FinishedRun) -> None:
-    found = edge_cases(finished, 60, "abandoned-lane-change", [0, 1], Path())
+    found = edge_cases(find_cells(finished, Path()), 60, "abandoned-lane-change")
     assert found
     for case in found:
         assert case.abandoned_changes > 0
@@ -64,7 +65,7 @@ def test_abandoned_lane_changes_are_those_whose_gap_was_taken(finished: Finished
 
 
 def test_top_and_cells_limit_the_list(finished: FinishedRun) -> None:
-    found = edge_cases(finished, 3, None, [0], Path())
+    found = edge_cases(find_cells(finished, Path())[:1], 3, None)
     assert [case.ego for case in found] == ["idm_mobil"] * 3
 
 

@@ -10,6 +10,7 @@ from handmade_replay import replay_of
 from charms_bench.episodes import highd_format
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.highd_format import drivers, write_recording
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.people.highd import Recording, find_trios, read_recording
 from charms_bench.runs.runner import run
@@ -43,7 +44,7 @@ RECORDING = (
 def replays(tmp_path_factory: pytest.TempPathFactory) -> list[Replay]:
     folder = tmp_path_factory.mktemp("run") / "small"
     finished = run(Suite.model_validate(SUITE), folder, workers=1)
-    return replay(finished, 0, range(900_000_000, 900_000_003), Path())
+    return replay(RecordedCell(finished, 0, Path()), range(900_000_000, 900_000_003))
 
 
 @pytest.fixture(scope="module")

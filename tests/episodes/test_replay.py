@@ -9,7 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, find_cells, replay
+from charms_bench.episodes.recorded_cell import RecordedCell, find_cells
+from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, replay
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import KINDS
@@ -38,7 +39,7 @@ def copied(finished: FinishedRun, tmp_path: Path) -> FinishedRun:
 
 
 def test_a_replay_passes_through_the_rows_of_the_run(finished: FinishedRun) -> None:
-    first, second = replay(finished, 1, [13, 11], Path())
+    first, second = replay(RecordedCell(finished, 1, Path()), [13, 11])
     stored = finished.cells()[1].steps
     for replayed, episode in ((first, 13), (second, 11)):
         rows = stored.filter(episode=episode)
@@ -51,13 +52,13 @@ def test_a_replay_passes_through_the_rows_of_the_run(finished: FinishedRun) -> N
 
 
 def test_a_copied_run_folder_is_enough(copied: FinishedRun) -> None:
-    (replayed,) = replay(copied, 0, [15], Path())
+    (replayed,) = replay(RecordedCell(copied, 0, Path()), [15])
     assert replayed.cell.ego.title == "idm_mobil"
     assert replayed.t_s[-1] == 3.0
 
 
 def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: FinishedRun) -> None:
-    (replayed,) = replay(finished, 1, [12], Path())
+    (replayed,) = replay(RecordedCell(finished, 1, Path()), [12])
     others = [name for k, name in enumerate(replayed.agents) if k != replayed.ego]
     rng = np.random.default_rng([12, 1])
     assert others == rng.choice(["idm_mobil", "outside_policy"], size=8, p=[0.5, 0.5]).tolist()
@@ -65,7 +66,7 @@ def test_each_vehicle_is_driven_by_whom_the_traffic_assigned(finished: FinishedR
 
 
 def test_trajectories_have_a_row_a_vehicle_and_simulation_step(finished: FinishedRun) -> None:
-    (replayed,) = replay(finished, 1, [12], Path())
+    (replayed,) = replay(RecordedCell(finished, 1, Path()), [12])
     table = replayed.trajectories()
     assert table.schema == TRAJECTORY_SCHEMA
     assert table.height == 9 * (45 + 1)
@@ -87,27 +88,30 @@ def test_an_episode_that_goes_another_way_is_refused(copied: FinishedRun) -> Non
     with pytest.raises(
         RunFolderError, match="no longer follows the recorded trajectory: step 4, speed was"
     ):
-        replay(copied, 0, [12], Path())
-    assert replay(copied, 0, [13], Path())
+        replay(RecordedCell(copied, 0, Path()), [12])
+    assert replay(RecordedCell(copied, 0, Path()), [13])
 
     manifest = copied.folder.manifest()
     manifest["agents"]["idm_mobil"]["version"] = "0.0.1"
     (copied.folder.path / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(RunFolderError, match="used other versions of idm_mobil; install those"):
-        replay(copied, 0, [12], Path())
+        replay(RecordedCell(copied, 0, Path()), [12])
 
 
 def test_an_episode_that_the_run_has_not_is_refused(finished: FinishedRun) -> None:
     with pytest.raises(RunFolderError, match="holds the episodes 10 to 15, not 16"):
-        replay(finished, 0, [12, 16], Path())
+        replay(RecordedCell(finished, 0, Path()), [12, 16])
 
 
 def test_cells_are_found_by_their_titles(finished: FinishedRun) -> None:
-    assert find_cells(finished, None, None) == [0, 1]
-    assert find_cells(finished, "Keep right", None) == [1]
-    assert find_cells(finished, "Keep right", "idm_mobil + outside_policy") == [1]
+    def found(*titles: str) -> list[int]:
+        return [each.index for each in find_cells(finished, Path(), *titles)]
+
+    assert found() == [0, 1]
+    assert found("Keep right") == [1]
+    assert found("Keep right", "idm_mobil + outside_policy") == [1]
     with pytest.raises(RunFolderError, match=r"no ego called 'Keep left'.*Did you mean 'Keep ri"):
-        find_cells(finished, "Keep left", None)
+        found("Keep left")
 
 
 def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
@@ -118,7 +122,7 @@ def test_a_copied_run_folder_holds_the_networks_that_were_given_by_path(
     run(Suite.model_validate(own), tmp_path / "run", workers=1)
     network.unlink()
     opened = open_finished(Path(shutil.move(tmp_path / "run", tmp_path / "copy")))
-    assert replay(opened, 0, [10], tmp_path / "elsewhere")
+    assert replay(RecordedCell(opened, 0, tmp_path / "elsewhere"), [10])
     network_file(np.ones((35, 5)), name=str(next((tmp_path / "copy" / "networks").iterdir())))
     with pytest.raises(RunFolderError, match=r"\.onnx: has changed since it was written; run the"):
-        replay(opened, 0, [10], tmp_path / "elsewhere")
+        replay(RecordedCell(opened, 0, tmp_path / "elsewhere"), [10])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from command_line import charms_bench
 
+from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RegistryError, RunFolderError
@@ -37,7 +38,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
 def asked(
     finished: FinishedRun, step: int, agent: str, vehicle: int | None = None, episode: int = 12
 ) -> WhatIf:
-    return what_if(finished, 0, episode, step, agent, vehicle, Path())
+    return what_if(RecordedCell(finished, 0, Path()), episode, step, agent, vehicle)
 
 
 def same_until(one: Replay, other: Replay, frame: int) -> bool:

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from charms_bench.episodes.edge_cases import ranked
-from charms_bench.episodes.replay import Replay, find_cell, replay
+from charms_bench.episodes.recorded_cell import RecordedCell, find_cell, find_cells
+from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.report.html.sources import Evaluation
@@ -36,7 +37,7 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
         raise InputError(f"{expected}, EPISODE a number; found '{seed}'") from error
     ego, traffic = [*titles, None, None][:2]
     how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
-    return list(runs).index(run), find_cell(run.run, ego, traffic, how), episode
+    return list(runs).index(run), find_cell(run.run, Path(), ego, traffic, how).index, episode
 
 
 def choose(
@@ -55,7 +56,7 @@ def choose(
     for index, cell in sorted({place[:2] for place in wanted}):
         seeds = [seed for *place, seed in wanted if (index, cell) == tuple(place)]
         try:
-            replays = replay(runs[index].run, cell, seeds, folder)
+            replays = replay(RecordedCell(runs[index].run, cell, folder), seeds)
         except RunFolderError as error:
             raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
         for each in replays:
@@ -82,7 +83,7 @@ def futures(
     step, agent, vehicle = int(found[1]), found[2], None if found[3] is None else int(found[3])
     return {
         _name(runs, place): what_if(
-            runs[place[0]].run, *place[1:], step=step, agent=agent, vehicle=vehicle, folder=folder
+            RecordedCell(runs[place[0]].run, place[1], folder), place[2], step, agent, vehicle
         )
         for place in named
     }
@@ -98,7 +99,7 @@ def _most_critical(runs: Sequence[Evaluation], top: int) -> list[Place]:
     found: dict[tuple[str, int], tuple[float, Place]] = {}
     for index, run in enumerate(runs):
         # Enough that episodes which other runs have too can be left out.
-        best = ranked(run.run, range(len(run.run.suite.cells))).head(top * len(runs))
+        best = ranked(find_cells(run.run, Path())).head(top * len(runs))
         for value, cell, episode in best.select("criticality", "cell", "episode").rows():
             # The key of its shard names everything that the rows of an episode depend on.
             key = next(

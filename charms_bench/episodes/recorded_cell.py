@@ -1,0 +1,188 @@
+"""One ego in one traffic of a finished run: simulated again, and compared with the run's rows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.shard import identify_agents
+from charms_bench.runs.suite import Cell
+from charms_bench.world.scene import SceneSettings
+
+
+@dataclass(frozen=True)
+class RecordedCell:
+    """A cell of a finished run."""
+
+    run: FinishedRun
+    index: int
+    """Its place among the cells of the suite."""
+    folder: Path
+    """Where relative paths of networks in the suite start."""
+
+    @property
+    def cell(self) -> Cell:
+        """What was run."""
+        return self.run.suite.cells[self.index]
+
+    @property
+    def rows(self) -> CellRows:
+        """What was recorded."""
+        return self.run.cells()[self.index]
+
+    @property
+    def drivers(self) -> tuple[AgentSpec, ...]:
+        """The agents that drive in it."""
+        cell = self.cell
+        return drivers_of(cell.ego.agent, cell.traffic.traffic.make())
+
+    @property
+    def networks(self) -> dict[str, Path]:
+        """The files of its networks: the copies in the run folder, if it has them."""
+        cell = self.cell
+        given = networks_of(cell.ego.agent, cell.traffic.traffic.make(), self.folder)
+        return {name: self.run.folder.network(name) or path for name, path in given.items()}
+
+    def simulation(
+        self,
+        scenes: int,
+        guests: Mapping[str, Agent] = MappingProxyType({}),
+        settings: SceneSettings | None = None,
+        is_ego_outside: bool = False,
+    ) -> Simulation:
+        """A simulation of some of its scenes, in which guests may be seated.
+
+        Args:
+            scenes: How many scenes.
+            guests: Agents beside those of the cell, by name; they act after these.
+            settings: Other settings than the suite's.
+            is_ego_outside: Whether the actions given to `Simulation.step` drive the ego.
+
+        Raises:
+            CharmsBenchError: An agent cannot be made.
+        """
+        cell, networks = self.cell, self.networks
+        ego, traffic = cell.ego.agent, cell.traffic.traffic.make()
+        agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
+        if guests or is_ego_outside:
+            traffic = _WithGuests(traffic, tuple({**agents, **guests}))
+        key = None if is_ego_outside else ego.key
+        return Simulation(settings or cell.scene, scenes, key, traffic, {**guests, **agents})
+
+    def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
+        """Returns the step rows of these episodes from the run folder.
+
+        Raises:
+            RunFolderError: The run has no such episode, or a file has changed since it was written.
+        """
+        run = self.run
+        first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
+        for episode in episodes:
+            if not first <= episode <= last:
+                raise RunFolderError(
+                    f"{run.folder.path}: holds the episodes {first} to {last}, not {episode}"
+                )
+        shards = [
+            shard
+            for shard in run.shards
+            if shard.cell == self.index
+            and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
+        ]
+        return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
+
+    def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
+        """Checks that the rows of episodes that were simulated `again` are those of `steps`.
+
+        Raises:
+            RunFolderError: A row differs.
+        """
+        if again.equals(stored):
+            return
+        both = stored.join(again, on=["episode", "step"], how="full", coalesce=True, suffix="_now")
+        differing = [
+            (row["episode"], row["step"], name, row[name], row[f"{name}_now"])
+            for row in both.iter_rows(named=True)
+            for name in stored.columns
+            if name not in ("episode", "step") and row[name] != row[f"{name}_now"]
+        ]
+        episode, step, name, then, now = min(differing, key=lambda difference: difference[:2])
+        raise RunFolderError(
+            f"{self.run.folder.path}: episode {episode} of {self.cell.ego.title} no longer follows "
+            f"the recorded trajectory: step {step}, {name} was {then}, now {now}. {self._reason()}"
+        )
+
+    def _reason(self) -> str:
+        """Says which versions the run was made with, agents first."""
+        manifest, cell = self.run.folder.manifest(), self.cell
+        agents = identify_agents(cell.ego.agent, cell.traffic.traffic, self.networks)
+        recorded = manifest.get("agents", {})
+        changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
+        release, versions = manifest.get("charms_bench"), manifest.get("versions")
+        made = f"was made with charms-bench {release} and {versions}"
+        used = f"used other versions of {', '.join(changed)}" if changed else made
+        return f"The run {used}; install those to replay it"
+
+
+class _WithGuests(Traffic):
+    """A traffic in which more agents may be seated."""
+
+    def __init__(self, traffic: Traffic, agents: tuple[str, ...]) -> None:
+        self.agents = agents
+        self._traffic = traffic
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return self._traffic.assign(rng, scenes, vehicles)
+
+
+def find_cells(
+    run: FinishedRun, folder: Path, ego: str | None = None, traffic: str | None = None
+) -> list[RecordedCell]:
+    """Returns the cells whose ego and traffic have these titles; None is any.
+
+    Raises:
+        RunFolderError: The run has no ego or no traffic with that title.
+    """
+    asked = (("ego", ego, run.suite.egos), ("traffic", traffic, run.suite.traffics))
+    for what, title, entries in asked:
+        titles = {entry.title: entry for entry in entries}
+        if title is not None and title not in titles:
+            known = suggestion(title, titles)
+            raise RunFolderError(f"{run.folder.path}: no {what} called '{title}'. {known}")
+    return [
+        RecordedCell(run, index, folder)
+        for index, cell in enumerate(run.suite.cells)
+        if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title)
+    ]
+
+
+def find_cell(
+    run: FinishedRun,
+    folder: Path,
+    ego: str | None,
+    traffic: str | None,
+    how: str = "agent and traffic",
+) -> RecordedCell:
+    """Returns the only one of `find_cells`.
+
+    Raises:
+        InputError: No cell or several have these titles; the message says `how` to choose one.
+    """
+    cells = find_cells(run, folder, ego, traffic)
+    if len(cells) > 1:
+        titles = "; ".join(each.cell.title for each in cells)
+        raise InputError(
+            f"{run.folder.path}: {len(cells)} cells have this episode; choose one with {how}. "
+            f"Cells: {titles}"
+        )
+    return cells[0]
