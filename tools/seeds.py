@@ -19,7 +19,6 @@ from charms_bench.report.figures.drawing import panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.finished import open_finished
-from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import CONFIDENCE, resampled_totals
 
 ROOT = Path(__file__).parent.parent
@@ -56,7 +55,9 @@ def seeds_table(run: Path) -> str:
         pairs = zip(metrics, sums, strict=True)
         found = [float(metric.value(each.sum(axis=0))) for metric, each in pairs]
         values.setdefault(recipe, []).append(found)
-        network = ROOT / "suites" / _network(finished.suite, cell.agent)
+        egos = finished.suite.egos
+        name = next(ego.agent.name for ego in egos if ego.title == cell.agent)
+        network = ROOT / "suites" / name
         minutes.setdefault(recipe, []).append(_process_minutes(network))
         spreads.setdefault(recipe, []).append(
             [metric.value(each) for metric, each in zip(metrics, resampled, strict=True)]
@@ -87,10 +88,6 @@ def seeds_table(run: Path) -> str:
         for recipe, of_seeds in values.items()
     ]
     return f"{markdown(table)}\nEpisodes crashed, by seed:\n\n" + "\n".join(crashed) + "\n"
-
-
-def _network(suite: Suite, label: str) -> str:
-    return next(ego.agent.name for ego in suite.egos if ego.title == label)
 
 
 def _process_minutes(network: Path) -> float | None:

@@ -1,6 +1,5 @@
 """`edge-cases`, `replay`, `what-if` and `search`: single episodes."""
 
-import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,7 +22,6 @@ from charms_bench.cli.terminal import (
 
 if TYPE_CHECKING:
     from charms_bench.api import Run
-    from charms_bench.episodes.replay import Replay
 
 
 @app.command()
@@ -132,6 +130,7 @@ def replay(
     from charms_bench import api
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
+    from charms_bench.episodes.dataset import name_of
     from charms_bench.world.files import write_atomically
 
     if output is not None:
@@ -140,7 +139,7 @@ def replay(
         check_commonroad(commonroad)
     replayed = api.open_run(run, suite_folder).replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
-    animation = output or run / "replays" / f"{_name_of(replayed)}.gif"
+    animation = output or run / "replays" / f"{name_of(replayed.cell)}-{episode}.gif"
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)
@@ -158,17 +157,6 @@ def replay(
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
         say(f"{titles[kind]}: {file}")
-
-
-def _name_of(replayed: "Replay") -> str:
-    """The name of an episode's files."""
-    from charms_bench.episodes.dataset import name_of
-
-    return f"{name_of(replayed.cell)}-{replayed.episode}"
-
-
-def _slug(text: str) -> str:
-    return re.sub(r"\W+", "-", text).strip("-").lower()
 
 
 @app.command()
@@ -208,6 +196,7 @@ def what_if(
 ) -> None:
     """Simulate an episode again, with another agent driving one vehicle."""
     from charms_bench import api
+    from charms_bench.episodes.dataset import name_of, slug
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.what_if import write_what_if
     from charms_bench.report.what_if_table import what_if_table
@@ -217,7 +206,9 @@ def what_if(
     opened = api.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
-    name = f"{_name_of(found.recorded)}-{seat}-{_slug(Path(other).stem)}-from-{at}.html"
+    name = (
+        f"{name_of(found.recorded.cell)}-{episode}-{seat}-{slug(Path(other).stem)}-from-{at}.html"
+    )
     page = output or run / "replays" / name
     write_what_if(found, page)
     recorded, instead = found.recorded.what_happened(), found.other.what_happened()

@@ -50,7 +50,9 @@ def write_dataset(
     suite = recorded.run.suite
     if count is not None and not 1 <= count <= suite.episodes:
         raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")
-    path = output or recorded.run.folder.path / "datasets" / _default_name(recorded.cell, kind)
+    # Minari takes the end of a name for the version of a dataset.
+    name = f"{name_of(recorded.cell)}-{'v0' if kind == 'minari' else kind}"
+    path = output or recorded.run.folder.path / "datasets" / name
     if kind == "minari":
         check_name(path)
         check_policy(recorded)
@@ -65,13 +67,12 @@ def write_dataset(
 
 def name_of(cell: Cell) -> str:
     """Returns a name for files about a cell: its titles in small letters, digits and hyphens."""
-    titles = (cell.ego.title, cell.traffic.title)
-    return "-in-".join(re.sub(r"\W+", "-", title).strip("-").lower() for title in titles)
+    return "-in-".join(map(slug, (cell.ego.title, cell.traffic.title)))
 
 
-def _default_name(cell: Cell, kind: Format) -> str:
-    # Minari takes the end of a name for the version of a dataset.
-    return f"{name_of(cell)}-{'v0' if kind == 'minari' else kind}"
+def slug(title: str) -> str:
+    """Returns a title in small letters, digits and hyphens."""
+    return re.sub(r"\W+", "-", title).strip("-").lower()
 
 
 def _write_highd(

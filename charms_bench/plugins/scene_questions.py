@@ -42,7 +42,8 @@ class SceneQuestion:
         """
         if rows is None:
             vehicles = tuple(map(np.copy, self.vehicles))
-            return replace(self, scene=copied(self.scene), vehicles=vehicles), _all(vehicles)
+            question = replace(self, scene=copied(self.scene), vehicles=vehicles)
+            return question, np.arange(vehicles[0].size)
         arrays = {name: getattr(self.scene, name)[rows] for name in _ARRAYS}
         parts = [np.nonzero(self.vehicles[0] == row)[0] for row in rows]
         index = np.concatenate(parts)
@@ -108,10 +109,6 @@ def changed_array(scene: Scene, before: Scene, timers: Vehicles | None) -> str:
         if not (np.array_equal(now, then) or np.array_equal(now, then, equal_nan=True)):
             return name
     return ""
-
-
-def _all(vehicles: Vehicles) -> Ints:
-    return np.arange(vehicles[0].size)
 
 
 def _close(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:

@@ -118,20 +118,17 @@ def _differing_number(found: bytes, expected: bytes) -> str:
     stored, again = tables
     if stored.columns != again.columns or len(stored) != len(again):
         return ""
+    # The columns before the numbers say what a row is about.
+    keys = again.columns[: again.columns.index("value")] if "value" in again.columns else []
     for one, other in zip(stored.iter_rows(named=True), again.iter_rows(named=True), strict=True):
         for column in stored.columns:
             if one[column] != other[column]:
-                labels = ", ".join(str(other[name]) for name in _labels(again))
+                labels = ", ".join(str(other[name]) for name in keys)
                 return (
                     f"{labels}: {column} is {one[column] or 'empty'}; computed again, "
                     f"{other[column] or 'empty'}"
                 )
     return ""
-
-
-def _labels(table: pl.DataFrame) -> list[str]:
-    """The columns that say what a row is about, which come before its numbers."""
-    return table.columns[: table.columns.index("value")] if "value" in table.columns else []
 
 
 @dataclass(frozen=True)

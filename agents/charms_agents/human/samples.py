@@ -259,7 +259,10 @@ class CharmsSampler:
             accepted=accepted.height,
             rejected={reason: int((reasons == reason).sum()) for reason in REASONS},
             two_actions=float(two_intents.to_numpy().mean()),
-            label_shares={name: _shares(labels) for name, labels in labelled.items()},
+            label_shares={
+                name: dict(zip(ACTIONS, labels.mean(0, np.float64).tolist(), strict=True))
+                for name, labels in labelled.items()
+            },
             training=len(samples.labels) - held_out,
             held_out=held_out,
             fingerprint=fingerprint(self._trios, self.settings),
@@ -319,7 +322,3 @@ def _table(samples: Samples) -> pl.DataFrame:
         pl.Series("observation", flat, dtype=_SAMPLES["observation"]),
         pl.Series("label", samples.labels, dtype=_SAMPLES["label"]),
     )
-
-
-def _shares(labels: Labels) -> dict[str, float]:
-    return dict(zip(ACTIONS, labels.mean(axis=0, dtype=np.float64).tolist(), strict=True))

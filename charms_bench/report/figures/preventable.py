@@ -5,6 +5,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -17,6 +18,7 @@ from charms_bench.world.points import values_at
 
 BINS = 14
 REGION = "#8cc9a1"
+FROM_WHITE = LinearSegmentedColormap.from_list("region", ["white", REGION])
 PREVENTABLE: dict[str, Any] = {"color": "#c2122d", "marker": "o"}
 UNAVOIDABLE: dict[str, Any] = {"color": "#7a8290", "marker": "x"}
 
@@ -49,7 +51,7 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
         survived, *_ = np.histogram2d(x[~unavoidable], y[~unavoidable], edges)
         with np.errstate(invalid="ignore"):
             share = np.ma.masked_invalid(survived / total)
-        axes.pcolormesh(*edges, share.T, cmap=_from_white(), vmin=0, vmax=1)
+        axes.pcolormesh(*edges, share.T, cmap=FROM_WHITE, vmin=0, vmax=1)
         mine = has_crashed[ego, title]
         for look, chosen in ((UNAVOIDABLE, mine & unavoidable), (PREVENTABLE, mine & ~unavoidable)):
             axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **look)
@@ -65,9 +67,3 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     figure.legend(handles=[field, *dots], loc="outside upper center", ncols=3, frameon=False,
                   fontsize=8)  # fmt: skip
     return figure
-
-
-def _from_white() -> object:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("region", ["white", REGION])
