@@ -4,27 +4,15 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from ego_table import EGO, SUITE
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.run_files import write_table
 from charms_bench.report.stored import read_table, stored_tables
 from charms_bench.report.suite_table import KEYS, LONG, from_frame
 from charms_bench.report.table import long_schema
-from charms_bench.runs.suite import Suite
 
 SCHEMA = long_schema(KEYS, LONG)
-EGO = """\
-agent,traffic,metric_set,metric,value,low,high,n,paper
-IDM,mixed,paper-2,speed_mean,24.0,23.5,24.5,100,24.2
-CHARMS,mixed,paper-2,speed_mean,30.0,29.0,31.0,100,
-IDM,mixed,paper-2,dhw_mean,40.0,39.0,41.0,100,
-CHARMS,mixed,paper-2,dhw_mean,,,,0,
-IDM,mixed,standard-2(ttc_s=2),speed_mean,25.0,24.0,26.0,100,
-CHARMS,mixed,standard-2(ttc_s=2),speed_mean,31.0,30.0,32.0,100,
-"""
-SUITE = Suite.model_validate(
-    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
-)
 
 
 def test_a_stored_table_is_the_table_that_was_written(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from ego_table import SUITE
 from rich.console import Console
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
@@ -14,11 +15,6 @@ from charms_bench.report.suite_table import printed, suite_table
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.suite import Suite
-
-SUITE = Suite.model_validate(
-    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
-)
 
 
 def cell(

@@ -1,11 +1,11 @@
 """Intervals, against published figures and scipy."""
 
 import numpy as np
-import polars as pl
 import pytest
+from made_up import metric_of
 from scipy import stats
 
-from charms_bench.metrics.metric import Interval, Metric, ratio, standard_deviation
+from charms_bench.metrics.metric import Interval, standard_deviation
 from charms_bench.statistics import intervals
 from charms_bench.statistics.intervals import (
     RESAMPLES,
@@ -15,10 +15,6 @@ from charms_bench.statistics.intervals import (
     resampled_totals,
     wilson,
 )
-
-
-def metric_of(interval: Interval = "bootstrap", value=ratio) -> Metric:
-    return Metric("made_up", "", "", "steps", (pl.lit(1), pl.lit(1)), value, interval)
 
 
 def interval_of(sums: list[list[float]], interval: Interval) -> tuple[float, float]:
