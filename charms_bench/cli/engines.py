@@ -143,11 +143,8 @@ def bench(
         for r in results
         for rival in (pool.get((r.threads, r.vehicles)),)
     ]
-    if as_json:
-        print_json(rows)
-        return
     forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f"}
-    print_records("name", rows, forms)
+    print_records("name", rows, forms, as_json)
 
 
 def _bench_learners(results: list[Any], as_json: bool) -> None:
@@ -164,11 +161,9 @@ def _bench_learners(results: list[Any], as_json: bool) -> None:
         }
         for r in results
     ]
-    if as_json:
-        print_json(rows)
-        return
     forms = dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
-    print_records("name", rows, {"threads": ".0f", **forms, "times_highway_env": ",.1f"})
+    forms = {"threads": ".0f", **forms, "times_highway_env": ",.1f"}
+    print_records("name", rows, forms, as_json)
 
 
 def _bench_scale(
@@ -187,11 +182,7 @@ def _bench_scale(
     check_figure(path)
     results = scale(seconds, rounds, tell)
     save(draw_scale(results), path)
-    rows = [{**asdict(r), **_rates(r)} for r in results]
-    if as_json:
-        print_json(rows)
-    else:
-        print_records("name", rows, forms)
+    print_records("name", [{**asdict(r), **_rates(r)} for r in results], forms, as_json)
 
 
 def _rates(measurement: Any) -> dict[str, float]:

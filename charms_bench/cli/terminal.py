@@ -125,8 +125,16 @@ def print_table(table: "Table", stacked: bool = False) -> None:
     out().print(grid(table, out().width, stacked))
 
 
-def print_records(key: str, records: Iterable[Mapping[str, Any]], forms: Mapping[str, str]) -> None:
-    """Prints records as a table with these columns beside `key`; forms are as in `Column`."""
+def print_records(
+    key: str, records: Iterable[Mapping[str, Any]], forms: Mapping[str, str], as_json: bool = False
+) -> None:
+    """Prints records as JSON, or as a table with these columns beside `key`.
+
+    Forms are as in `Column`.
+    """
+    if as_json:
+        print_json(records)
+        return
     from charms_bench.report.table import Column, Table
 
     columns = tuple(Column(name, form=form) for name, form in forms.items())
