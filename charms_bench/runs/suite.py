@@ -117,7 +117,7 @@ class Suite(FrozenModel):
         return value
 
     @model_validator(mode="after")
-    def _labels_differ(self) -> "Suite":
+    def _fits_together(self) -> "Suite":
         for what, entries in (("egos", self.egos), ("traffics", self.traffics)):
             titles = [entry.title for entry in entries]
             for title in titles:
@@ -129,20 +129,12 @@ class Suite(FrozenModel):
             raise ValueError("references are compared with traffics; expected one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
             raise ValueError("a reference is given twice")
-        return self
-
-    @model_validator(mode="after")
-    def _places_vehicles_once(self) -> "Suite":
         if self.scene.scenario is not None:
             raise ValueError("scene.scenario: give the scenario as a traffic")
         labels = [ego.title for ego in self.egos]
         if self.preventable_by is not None and self.preventable_by not in labels:
             known = suggestion(self.preventable_by, dict.fromkeys(labels))
             raise ValueError(f"preventable_by: no ego called '{self.preventable_by}'. {known}")
-        return self
-
-    @model_validator(mode="after")
-    def _is_bounded(self) -> "Suite":
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(
