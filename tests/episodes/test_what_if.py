@@ -8,7 +8,7 @@ import pytest
 from command_line import charms_bench
 
 from charms_bench.episodes.recorded_cell import RecordedCell
-from charms_bench.episodes.replay import Replay
+from charms_bench.episodes.replay import Replay, Seat, replay, simulate
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RegistryError, RunFolderError
 from charms_bench.report.html.what_if import write_what_if
@@ -68,16 +68,19 @@ def test_another_agent_changes_what_follows(finished: FinishedRun) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 4, 15])
-@pytest.mark.parametrize("episode", [10, 11, 12, 13])
+@pytest.mark.parametrize("agent", ["idm_mobil", "outside_policy"])
 def test_with_the_same_agent_the_whole_episode_repeats(
-    finished: FinishedRun, step: int, episode: int
+    finished: FinishedRun, step: int, agent: str
 ) -> None:
-    recorded = asked(finished, 1, "level_0", episode=episode).recorded
-    for vehicle, agent in enumerate(recorded.agents):
-        found = asked(finished, step, agent, vehicle, episode)
-        assert same_until(recorded, found.other, len(recorded.t_s))
-        assert found.other.steps.equals(recorded.steps)
-        assert found.other.episodes.equals(recorded.episodes)
+    cell, episodes = RecordedCell(finished, 0, Path()), range(10, 14)
+    recorded = replay(cell, episodes)
+    for vehicle in range(len(recorded[0].agents)):
+        others = simulate(cell, episodes, Seat(step, vehicle, agent))
+        for one, other in zip(recorded, others, strict=True):
+            if one.agents[vehicle] == agent:
+                assert same_until(one, other, len(one.t_s))
+                assert other.steps.equals(one.steps)
+                assert other.episodes.equals(one.episodes)
 
 
 def test_the_table_compares_the_futures_of_the_ego_and_of_the_vehicle(
