@@ -1,16 +1,15 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
-import weakref
-from collections.abc import Callable
 from functools import update_wrapper
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba import types
+from numba.experimental import structref
 
 F = TypeVar("F")
-_Known = tuple[Callable[[], Any], int, dict[Any, Any]]
-"""A scene's position, held weakly, the scene's identity and its machine code by other types."""
 
 
 def compiled(function: F) -> F:
@@ -25,53 +24,47 @@ def inlined(function: F) -> F:
     )
 
 
-class _OfScenes:
-    """A compiled function whose first argument is a scene.
+@structref.register
+class _UnpackedType(types.StructRef):  # type: ignore[misc]  # numba has no types
+    """The type of `Unpacked` in compiled code."""
 
-    At every call, numba looks up the machine code by the types of all arguments, which takes 5 µs
-    for the arrays of a scene, and much longer for read-only ones. This remembers the machine code
-    for two scenes, which are mostly a simulation's own scene and the one that it shows to agents.
+
+class Unpacked(structref.StructRefProxy):  # type: ignore[misc]
+    """A scene as compiled code holds it, in the one field `scene`.
+
+    To unpack the arrays and the constants of a scene takes 1 µs, which this saves at every call.
     """
 
-    def __init__(self, function: Any) -> None:
-        update_wrapper(self, function)
-        self._function = compiled(function)
-        self._last: tuple[_Known, _Known] = ((lambda: None, 0, {}), (lambda: None, 0, {}))
 
-    def __call__(self, scene: Any, *others: Any) -> Any:
-        recent, earlier = self._last  # read at once, because threads share it
-        if recent[0]() is not scene.x or recent[1] != id(scene):
-            if earlier[0]() is not scene.x or earlier[1] != id(scene):
-                # The position is held weakly, so that this keeps no scene alive.
-                earlier = (weakref.ref(scene.x), id(scene), {})
-            self._last = recent, earlier = earlier, recent
-        codes = recent[2]
-        types = tuple(map(_type, others))
-        if types not in codes:
-            signature = tuple(map(numba.typeof, (scene, *others)))
-            self._function.compile(signature)
-            codes[types] = self._function.overloads[signature].entry_point
-        return codes[types](scene, *others)
+structref.define_proxy(Unpacked, _UnpackedType, ["scene"])
 
 
-_LAYOUT = 0x1 | 0x2 | 0x100 | 0x400
-"""NumPy's flags that decide an array's type: contiguous (C, Fortran), aligned, writable."""
+@compiled
+def unpacked(scene: Any) -> Unpacked:
+    """Unpacks a scene; see `Scene.unpacked`."""
+    return Unpacked(scene)
 
 
-def _type(value: Any) -> Any:
-    """What decides an argument's type in compiled code."""
-    if type(value) is not np.ndarray:
-        return type(value)
-    return value.dtype, value.ndim, value.flags.num & _LAYOUT
+def _of_unpacked(unpacked: Unpacked, *others: Any) -> Any:
+    return _function(unpacked.scene, *others)  # type: ignore[name-defined]  # noqa: F821
 
 
 def compiled_of_scenes(function: F) -> F:
     """Compiles like `compiled` a function of a scene that Python calls often.
 
-    Compiled code cannot call it. A tuple among its arguments must be a named tuple whose fields
-    always have the same types.
+    Compiled code cannot call it.
     """
-    return cast(F, _OfScenes(function))
+    plain: Any = function
+    # The code is said to be in the function's file, so that a change there compiles it again.
+    code = _of_unpacked.__code__.replace(co_filename=plain.__code__.co_filename)
+    entry = update_wrapper(FunctionType(code, {"_function": compiled(function)}), plain)
+    del entry.__wrapped__
+    call = compiled(entry)
+
+    def of_scene(scene: Any, *others: Any) -> Any:
+        return call(scene.unpacked, *others)
+
+    return cast(F, update_wrapper(of_scene, plain))
 
 
 @inlined

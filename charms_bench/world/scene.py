@@ -4,7 +4,7 @@ Lane 0 is the leftmost and its centre is y = 0; y grows to the right, x along th
 heading is positive towards the right. Vehicles keep the order in which they were spawned.
 """
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from charms_bench.errors import suggestion
+from charms_bench.world.compiled import Unpacked, unpacked
 from charms_bench.world.fields import FrozenModel, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.scenario import Scenario
@@ -145,8 +146,8 @@ class SceneSettings(FrozenModel):
         )
 
 
-class Scene(NamedTuple):
-    """B scenes of N vehicles. A driver model may only write `timer_s` of its own vehicles."""
+class _Fields(NamedTuple):
+    """The fields of a `Scene`."""
 
     x: Floats
     """[B, N] centre along the road, m."""
@@ -196,6 +197,18 @@ class Scene(NamedTuple):
     impact: Bools
     """[B, N] whether there is such a displacement."""
     constants: Constants
+
+
+class Scene(_Fields):
+    """B scenes of N vehicles. A driver model may only write `timer_s` of its own vehicles."""
+
+    @cached_property
+    def unpacked(self) -> Unpacked:
+        """The scene for compiled code, which unpacks it once."""
+        return unpacked(self)
+
+    def __getstate__(self) -> None:
+        """A copy of the scene is unpacked anew."""
 
     @classmethod
     def empty(cls, settings: SceneSettings, scenes: int) -> "Scene":
