@@ -103,9 +103,7 @@ class BatchedEngine:
         for agent, model in self._models.items():
             vehicles = self._vehicles[agent, hold_egos]
             if vehicles[0].size:
-                answers = model.drive(self._shown, vehicles)
-                crashed, acceleration = scene.crashed, scene.acceleration
-                kernels.obey(vehicles, answers, crashed, acceleration, scene.target_lane)
+                kernels.obey(scene, vehicles, model.drive(self._shown, vehicles))
         held = self._is_ego if hold_egos else self._nobody
         if self._script is not None:
             self._script.prescribe(scene, np.nonzero(scene.active)[0])

@@ -28,10 +28,11 @@ def vehicle_hit(x: Floats, y: Floats, vehicle: int, c: Constants) -> tuple[int, 
 
 @compiled
 def are_noted(crashed: Bools, collision: Ints) -> bool:
-    """Whether the collisions of all crashed vehicles (M,) are noted."""
+    """Whether the collisions of all crashed vehicles [B, N] are noted."""
+    is_crashed, how = crashed.ravel(), collision.ravel()
     is_missing = False
-    for i in range(crashed.size):
-        is_missing |= crashed[i] & (collision[i] == NO_COLLISION)
+    for i in range(is_crashed.size):
+        is_missing |= is_crashed[i] & (how[i] == NO_COLLISION)
     return not is_missing
 
 

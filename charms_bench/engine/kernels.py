@@ -529,7 +529,7 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
                 target_lane[b, i] = lane
 
 
-@compiled
+@compiled_of_scenes
 def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floats) -> None:
     """Gives the commanded vehicles of new scenes one of the target speeds."""
     for b in rows:
@@ -539,33 +539,32 @@ def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floa
                 scene.target_speed[b, i] = nearest
 
 
+@compiled
+def is_on_own_lane(b: int, i: int, scene: Scene) -> bool:
+    """Whether the centre of vehicle i of scene b is on its lane [`RoadObject.on_road`]."""
+    return is_on_lane(scene.x[b, i], scene.y[b, i], scene.lane[b, i], scene.constants, 0.0)
+
+
 @compiled_of_scenes
 def are_off_road(scene: Scene, rows: Ints, places: Ints) -> Bools:
-    """(M,) whether the centres of M vehicles are outside their lanes [`RoadObject.on_road`]."""
+    """(M,) whether the centres of M vehicles are outside their lanes."""
     off_road = np.empty(rows.size, dtype=np.bool_)
     for m in range(rows.size):
-        b, i = rows[m], places[m]
-        x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
-        off_road[m] = not is_on_lane(x, y, lane, scene.constants, 0.0)
+        off_road[m] = not is_on_own_lane(rows[m], places[m], scene)
     return off_road
 
 
-@compiled
-def obey(
-    vehicles: Vehicles,
-    answered: tuple[Floats, Ints],
-    crashed: Bools,
-    acceleration: Floats,
-    target_lane: Ints,
-) -> None:
+@compiled_of_scenes
+def obey(scene: Scene, vehicles: Vehicles, answered: tuple[Floats, Ints]) -> None:
     """Sets what a driver model answered for its M vehicles.
 
     Crashed vehicles no longer obey [`IDMVehicle.act`].
     """
     (rows, places), (accelerations, lanes) = vehicles, answered
-    is_wreck, wanted, target = crashed.ravel(), acceleration.ravel(), target_lane.ravel()
+    is_wreck, wanted = scene.crashed.ravel(), scene.acceleration.ravel()
+    target = scene.target_lane.ravel()
     for m in range(rows.size):
-        i = index(rows[m] * crashed.shape[1] + places[m])
+        i = index(rows[m] * scene.x.shape[1] + places[m])
         wanted[i] = wanted[i] if is_wreck[i] else accelerations[m]
         target[i] = target[i] if is_wreck[i] else lanes[m]
 

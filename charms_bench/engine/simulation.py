@@ -13,7 +13,7 @@ from charms_bench.engine.collisions import (
     are_noted,
     note_collisions,
 )
-from charms_bench.engine.kernels import are_off_road, vehicles_of
+from charms_bench.engine.kernels import are_off_road, is_on_own_lane, vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -25,7 +25,7 @@ from charms_bench.errors import (
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTION_KINDS, ActionKind, Actions, problem_of
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled, compiled_of_scenes
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -226,8 +226,7 @@ class Simulation:
         """Counts the decision interval and ends the episodes that are over."""
         self.phase = 0
         ends_off_road = self.settings.profile.offroad_terminal and self._egos_end_episodes
-        has_left = self.is_off_road if ends_off_road else np.zeros_like(self.scene.active)
-        _end(self.settings.decisions, has_left, self.steps, self.ending, self.scene.active)
+        _end(self.scene, self.settings.decisions, ends_off_road, self.steps, self.ending)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives M vehicles their meta-actions (M,), or their continuous actions (M, 2)."""
@@ -260,7 +259,7 @@ class Simulation:
     def _note_collisions(self) -> None:
         """Notes how vehicles have just collided, before the wrecks move on."""
         scene = self.scene
-        if are_noted(scene.crashed.ravel(), self.collision.ravel()):
+        if are_noted(scene.crashed, self.collision):
             return
         note_collisions(scene, self.collision)
         if not self._egos_end_episodes:
@@ -304,7 +303,7 @@ class _CheckedModel(DriverModel):
                 answer = self._model.drive(scene, vehicles)
             acceleration, target_lane = np.asarray(answer[0]), np.asarray(answer[1])
             if acceleration.shape == target_lane.shape == vehicles[0].shape:
-                acceleration, target_lane = acceleration.astype(np.float64), target_lane.copy()
+                acceleration = acceleration.astype(np.float64, copy=False)
         except BrokenWordError as error:
             what = str(error)
             raise self._simulation.blame(self._name, vehicles, what, error.vehicle) from error
@@ -326,16 +325,19 @@ class _CheckedModel(DriverModel):
         return acceleration, target_lane
 
 
-@compiled
-def _end(decisions: int, has_left: Bools, steps: Ints, ending: Ints, active: Bools) -> None:
+@compiled_of_scenes
+def _end(scene: Scene, decisions: int, ends_off_road: bool, steps: Ints, ending: Ints) -> None:
     """Counts a decision interval of the active scenes (B,), and ends those that are over."""
-    for b in range(active.size):
-        steps[b] += active[b]
-        if active[b] and ending[b] == RUNNING and steps[b] >= decisions:
+    for b in range(steps.size):
+        if not scene.active[b]:
+            continue
+        steps[b] += 1
+        if ending[b] == RUNNING and steps[b] >= decisions:
             ending[b] = TIME
-        if active[b] and ending[b] in (RUNNING, TIME) and has_left[b]:
+        is_off_road = not is_on_own_lane(b, scene.ego[b], scene)
+        if ends_off_road and is_off_road and ending[b] in (RUNNING, TIME):
             ending[b] = OFF_ROAD
-        active[b] = active[b] and ending[b] == RUNNING
+        scene.active[b] = ending[b] == RUNNING
 
 
 @compiled

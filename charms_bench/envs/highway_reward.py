@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from charms_bench.engine.kernels import is_on_own_lane
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import Actions
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4
@@ -41,7 +41,7 @@ def _rewards(scene: Scene, rows: Ints, places: Ints, rewards: Floats) -> None:
     for m in range(rows.size):
         b, i = rows[m], places[m]
         forward = scene.speed[b, i] * scene.direction_x[b, i]
-        is_on_road = is_on_lane(scene.x[b, i], scene.y[b, i], scene.lane[b, i], c, 0.0)
+        is_on_road = is_on_own_lane(b, i, scene)
         target_lane, crashed = scene.target_lane[b, i], scene.crashed[b, i]
         rewards[m] = highway_reward(forward, target_lane, crashed, not is_on_road, c.lanes)
 

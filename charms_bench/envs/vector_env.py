@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.errors import InputError
@@ -229,10 +229,11 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         rewards = self._reward(simulation, prepared)
         self._returns += rewards
         terminations, truncations = simulation.failed, simulation.truncated
-        ended = terminations | truncations
         observations = self._observe()
         infos: dict[str, Any] = {}
-        if ended.any():
+        ended = simulation.ending != RUNNING
+        rows = np.nonzero(ended)[0]
+        if rows.size:
             values: dict[str, NDArray[Any]] = {
                 "ending": simulation.ending,
                 "steps": simulation.steps,
@@ -240,7 +241,6 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
                 "seed": simulation.seeds,
             }
             infos = final_infos(ended, observations, values)
-            rows = np.nonzero(ended)[0]
             self._start(rows)
             started = (rows, simulation.scene.ego[rows])
             observations[rows] = self._observation(simulation.scene, started)

@@ -104,14 +104,12 @@ class Kinematics(FrozenModel):
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
         """The observations of M vehicles, (M, rows, columns)."""
         rows, places = vehicles
-        nearest = np.full((rows.size, self.vehicles_count), -1)
-        back_m = np.inf if self.see_behind else 2 * scene.constants.length
-        _find_nearest(scene.x, scene.y, rows, places, back_m, nearest)
         observations = np.zeros((rows.size, *self.shape), dtype=np.float32)
         lanes = scene.constants.lanes
         if (columns := self._columns_by_lanes.get(lanes)) is None:
             columns = self._columns_by_lanes[lanes] = self._columns(lanes)
-        _fill(scene, rows, nearest, columns, self.clip, observations)
+        back_m = np.inf if self.see_behind else 2 * scene.constants.length
+        _fill(scene, rows, places, back_m, columns, self.clip, observations)
         return observations
 
     @cached_property
@@ -171,22 +169,23 @@ def _feature(feature: int, b: int, i: int, scene: Scene) -> float:
 def _fill(
     scene: Scene,
     rows: Ints,
-    nearest: Ints,
+    places: Ints,
+    back_m: float,
     columns: Floats,
     is_clipped: bool,
     observations: Observations,
 ) -> None:
-    """Writes the features of the vehicles `nearest` (M, rows); see `Kinematics._columns`."""
+    """Writes what M vehicles see up to `back_m` behind them; see `Kinematics._columns`."""
+    nearest = np.empty(observations.shape[1], dtype=np.int64)
+    distances = np.empty(nearest.size)
     for m in range(rows.size):
-        b = rows[m]
-        for k in range(nearest.shape[1]):
-            if nearest[m, k] < 0:
-                break
+        b, i = rows[m], places[m]
+        for k in range(_find_nearest(scene.x[b], scene.y[b], i, back_m, nearest, distances)):
             for column in range(len(columns)):
                 feature, low, high = int(columns[column, 0]), columns[column, 2], columns[column, 3]
-                value = _feature(feature, b, nearest[m, k], scene)
+                value = _feature(feature, b, nearest[k], scene)
                 if columns[column, 1] and k > 0:
-                    value -= _feature(feature, b, nearest[m, 0], scene)
+                    value -= _feature(feature, b, i, scene)
                 if np.isfinite(low):
                     value = -1 + (value - low) * 2 / (high - low)  # in the order of `utils.lmap`
                     value = clip(value, -1.0, 1.0) if is_clipped else value
@@ -195,31 +194,28 @@ def _fill(
 
 @compiled
 def _find_nearest(
-    x: Floats, y: Floats, rows: Ints, places: Ints, back_m: float, nearest: Ints
-) -> None:
-    """Writes the places of the vehicles in the rows of M vehicles' observations, (M, rows).
+    x: Floats, y: Floats, i: int, back_m: float, nearest: Ints, distances: Floats
+) -> int:
+    """Writes the places of the vehicles in the rows of vehicle i's observation, and counts them.
 
     The first is the vehicle itself, then follow the nearest along the road; of two at the same
-    distance, the one spawned first comes first. Entries without a vehicle stay as they are
-    [`Road.close_objects_to`].
+    distance, the one spawned first comes first [`Road.close_objects_to`].
     """
-    distances = np.empty(nearest.shape[1])
-    for m in range(rows.size):
-        b, i = rows[m], places[m]
-        nearest[m, 0] = i
-        count = 1
-        for j in range(x.shape[1]):
-            ahead, across = x[b, j] - x[b, i], y[b, j] - y[b, i]
-            if j == i or not np.sqrt(ahead * ahead + across * across) < PERCEPTION_M:
-                continue
-            if not -back_m < ahead:
-                continue
-            k = count
-            while k > 1 and abs(ahead) < distances[k - 1]:
-                k -= 1
-            if k == nearest.shape[1]:
-                continue
-            count = min(count + 1, nearest.shape[1])
-            for later in range(count - 1, k, -1):
-                nearest[m, later], distances[later] = nearest[m, later - 1], distances[later - 1]
-            nearest[m, k], distances[k] = j, abs(ahead)
+    nearest[0] = i
+    count = 1
+    for j in range(x.size):
+        ahead, across = x[j] - x[i], y[j] - y[i]
+        if j == i or not np.sqrt(ahead * ahead + across * across) < PERCEPTION_M:
+            continue
+        if not -back_m < ahead:
+            continue
+        k = count
+        while k > 1 and abs(ahead) < distances[k - 1]:
+            k -= 1
+        if k == nearest.size:
+            continue
+        count = min(count + 1, nearest.size)
+        for later in range(count - 1, k, -1):
+            nearest[later], distances[later] = nearest[later - 1], distances[later - 1]
+        nearest[k], distances[k] = j, abs(ahead)
+    return count
