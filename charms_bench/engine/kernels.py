@@ -22,7 +22,7 @@ from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Ac
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index, not_zero
 from charms_bench.world.lanes import is_near_lane, is_on_lane, is_on_length, is_reachable
 from charms_bench.world.profile import Constants
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 BLOCK_VEHICLES = 1024
 """Vehicles of a block, unless one scene has more."""
@@ -555,12 +555,11 @@ def are_off_road(scene: Scene, rows: Ints, places: Ints) -> Bools:
 
 
 @compiled_of_scenes
-def obey(scene: Scene, vehicles: Vehicles, answered: tuple[Floats, Ints]) -> None:
+def obey(scene: Scene, rows: Ints, places: Ints, accelerations: Floats, lanes: Ints) -> None:
     """Sets what a driver model answered for its M vehicles.
 
     Crashed vehicles no longer obey [`IDMVehicle.act`].
     """
-    (rows, places), (accelerations, lanes) = vehicles, answered
     is_wreck, wanted = scene.crashed.ravel(), scene.acceleration.ravel()
     target = scene.target_lane.ravel()
     for m in range(rows.size):

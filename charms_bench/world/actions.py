@@ -6,6 +6,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.world.compiled import compiled
+
 ActionKind = Literal["meta", "continuous"]
 """`meta`: one index into `ACTIONS` per vehicle. `continuous`: an acceleration and a steering angle
 per vehicle, each as a share of its range, from -1 to 1 [highway-env's `ContinuousAction`]."""
@@ -57,12 +59,19 @@ def problem_of(actions: NDArray[Any], kind: ActionKind, vehicles: int) -> tuple[
         found = f"{actions.dtype} of shape {actions.shape}"
         return f"{found}; expected {types} of shape {expected_shape}", 0
     if kind == "meta":
-        wrong = (actions < 0) | (actions >= len(ACTIONS))
+        first = _first_unknown(actions.astype(np.int64, copy=False))
         expected = f"0 to {len(ACTIONS) - 1}"
     else:
         wrong = ~(np.abs(actions) <= 1).all(axis=1)
+        first = int(wrong.argmax()) if wrong.any() else -1
         expected = "an acceleration and a steering angle from -1 to 1"
-    if not wrong.any():
-        return "", 0
-    first = int(wrong.argmax())
-    return f"action {actions[first]}; expected {expected}", first
+    return (f"action {actions[first]}; expected {expected}", first) if first >= 0 else ("", 0)
+
+
+@compiled
+def _first_unknown(actions: NDArray[np.int64]) -> int:
+    """The index of the first of the meta-actions (M,) that does not exist, or -1."""
+    for m in range(actions.size):
+        if not 0 <= actions[m] < len(ACTIONS):
+            return m
+    return -1
