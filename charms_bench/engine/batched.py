@@ -103,7 +103,8 @@ class BatchedEngine:
         for agent, model in self._models.items():
             vehicles = self._vehicles[agent, hold_egos]
             if vehicles[0].size:
-                kernels.obey(scene, *vehicles, *model.drive(self._shown, vehicles))
+                answers = model.drive(self._shown, vehicles)
+                kernels.obey(scene, vehicles[0], vehicles[1], *answers)
         held = self._is_ego if hold_egos else self._nobody
         if self._script is not None:
             self._script.prescribe(scene, np.nonzero(scene.active)[0])

@@ -542,7 +542,8 @@ def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floa
 @compiled
 def is_on_own_lane(b: int, i: int, scene: Scene) -> bool:
     """Whether the centre of vehicle i of scene b is on its lane [`RoadObject.on_road`]."""
-    return is_on_lane(scene.x[b, i], scene.y[b, i], scene.lane[b, i], scene.constants, 0.0)
+    x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
+    return bool(is_on_lane(x, y, lane, scene.constants, 0.0))
 
 
 @compiled_of_scenes

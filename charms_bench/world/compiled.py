@@ -25,27 +25,29 @@ def inlined(function: F) -> F:
 
 
 @structref.register
-class _UnpackedType(types.StructRef):  # type: ignore[misc]  # numba has no types
+class _UnpackedType(types.StructRef):
     """The type of `Unpacked` in compiled code."""
 
 
-class Unpacked(structref.StructRefProxy):  # type: ignore[misc]
+class Unpacked(structref.StructRefProxy):
     """A scene as compiled code holds it, in the one field `scene`.
 
-    To unpack the arrays and the constants of a scene takes 1 µs, which this saves at every call.
+    At every call, numba looks up the types of all arrays and constants of a scene and unpacks them,
+    which takes 6 µs. Of this object, it unpacks one pointer.
     """
 
 
-structref.define_proxy(Unpacked, _UnpackedType, ["scene"])
+structref.define_proxy(Unpacked, _UnpackedType, ["scene"])  # type: ignore[no-untyped-call]
 
 
 @compiled
 def unpacked(scene: Any) -> Unpacked:
     """Unpacks a scene; see `Scene.unpacked`."""
-    return Unpacked(scene)
+    return Unpacked(scene)  # type: ignore[no-untyped-call]
 
 
-def _of_unpacked(unpacked: Unpacked, *others: Any) -> Any:
+def _call(unpacked: Any, *others: Any) -> Any:
+    """What Python calls instead of `_function`, which `compiled_of_scenes` fills in."""
     return _function(unpacked.scene, *others)  # type: ignore[name-defined]  # noqa: F821
 
 
@@ -55,9 +57,9 @@ def compiled_of_scenes(function: F) -> F:
     Compiled code cannot call it.
     """
     plain: Any = function
-    # The code is said to be in the function's file, so that a change there compiles it again.
-    code = _of_unpacked.__code__.replace(co_filename=plain.__code__.co_filename)
-    entry = update_wrapper(FunctionType(code, {"_function": compiled(function)}), plain)
+    # numba's cache finds this file by it, and compiles again when the file has changed.
+    code = _call.__code__.replace(co_filename=plain.__code__.co_filename)
+    entry: Any = update_wrapper(FunctionType(code, {"_function": compiled(function)}), plain)
     del entry.__wrapped__
     call = compiled(entry)
 

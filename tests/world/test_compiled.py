@@ -1,7 +1,9 @@
 """Compiled functions of a scene: they remember machine code, and never use it for other types."""
 
 import gc
+import pickle
 import weakref
+from copy import deepcopy
 
 import numpy as np
 
@@ -45,6 +47,14 @@ def test_a_scene_with_an_array_of_another_type_is_looked_up_again() -> None:
     assert _sum(scene, numbers, 1.0) == 4.5
     assert _sum(scene._replace(x=scene.x.astype(np.float32)), numbers, 1.0) == 4.5
     assert _sum(scene._replace(x=np.asfortranarray(scene.x)[:, ::2]), numbers, 1.0) == 4.5
+
+
+def test_a_copy_of_a_scene_is_another_argument() -> None:
+    scene, numbers = _scene(1.0), np.zeros(1)
+    assert _sum(scene, numbers, 1.0) == 4
+    for copy in (deepcopy(scene), pickle.loads(pickle.dumps(scene)), scene._replace()):
+        copy.x[0, 0] = 2.0
+        assert _sum(copy, numbers, 1.0) == 5
 
 
 def test_no_scene_is_kept_alive() -> None:
