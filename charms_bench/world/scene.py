@@ -210,6 +210,9 @@ class Scene(_Fields):
     def __getstate__(self) -> None:
         """A copy of the scene is unpacked anew."""
 
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"scene.{name} cannot be set; a scene is read-only")
+
     @classmethod
     def empty(cls, settings: SceneSettings, scenes: int) -> "Scene":
         """Some scenes, all zeros; an engine fills them."""

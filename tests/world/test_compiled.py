@@ -6,6 +6,7 @@ import weakref
 from copy import deepcopy
 
 import numpy as np
+import pytest
 
 from charms_bench.world.compiled import compiled_of_scenes
 from charms_bench.world.scene import Floats, Scene, SceneSettings
@@ -64,3 +65,11 @@ def test_no_scene_is_kept_alive() -> None:
     del scene
     gc.collect()
     assert position() is None
+
+
+def test_nothing_can_be_set_on_a_scene() -> None:
+    scene, other = _scene(1.0), _scene(2.0)
+    for name in ("unpacked", "x", "note"):
+        with pytest.raises(AttributeError):
+            setattr(scene, name, other.unpacked)
+    assert _sum(scene, np.zeros(1), 1.0) == 4
