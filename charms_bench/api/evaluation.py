@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.results import Run
@@ -15,9 +14,6 @@ from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import check_networks, suite_of
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(

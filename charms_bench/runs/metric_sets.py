@@ -14,7 +14,7 @@ import polars as pl
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, InputError, RegistryError
-from charms_bench.metrics import METRIC_SETS, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, Metric, MetricSet, sums_by_episode
 from charms_bench.plugins.registry import METRICS, load
 from charms_bench.runs.options import name_and_options
 from charms_bench.world.scene import SceneSettings
@@ -70,18 +70,25 @@ def _try_out(metric_set: MetricSet) -> None:
     for name in names:
         if names.count(name) > 1:
             raise RegistryError(f"metric set '{metric_set.name}': two metrics named '{name}'")
-    head = dict.fromkeys(EPISODE_SCHEMA, 0) | {"ending": "time", "steps": 1}
-    episodes = pl.DataFrame([head], schema=EPISODE_SCHEMA)
-    steps = pl.DataFrame([dict.fromkeys(STEP_SCHEMA, 0) | {"step": 1}], schema=STEP_SCHEMA)
+    if not _problem_of(metric_set.metrics):
+        return
     for metric in metric_set.metrics:
-        try:
-            (sums,) = sums_by_episode([metric], episodes, steps, SceneSettings())
-            value = metric.value(sums)
-            problem = "" if np.shape(value) == (1,) else f"value has shape {np.shape(value)}"
-        except PLUGIN_ERRORS as error:
-            problem = f"{type(error).__name__}: {error}".splitlines()[0]
-        if problem:
+        if problem := _problem_of([metric]):
             raise RegistryError(
                 f"metric set '{metric_set.name}': {metric.name}: {problem}; expected sums of an "
                 "episode's rows, and a value of shape (...) of totals (..., k)"
             )
+
+
+def _problem_of(metrics: Sequence[Metric]) -> str:
+    """Returns what is wrong with some metrics, in words; empty if nothing is."""
+    head = dict.fromkeys(EPISODE_SCHEMA, 0) | {"ending": "time", "steps": 1}
+    episodes = pl.DataFrame([head], schema=EPISODE_SCHEMA)
+    steps = pl.DataFrame([dict.fromkeys(STEP_SCHEMA, 0) | {"step": 1}], schema=STEP_SCHEMA)
+    try:
+        every = sums_by_episode(metrics, episodes, steps, SceneSettings())
+        values = [metric.value(sums) for metric, sums in zip(metrics, every, strict=True)]
+    except PLUGIN_ERRORS as error:
+        return f"{type(error).__name__}: {error}".splitlines()[0]
+    shapes = [np.shape(value) for value in values]
+    return next((f"value has shape {shape}" for shape in shapes if shape != (1,)), "")
