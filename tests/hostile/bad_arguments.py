@@ -135,7 +135,7 @@ WORDS: tuple[Sequence[str], ...] = (
     ("verify", "--seed", "9" * 30),
     ("verify", "--seed", str(2**64 - 1), "--episodes", "2"),
     ("bench", "--vehicles", "1"),
-    ("bench", "--vehicles", "501"),
+    ("bench", "--vehicles", "2002"),
     ("bench", "--seconds", "nan"),
     ("bench", "--seconds", "inf"),
     ("bench", "--seconds", "0"),
