@@ -56,7 +56,7 @@ def rare(
         event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
         output: The folder; by default `runs/NAME-rare-EVENT`.
         runs: Independent runs per cell, 5 to 1,000; more runs give a narrower interval.
-        samples: Episodes per level of a run, a multiple of 10 from 100.
+        samples: Episodes per level of a run, a multiple of 10, at least 100.
         seed: Seed of all random draws, instead of the suite's.
         workers: Processes; by default one per core.
         notice: Called with messages about problems that were solved, such as a worker that died.

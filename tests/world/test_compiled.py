@@ -1,4 +1,4 @@
-"""Compiled functions of a scene: they remember machine code, and never use it for other types."""
+"""Compiled functions of a scene: they see the arrays of the scene that they are given."""
 
 import gc
 import pickle
@@ -43,7 +43,7 @@ def test_another_scene_is_another_argument() -> None:
     assert _sum(shown, numbers, 1.0) == 10
 
 
-def test_a_scene_with_an_array_of_another_type_is_looked_up_again() -> None:
+def test_a_scene_can_have_an_array_of_another_type() -> None:
     scene, numbers = _scene(1.5), np.zeros(1)
     assert _sum(scene, numbers, 1.0) == 4.5
     assert _sum(scene._replace(x=scene.x.astype(np.float32)), numbers, 1.0) == 4.5
