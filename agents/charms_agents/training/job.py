@@ -36,6 +36,7 @@ _OPTIONS = {
     "safe_in_both_lanes",
     "lane_change_cost",
     "failure_reward",
+    "validation",
 }
 """The settings of a stage that the paper lacks."""
 
@@ -108,7 +109,7 @@ def reinforcement_job(
     first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
-    options = stage.model_dump(include=_OPTIONS, exclude_defaults=True)
+    options = stage.model_dump(mode="json", include=_OPTIONS, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     inputs = {
         "stage": name,

@@ -1,9 +1,10 @@
-"""What a network sees while it drives, which fine-tuning rehearses so as not to forget it."""
+"""A network drives episodes: for fine-tuning to rehearse, and for validation."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.nn import Sequential
 
 from charms_bench.engine.simulation import Simulation
@@ -36,16 +37,37 @@ def own_driving(
     """
     simulation = Simulation(scene, EPISODES, None, traffic, drivers)
     simulation.reset(np.arange(first_seed, first_seed + EPISODES, dtype=np.uint64))
-    rng, seen = np.random.default_rng(first_seed), []
+    rng = np.random.default_rng(first_seed)
+
+    def explore(best: NDArray[np.int64]) -> NDArray[np.int64]:
+        explores = rng.random(best.size) < EXPLORATION
+        return np.where(explores, rng.integers(len(ACTIONS), size=best.size), best)
+
+    return np.concatenate(list(drive(network, simulation, explore)))
+
+
+def drive(
+    network: Sequential,
+    simulation: Simulation,
+    explore: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda best: best,
+) -> Iterator[Observations]:
+    """Drives the egos of a simulation to the end of all episodes.
+
+    Args:
+        network: Takes plain observations.
+        simulation: Its egos must have no agent.
+        explore: Turns the network's actions (K,) of one decision into those that are taken.
+
+    Yields:
+        After each step, the observations (K, 7, 5) of the K egos that decided.
+    """
     running = simulation.scene.active
     while running.any():
         rows = np.flatnonzero(running)
         observations = neighbours(simulation.scene, (rows, simulation.scene.ego[rows]))
         with torch.no_grad():
             best = network(torch.from_numpy(observations).flatten(1)).numpy().argmax(axis=1)
-        explores = rng.random(rows.size) < EXPLORATION
-        actions = np.zeros(EPISODES, dtype=np.int64)
-        actions[rows] = np.where(explores, rng.integers(len(ACTIONS), size=rows.size), best)
+        actions = np.zeros(running.size, dtype=np.int64)
+        actions[rows] = explore(best)
         simulation.step(actions)
-        seen.append(observations)
-    return np.concatenate(seen)
+        yield observations

@@ -14,10 +14,8 @@ from torch.nn import Sequential
 from charms_agents.training.curve import Point, point_of
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.network import Arrays
-from charms_agents.training.settings import (
-    Stage,
-    TrainingSuite,
-)
+from charms_agents.training.settings import Stage, TrainingSuite
+from charms_agents.training.validation import Keeper
 from charms_bench.engine.state_file import check_state
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
@@ -77,6 +75,7 @@ class Reinforcement(BaseCallback):
             device="cpu",
         )
         self._agent.set_logger(Logger(None, []))  # by default it would write a folder
+        self._keeper = stage.validation and Keeper(stage.validation, stage.scene, stage.steps)
         self._pause: Callable[[], None] = lambda: None
 
     @property
@@ -86,8 +85,9 @@ class Reinforcement(BaseCallback):
 
     @property
     def network(self) -> Sequential:
-        """The network so far."""
-        return self._agent.network
+        """The network that is kept if the training ends now."""
+        kept = self._keeper.network if self._keeper else None
+        return kept or self._agent.network
 
     @property
     def observations(self) -> Observations:
@@ -106,11 +106,11 @@ class Reinforcement(BaseCallback):
                 log_interval=None,  # type: ignore[arg-type]  # which it allows
                 reset_num_timesteps=False,
             )
-        self._close_point_when_due()
+        self._measure()
 
     def _on_rollout_start(self) -> None:
         # Between two rollouts, the arrays of a checkpoint are complete.
-        self._close_point_when_due()
+        self._measure()
         self._pause()
 
     def _on_step(self) -> bool:
@@ -119,16 +119,19 @@ class Reinforcement(BaseCallback):
                 self._ended.append(info["final_info"])
         return True
 
-    def _close_point_when_due(self) -> None:
+    def _measure(self) -> None:
+        """Adds a point to the curve and validates the network, if either is due."""
         last = self.curve[-1].steps if self.curve else 0
         if self.done - last >= self._curve_steps:
             agent = self._agent
             self.curve.append(point_of(self._ended, self.done, agent.loss, agent.exploration_rate))
             self._ended = []
+        if self._keeper and self._keeper.due(self.done):
+            self._keeper.show(self._agent.network, self.done)
 
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
-        arrays = self._agent.arrays()
+        arrays = self._agent.arrays() | (self._keeper.arrays() if self._keeper else {})
         episodes = self._episodes.get_state()
         arrays["episodes/next_seed"] = np.array(episodes.next_seed)
         arrays["episodes/returns"] = episodes.returns
@@ -143,6 +146,8 @@ class Reinforcement(BaseCallback):
         curve = json.loads(str(arrays["curve"]))
         self.curve, self._ended = [Point(**point) for point in curve["points"]], curve["ended"]
         self._agent.load_arrays(arrays)
+        if self._keeper:
+            self._keeper.load_arrays(arrays)
         own = self._episodes.get_state().scenes
         scenes = own.with_arrays({name: arrays[f"scenes/{name}"] for name in own.arrays()})
         check_state(scenes)
@@ -158,8 +163,10 @@ class Reinforcement(BaseCallback):
             best = max(points, key=lambda point: point.return_mean or 0.0)
             chosen = {"first": points[0], "best": best, "last": points[-1]}
             curve = {name: asdict(point) for name, point in chosen.items()}
+        kept = self._keeper and self._keeper.kept
         return {
             "gradient_steps": self._agent._n_updates,
             "curve": curve,
+            **({"kept": kept and asdict(kept)} if self._keeper else {}),
             "steps_per_s": round(self.done / wall_s, 1),
         }

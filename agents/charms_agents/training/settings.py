@@ -29,6 +29,8 @@ FIRST_TRAINING_SEED = 2**40
 """Trainings use seeds from here on; evaluations use seeds below 10^9, so none coincide."""
 EPISODES_OF_A_SEED = 2**32
 """The seed of training episode k is FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED + k."""
+FIRST_VALIDATION_SEED = 950_000_000
+"""Seed of the first validation episode of every training; evaluation suites use other seeds."""
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -36,6 +38,28 @@ Width = Annotated[int, Field(ge=1, le=4096)]
 """Number of neurons in a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**23)]
+
+
+class Validation(FrozenModel):
+    """Which network a stage keeps, of those that it has at the end of its training.
+
+    Each of these networks drives the ego of the same validation episodes. The stage keeps the
+    fastest network within both limits. If no network is within both, it keeps the one with the
+    fewest crashed episodes above their limit; among equals, the smallest `ttc_below_3s` above its
+    limit.
+    """
+
+    last_steps: Count
+    """Steps at the end of the training whose networks are compared."""
+    every_steps: Count
+    """Steps between two compared networks."""
+    episodes: Annotated[int, Field(ge=1, le=10_000)]
+    traffic: TrafficSpec
+    """The traffic of the validation episodes; their scene is the stage's."""
+    ttc_below_3s: Share
+    """Limit of the metric of this name in the set `paper`."""
+    crashed_episodes: Share
+    """Limit of the share of episodes crashed."""
 
 
 class Hyperparameters(FrozenModel):
@@ -156,6 +180,8 @@ class Stage(FrozenModel):
     """Cost of a decision to change lanes; 0 in the paper."""
     failure_reward: Annotated[float, Field(ge=-1e6, le=0)] = FAILURE
     """Reward of the decision in which the ego crashes or leaves the road."""
+    validation: Validation | None = None
+    """Which network is kept; by default the last one."""
 
     def reward(self, weights: Weights) -> StyleReward:
         """The reward of this stage with the weights that it names."""
@@ -300,7 +326,10 @@ def load_training(path: Path) -> TrainingSuite:
             there = f"this file has: {', '.join(suite.variants) or 'none'}"
             raise document.error((*at, "variant"), f"no variant named '{stage.variant}'; {there}")
         scenes = suite.hyperparameters_of(stage).scenes
-        for steps, where in ((stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))):
+        counts = [(stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))]
+        if stage.validation is not None:
+            counts.append((stage.validation.every_steps, (*at, "validation", "every_steps")))
+        for steps, where in counts:
             if steps % scenes:
                 raise document.error(where, f"{steps} is not a multiple of scenes {scenes}")
         if stage.weights not in suite.weights:
