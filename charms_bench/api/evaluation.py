@@ -1,7 +1,9 @@
 """Runs a suite."""
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.results import Run
@@ -10,10 +12,14 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.people.reference import read_references
 from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
+from charms_bench.runs.cells import CellRows
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
-from charms_bench.runs.suite import check_networks, suite_of
+from charms_bench.runs.suite import Suite, check_networks, suite_of
+
+if TYPE_CHECKING:
+    from charms_bench.report.run_files import MeasuredCell
 
 
 def run(
@@ -71,6 +77,12 @@ def run(
         from charms_bench.runs.cluster import on_cluster
 
         on_dask = on_cluster(cluster)
+    behind = ThreadPoolExecutor(1)  # more threads would need more memory
+    cells: dict[int, Future[MeasuredCell]] = {}
+
+    def measure_behind(index: int, rows: CellRows) -> None:
+        cells[index] = behind.submit(_measure, loaded, rows)
+
     try:
         with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
             finished = runner.run(
@@ -83,13 +95,23 @@ def run(
                 shard_limit_s or SHARD_LIMIT_S,
                 notice,
                 on_dask,
+                measure_behind,
             )
         from charms_bench.report.run_files import write_run
 
         with locked(folder):
             following = finished.following() if references else []
-            write_run(loaded, folder, finished.cells(), following, references)
+            measured = [cells[index].result() for index in sorted(cells)]
+            write_run(loaded, folder, measured, following, references)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"finished shards are in {folder}")
         raise
+    finally:
+        behind.shutdown(wait=False, cancel_futures=True)
     return Run(finished, loaded.folder)
+
+
+def _measure(suite: Suite, rows: CellRows) -> "MeasuredCell":
+    from charms_bench.report.run_files import measure  # takes a while, so not before the workers
+
+    return measure(suite, rows)

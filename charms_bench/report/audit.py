@@ -40,10 +40,10 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     except CharmsBenchError as error:
         references = []
         yield Finding("tables", f"tables/{suite.suite}-realism.csv", "unknown", str(error))
-    cells = run.cells()
     try:
         sets = _stored_sets(folder / "tables" / f"{suite.suite}.csv")
         following = run.following() if references else []
+        cells = [run_files.measure(suite, rows, sets) for rows in run.cells()]
         made = run_files.run_tables(suite, cells, following, references, sets)
     except CharmsBenchError as error:
         yield Finding("tables", "", "unknown", f"cannot be computed again: {error}")

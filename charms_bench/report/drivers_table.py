@@ -3,7 +3,6 @@
 A mixed traffic has a row per agent, so the table shows what each driving style contributes.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -27,21 +26,20 @@ _SUMS = [each.cast(pl.Float64) for metric in OF_DRIVERS for each in metric.sums]
 _ENDS = np.cumsum([len(metric.sums) for metric in OF_DRIVERS])[:-1]
 
 
-def drivers_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
-    """The metrics of every driver of every cell with 95 % intervals, the ego first.
+def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
+    """The part of one cell in the table's long frame, the ego first.
 
     The suite's seed is that of the resamples.
     """
+    sums = _sums(cell)
+    metrics = OF_DRIVERS * len(sums)
+    every = [each for of_driver in sums.values() for each in of_driver]
+    estimates = estimate(metrics, every, np.random.default_rng(suite.seed))
     records = []
-    for cell in cells:
-        sums = _sums(cell)
-        metrics = OF_DRIVERS * len(sums)
-        every = [each for of_driver in sums.values() for each in of_driver]
-        estimates = estimate(metrics, every, np.random.default_rng(suite.seed))
-        for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
-            numbers = (found.value, found.low, found.high, found.n)
-            records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
-    return from_frame(long_frame(records, KEYS, LONG), suite)
+    for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
+        numbers = (found.value, found.low, found.high, found.n)
+        records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
+    return long_frame(records, KEYS, LONG)
 
 
 def _sums(cell: CellRows) -> dict[str, list[Floats]]:
@@ -61,7 +59,7 @@ def _sums(cell: CellRows) -> dict[str, list[Floats]]:
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
-    """The table of drivers from its long frame."""
+    """The metrics of every driver of every cell with 95 % intervals, from the long frame."""
     known = columns_of(MetricSet("drivers", 1, OF_DRIVERS))
 
     def column(_: str, metric: str) -> Column:

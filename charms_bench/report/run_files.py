@@ -1,11 +1,14 @@
 """Writes the tables and figures of a run into its folder."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+
+import polars as pl
 
 from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import Reference
-from charms_bench.report.drivers_table import drivers_table
+from charms_bench.report import drivers_table, suite_table
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -15,7 +18,7 @@ from charms_bench.report.markdown import document, markdown
 from charms_bench.report.pairs_table import guessed, pairs_table
 from charms_bench.report.preventable_table import preventable_table
 from charms_bench.report.realism_table import TITLE, realism_table
-from charms_bench.report.suite_table import matrices, suite_table
+from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
@@ -23,10 +26,29 @@ from charms_bench.statistics.intervals import wilson
 from charms_bench.world.files import write_bytes
 
 
+@dataclass(frozen=True)
+class MeasuredCell:
+    """A cell, and its parts of the tables that take longest to compute."""
+
+    rows: CellRows
+    metrics: pl.DataFrame
+    """Its part of `suite_table`."""
+    drivers: pl.DataFrame
+    """Its part of `drivers_table`."""
+
+
+def measure(
+    suite: Suite, rows: CellRows, metric_sets: Sequence[MetricSet] = METRIC_SETS
+) -> MeasuredCell:
+    """Computes what can be computed of one cell before the others are finished."""
+    metrics = suite_table.part_of(suite, rows, metric_sets)
+    return MeasuredCell(rows, metrics, drivers_table.part_of(suite, rows))
+
+
 def write_run(
     suite: Suite,
     folder: Path,
-    cells: Sequence[CellRows],
+    cells: Sequence[MeasuredCell],
     following: Sequence[TrafficCounts],
     references: Sequence[Reference],
 ) -> None:
@@ -39,7 +61,8 @@ def write_run(
     for table, introduction in tables:
         write_table(folder, table, introduction)
     table, figures, name = tables[0][0], folder / "figures", suite.suite
-    if suite.preventable_by is not None and (figure := draw_preventable(suite, cells)):
+    rows = [cell.rows for cell in cells]
+    if suite.preventable_by is not None and (figure := draw_preventable(suite, rows)):
         save(figure, figures / f"{name}-preventable.png")
     if len(cells) > 1:
         save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
@@ -55,21 +78,27 @@ def write_run(
 
 def run_tables(
     suite: Suite,
-    cells: Sequence[CellRows],
+    cells: Sequence[MeasuredCell],
     following: Sequence[TrafficCounts],
     references: Sequence[Reference],
     metric_sets: Sequence[MetricSet] = METRIC_SETS,
 ) -> list[tuple[Table, Sequence[str]]]:
-    """The tables that a suite calls for, the one of metrics first, each with its introduction."""
+    """The tables that a suite calls for, the one of metrics first, each with its introduction.
+
+    `metric_sets` are those that the cells were measured with.
+    """
+    metrics = pl.concat(cell.metrics for cell in cells)
+    drivers = pl.concat(cell.drivers for cell in cells)
     made: list[tuple[Table, Sequence[str]]] = [
-        (suite_table(suite, cells, metric_sets), ()),
-        (drivers_table(suite, cells), ()),
+        (suite_table.from_frame(metrics, suite, metric_sets), ()),
+        (drivers_table.from_frame(drivers, suite), ()),
     ]
+    rows = [cell.rows for cell in cells]
     if suite.pairs:
-        pairs = pairs_table(suite, cells)
-        made.append((pairs, _pairs_summary(pairs, *guessed(suite, cells), len(suite.egos))))
+        pairs = pairs_table(suite, rows)
+        made.append((pairs, _pairs_summary(pairs, *guessed(suite, rows), len(suite.egos))))
     if suite.preventable_by is not None:
-        made.append((preventable_table(suite, cells), ()))
+        made.append((preventable_table(suite, rows), ()))
     if references:
         realism = realism_table(suite, following, references)
         made.append((realism, [_described(each) for each in references]))

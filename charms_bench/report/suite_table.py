@@ -8,7 +8,7 @@ import polars as pl
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.report.definitions import columns_of, installed_column
-from charms_bench.report.table import Column, Number, Row, Table, long_frame
+from charms_bench.report.table import Number, Row, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
@@ -42,31 +42,40 @@ def suite_table(
     The suite's seed is that of the resamples, which are the same for cells with the same number of
     episodes.
     """
+    frame = pl.concat(part_of(suite, cell, metric_sets) for cell in cells)
+    return from_frame(frame, suite, metric_sets)
+
+
+def part_of(
+    suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet] = METRIC_SETS
+) -> pl.DataFrame:
+    """The part of one cell in the table's long frame; see `suite_table`."""
+    metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
+    names = [(each.label, metric.name) for each in metric_sets for metric in each.metrics]
+    sums = cell.sums(metrics, suite.scene)
+    estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
+    records = []
+    for (label, metric), found in zip(names, estimates, strict=True):
+        paper = cell.paper.get(metric) if label == PAPER.label else None
+        numbers = (found.value, found.low, found.high, found.n, paper)
+        records.append((cell.agent, cell.traffic, label, metric, *numbers))
+    return long_frame(records, KEYS, LONG)
+
+
+def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSet] = ()) -> Table:
+    """The table of a suite from its long frame.
+
+    Without metric sets, the definitions of its columns are those of the installed sets.
+    """
     described = [each for found in metric_sets for each in columns_of(found).values()]
     columns = {(each.group, each.name): each for each in described}
-    metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
-    records = []
-    for cell in cells:
-        sums = cell.sums(metrics, suite.scene)
-        estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
-        for (label, metric), found in zip(columns, estimates, strict=True):
-            paper = cell.paper.get(metric) if label == PAPER.label else None
-            numbers = (found.value, found.low, found.high, found.n, paper)
-            records.append((cell.agent, cell.traffic, label, metric, *numbers))
-    return from_frame(long_frame(records, KEYS, LONG), suite, columns)
-
-
-def from_frame(
-    frame: pl.DataFrame, suite: Suite, columns: dict[tuple[str, str], Column] | None = None
-) -> Table:
-    """The table of a suite from its long frame; definitions are those of installed metric sets."""
     return Table.from_frame(
         frame,
         suite.suite,
         suite.title or suite.suite,
         KEYS,
         LONG,
-        installed_column if columns is None else lambda *names: columns[names],
+        (lambda *names: columns[names]) if columns else installed_column,
         reference="paper",
     )
 

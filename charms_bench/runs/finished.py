@@ -22,21 +22,23 @@ class FinishedRun:
     shards: tuple[Shard, ...]
 
     def cells(self) -> list[CellRows]:
-        """Returns the rows of every cell, which are read when they are needed.
+        """Returns the rows of every cell; see `cell`."""
+        return [self.cell(index) for index in range(len(self.suite.cells))]
+
+    def cell(self, index: int) -> CellRows:
+        """Returns the rows of one cell, which are read when they are needed.
 
         Reading raises a `RunFolderError` if a file is missing or has changed since it was written.
         """
-        return [
-            CellRows(
-                agent=cell.ego.title,
-                traffic=cell.traffic.title,
-                size=self.suite.episodes,
-                parts=self._parts(index, "episodes", "steps"),
-                drivers=self._parts(index, "drivers"),
-                paper=cell.paper,
-            )
-            for index, cell in enumerate(self.suite.cells)
-        ]
+        cell = self.suite.cells[index]
+        return CellRows(
+            agent=cell.ego.title,
+            traffic=cell.traffic.title,
+            size=self.suite.episodes,
+            parts=self._parts(index, "episodes", "steps"),
+            drivers=self._parts(index, "drivers"),
+            paper=cell.paper,
+        )
 
     def following(self) -> list[TrafficCounts]:
         """Returns what the vehicles of every cell did while they followed a leader.

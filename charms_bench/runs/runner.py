@@ -1,6 +1,7 @@
 """Runs a suite: splits cells into shards, has workers simulate them, and keeps their rows."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from functools import partial
@@ -10,6 +11,7 @@ from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
 from charms_bench.plugins.specs import networks_of
+from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.folder import RunFolder, Shard
 from charms_bench.runs.shard import (
@@ -53,6 +55,7 @@ def run(
     shard_limit_s: float = SHARD_LIMIT_S,
     notice: Notice = lambda what: None,
     cluster: SimulateAll | None = None,
+    on_cell: Callable[[int, CellRows], None] = lambda index, rows: None,
 ) -> FinishedRun:
     """Runs a suite in the folder `output`; finished shards in it are not simulated again.
 
@@ -67,6 +70,7 @@ def run(
         notice: Called with a message about what went wrong and was put right.
         cluster: Simulates the shards on a cluster and not in processes on this machine; see
             `cluster.on_cluster`.
+        on_cell: Called for every cell that is finished, with its index and its rows.
 
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
@@ -85,10 +89,19 @@ def run(
             folder.keep_network(path, agents[name]["weights_sha256"])
         if rows is not None:
             folder.take(tasks, rows)
+        run = FinishedRun(suite, folder, tuple(tasks))
+        unfinished = Counter(shard.cell for shard in tasks)
+
+        def finish(shard: Shard) -> None:
+            progress(suite.cells[shard.cell], shard.episodes)
+            unfinished[shard.cell] -= 1
+            if not unfinished[shard.cell]:
+                on_cell(shard.cell, run.cell(shard.cell))
+
         missing: dict[ShardTask, Shard] = {}
         for shard, task in tasks.items():
             if folder.is_whole(shard):
-                progress(suite.cells[shard.cell], shard.episodes)
+                finish(shard)
                 continue
             missing[task] = shard
             if folder.has(shard):
@@ -98,12 +111,12 @@ def run(
             try:
                 for task, files in finished:
                     folder.write(missing[task], files)
-                    progress(suite.cells[missing[task].cell], task.episodes)
+                    finish(missing[task])
             except CharmsBenchError as error:
                 error.add_note(f"finished shards are in {output}; the same command continues there")
                 raise
         folder.drop_others(tasks)
-    return FinishedRun(suite, folder, tuple(tasks))
+    return run
 
 
 def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:

@@ -10,7 +10,7 @@ from command_line import charms_bench
 from charms_bench import open_run
 from charms_bench.engine.columns import DRIVER_SCHEMA
 from charms_bench.metrics.conduct import OF_DRIVERS
-from charms_bench.report.drivers_table import drivers_table
+from charms_bench.report.drivers_table import from_frame, part_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 
@@ -34,7 +34,7 @@ PARTS = [
 def table() -> dict[tuple[str, str], dict[str, Any]]:
     drivers = [(pl.DataFrame(part, schema=DRIVER_SCHEMA, strict=False),) for part in PARTS]
     cell = CellRows("ego agent", "mixed", size=3, parts=[], drivers=drivers)
-    rows = drivers_table(SUITE, [cell]).frame().iter_rows(named=True)
+    rows = from_frame(part_of(SUITE, cell), SUITE).frame().iter_rows(named=True)
     return {(row["driver"], row["metric"]): row for row in rows}
 
 

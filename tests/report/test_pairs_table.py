@@ -12,7 +12,7 @@ from command_line import charms_bench
 from charms_bench.engine.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
 from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
-from charms_bench.report.run_files import write_run
+from charms_bench.report.run_files import measure, write_run
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite, load_suite
 
@@ -112,7 +112,8 @@ def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None
 
 def test_the_tables_say_how_many_pairs_are_apart(tmp_path: Path) -> None:
     cells = [cell("one", noise=1), cell("other", noise=2), cell("fast", faster=3.0, noise=3)]
-    write_run(STYLES, tmp_path, [replace(each, agent=f"{each.agent}|") for each in cells], [], [])
+    renamed = [replace(each, agent=f"{each.agent}|") for each in cells]
+    write_run(STYLES, tmp_path, [measure(STYLES, each) for each in renamed], [], [])
     path = tmp_path / "tables" / f"{STYLES.suite}-pairs.md"
     text = path.read_text()
     assert text.startswith("2 of 3 pairs differ in at least one metric.")
