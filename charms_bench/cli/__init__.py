@@ -3,6 +3,7 @@
 Commands import what they need when they run, so that `--help` is quick.
 """
 
+import gc
 import io
 import os
 import sys
@@ -19,6 +20,7 @@ MESSAGE_LIMIT = 1000
 
 def main() -> None:
     """Runs the command line; a mistake of the user is a message and exit code 2."""
+    gc.set_threshold(100_000)  # most objects live until the end of a command
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a log in ASCII gets question marks
@@ -34,3 +36,5 @@ def main() -> None:
     except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    finally:
+        gc.freeze()  # so that Python does not collect everything once more when it exits
