@@ -1,8 +1,8 @@
 """Trains stock PPO on a stage of a training suite, once per seed, for `suites/seeds.yaml`.
 
 PPO is Stable-Baselines3's with its default hyperparameters, including its own network. Scene,
-traffic, reward and number of steps are those of the stage. The traffic's networks are those of the
-suite's run folder. Finished seeds are not trained again.
+traffic and reward are those of the stage. The traffic's networks are those of the suite's run
+folder. Finished seeds are not trained again.
 
     python tools/train_ppo.py suites/train-seeds.yaml efficient_egoistic runs/train-seeds networks
 """
@@ -106,6 +106,7 @@ def main() -> None:
     parser.add_argument("run", type=Path, help="run folder of the suite")
     parser.add_argument("output", type=Path, help="folder of the networks, seed-K/ppo.onnx")
     parser.add_argument("--seeds", type=int, nargs="*", help="by default, all of the suite")
+    parser.add_argument("--steps", type=int, default=2_000_000)
     given = parser.parse_args()
     torch.set_num_threads(1)
     suites = load_training(given.suite).by_seed
@@ -113,7 +114,8 @@ def main() -> None:
         finished = (given.output / folder / "ppo.json").exists()
         if not finished and (given.seeds is None or suite.seed in given.seeds):
             trained = given.run / folder / "networks"
-            train(suite, suite.stages[given.stage], given.stage, trained, given.output / folder)
+            stage = suite.stages[given.stage].model_copy(update={"steps": given.steps})
+            train(suite, stage, given.stage, trained, given.output / folder)
             print(f"{folder}/ppo: finished", flush=True)
 
 
