@@ -14,6 +14,7 @@ from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.runs import finished as finished_runs
 from charms_bench.runs import runner
+from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import KINDS
 from charms_bench.runs.runner import plan, run
@@ -68,6 +69,33 @@ def test_a_finished_shard_is_never_run_again(tmp_path: Path) -> None:
         path for path in before if path.name == lost.name
     }
     assert len(first.shards) * len(KINDS) == len(after)
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_a_cell_can_be_read_as_soon_as_all_its_shards_are_written(tmp_path: Path) -> None:
+    done: list[str] = []
+    read: list[tuple[int, int, int]] = []
+
+    def on_cell(index: int, rows: CellRows) -> None:
+        read.append((index, len(rows.episodes), len(done)))
+
+    def run_again() -> None:
+        run(
+            suite(),
+            tmp_path,
+            workers=1,
+            progress=lambda cell, count: done.append(cell.title),
+            on_cell=on_cell,
+        )
+
+    run_again()
+    assert read == [(0, 25, 3), (1, 25, 6)]  # each cell has three shards
+    last = max((tmp_path / "checksums").iterdir())
+    last.unlink()
+    done.clear()
+    read.clear()
+    run_again()
+    assert read == [(0, 25, 3), (1, 25, 6)]
 
 
 @pytest.mark.usefixtures("small_shards")
