@@ -1,5 +1,6 @@
 """`run`, `show`, `compare`, `rescore`, `report` and `audit`: suites and their runs."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,6 +21,8 @@ from charms_bench.cli.terminal import (
 )
 from charms_bench.errors import InputError
 
+EARLY_WORKERS = 4
+"""Workers that start before it is known how many shards there are; few, as there may be none."""
 EXIT_CODES = {"true": 0, "false": 1, "unknown": 2}
 VERDICTS = {
     "true": "everything that was checked is true",
@@ -86,8 +89,8 @@ def run(
 
     Finished shards are not simulated again.
     """
-    from charms_bench import api
     from charms_bench.runs.document import Document
+    from charms_bench.runs.workers import started_early
 
     of_evaluations: dict[str, Any] = {
         "episodes": episodes, "seed": seed, "rows": rows, "shard_limit_s": shard_limit_s,
@@ -101,11 +104,17 @@ def run(
             option = name.removesuffix("_s").replace("_", "-")
             raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
     if is_training:
+        from charms_bench import api
+
         with interruptible():
             trained = api.train(suite, output, workers=workers, only=only, recordings=recordings)
         _print_training(trained, as_json)
         return
-    with interruptible():
+    can_start = cluster is None and engine == "batched"
+    early = min(workers or os.cpu_count() or 1, EARLY_WORKERS) if can_start else 0
+    with interruptible(), started_early(early, "charms_bench.runs.shard"):
+        from charms_bench import api  # takes a while, in which the workers start
+
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, made.table, as_json)
 

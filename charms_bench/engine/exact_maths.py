@@ -11,10 +11,8 @@ import numpy as np
 
 from charms_bench.engine import EngineName
 from charms_bench.world import maths
+from charms_bench.world.threads import ONE_THREAD
 
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "POLARS_MAX_THREADS")
-ONE_THREAD = dict.fromkeys(_THREADS, "1")
-"""Environment variables of a process that computes on one thread."""
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
 """A core type without fused multiply-add, which every processor with SSE4.2 supports."""

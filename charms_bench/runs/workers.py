@@ -12,12 +12,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from types import MappingProxyType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from charms_bench.errors import AgentError, CharmsBenchError, WorkerError, raised
+from charms_bench.world.threads import ONE_THREAD
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -59,7 +61,7 @@ def in_processes(
 
     def hand_out() -> None:
         while waiting and len(busy) < count:
-            worker = idle.pop() if idle else _start(work, environment)
+            worker = idle.pop() if idle else _worker_for(work, environment)
             task, tries = waiting.popleft()
             busy[worker.connection] = _Busy(worker, task, tries, time.monotonic())
             worker.send(task)
@@ -139,16 +141,39 @@ def _answered(
     return ready
 
 
-def _start(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worker:
+_early: list[_Worker] = []
+"""Workers that have been started early and have nothing to do yet."""
+
+
+@contextmanager
+def started_early(count: int, module: str) -> Iterator[None]:
+    """Starts workers that import a module while this process is busy with something else.
+
+    Within this context, `in_processes` uses them if they have the environment that it asks for.
+    """
+    _early[:] = [_start(ONE_THREAD, module) for _ in range(count)]
+    try:
+        yield
+    finally:
+        while _early:
+            _early[-1].process.kill()
+            _early.pop().end()
+
+
+def _worker_for(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worker:
+    worker = _early.pop() if _early and environment == ONE_THREAD else _start(environment)
+    worker.send(work)
+    return worker
+
+
+def _start(environment: Mapping[str, str], module: str = __name__) -> _Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs,))
+    process = context.Process(target=_serve, args=(theirs, module))
     with starting(environment):
         process.start()
     theirs.close()  # so that our end reports the death of the worker
-    worker = _Worker(process, ours)
-    worker.send(work)
-    return worker
+    return _Worker(process, ours)
 
 
 @contextmanager
@@ -173,11 +198,15 @@ def starting(environment: Mapping[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(connection: Connection) -> None:
-    """Receives a function, and answers tasks with it until the parent closes the connection."""
+def _serve(connection: Connection, module: str) -> None:
+    """Receives a function, and answers tasks with it until the parent closes the connection.
+
+    `module` is imported at once, because the function may come later.
+    """
     start_worker()
     os.dup2(2, 1)  # standard output is for results, whatever a plugin prints
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a signal to the group is for the parent
+    import_module(module)
     with suppress(EOFError):
         work = connection.recv()
         while True:

@@ -1,5 +1,6 @@
 """Worker processes that die, hang or raise an error."""
 
+import multiprocessing
 import os
 import signal
 import time
@@ -10,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from charms_bench.errors import AgentError, WorkerError
-from charms_bench.runs.workers import in_processes, starting
+from charms_bench.runs.workers import in_processes, started_early, starting
+from charms_bench.world.threads import ONE_THREAD
 
 
 def doubled(number: int) -> int:
@@ -42,6 +44,29 @@ def has_a_bug(number: int) -> int:
 
 def test_every_task_comes_back_with_its_result() -> None:
     assert sorted(in_processes(doubled, range(5), 2)) == [(i, 2 * i) for i in range(5)]
+
+
+def threads(number: int) -> tuple[int, str]:
+    return os.getpid(), os.environ["NUMBA_NUM_THREADS"]
+
+
+def test_workers_that_were_started_early_take_the_tasks() -> None:
+    with started_early(2, "json"):
+        early = {child.pid for child in multiprocessing.active_children()}
+        assert len(early) == 2
+        found = dict(in_processes(threads, range(6), 2, environment=ONE_THREAD))
+        assert {pid for pid, _ in found.values()} <= early
+    assert not early & {child.pid for child in multiprocessing.active_children()}
+
+
+def test_workers_with_another_environment_are_not_those_that_were_started_early() -> None:
+    with started_early(1, "json"):
+        (early,) = multiprocessing.active_children()
+        environment = {**ONE_THREAD, "NUMBA_NUM_THREADS": "2"}
+        ((_, found),) = in_processes(threads, [1], 1, environment=environment)
+        assert found[0] != early.pid
+        assert found[1] == "2"
+    assert not early.is_alive()
 
 
 def test_a_worker_that_dies_is_replaced_and_said_so(tmp_path: Path) -> None:
