@@ -77,11 +77,11 @@ def run(
         from charms_bench.runs.cluster import on_cluster
 
         on_dask = on_cluster(cluster)
-    behind = ThreadPoolExecutor(1)  # more threads would need more memory
+    measuring = ThreadPoolExecutor(1)  # more threads would need more memory
     cells: dict[int, Future[MeasuredCell]] = {}
 
-    def measure_behind(index: int, rows: CellRows) -> None:
-        cells[index] = behind.submit(_measure, loaded, rows)
+    def measure_cell(index: int, rows: CellRows) -> None:
+        cells[index] = measuring.submit(_measure, loaded, rows)
 
     try:
         with progress("episodes", loaded.episodes * len(loaded.cells)) as tell:
@@ -95,7 +95,7 @@ def run(
                 shard_limit_s or SHARD_LIMIT_S,
                 notice,
                 on_dask,
-                measure_behind,
+                measure_cell,
             )
         from charms_bench.report.run_files import write_run
 
@@ -107,7 +107,7 @@ def run(
         interrupt.add_note(f"finished shards are in {folder}")
         raise
     finally:
-        behind.shutdown(wait=False, cancel_futures=True)
+        measuring.shutdown(wait=False, cancel_futures=True)
     return Run(finished, loaded.folder)
 
 

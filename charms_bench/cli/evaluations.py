@@ -22,7 +22,7 @@ from charms_bench.cli.terminal import (
 from charms_bench.errors import InputError
 
 EARLY_WORKERS = 4
-"""Workers that start before it is known how many shards there are; few, as there may be none."""
+"""The most workers that start before the suite is read; a finished run needs none of them."""
 EXIT_CODES = {"true": 0, "false": 1, "unknown": 2}
 VERDICTS = {
     "true": "everything that was checked is true",

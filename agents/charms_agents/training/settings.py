@@ -44,9 +44,8 @@ class Validation(FrozenModel):
     """Which network a stage keeps, of those that it has at the end of its training.
 
     Each of these networks drives the ego of the same validation episodes. The stage keeps the
-    fastest network within both limits. If no network is within both, it keeps the one with the
-    fewest crashed episodes above their limit; among equals, the smallest `ttc_below_3s` above its
-    limit.
+    fastest network within both limits. If no network is within both, it compares crashed episodes
+    first, and then `ttc_below_3s`. Networks within a limit count as equal there.
     """
 
     last_steps: Count
