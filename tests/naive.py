@@ -57,6 +57,25 @@ def neighbours_observation(scene: Scene, i: int) -> np.ndarray:
     return rows
 
 
+def paper_observation(scene: Scene, i: int) -> np.ndarray:
+    """The observation `paper_neighbours` of vehicle i, (7, 5)."""
+    x, y, lane = scene.x[0], scene.y[0], scene.lane[0]
+    rows = np.zeros((7, 5))
+    rows[0] = [1, min(x[i] / 165, 1), y[i] / 12, *velocity(scene, i) / 66]
+    in_range = [j for j in range(x.size) if j != i and math.hypot(x[j] - x[i], y[j] - y[i]) < 99]
+    for side in (-1, 0, 1):
+        beside = [j for j in in_range if lane[j] - lane[i] == side]
+        ahead = [j for j in beside if x[j] > x[i]]
+        behind = [j for j in beside if x[j] <= x[i]]
+        for row, found in ((3 + 2 * side, ahead), (4 + 2 * side, behind)):
+            if found:
+                j = min(found, key=lambda j: abs(x[j] - x[i]))
+                dv = velocity(scene, j) - velocity(scene, i)
+                place = [(x[j] - x[i]) / 165, (y[j] - y[i]) / 12]
+                rows[row] = [1, *np.clip([*place, *dv / 66], -1, 1)]
+    return rows
+
+
 def desired_gap(driver: Driver, i: int, j: int) -> float:
     """[`IDMVehicle.desired_gap`]"""
     scene, p, _ = driver

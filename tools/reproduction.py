@@ -4,6 +4,7 @@
 `verdicts`.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Number, Table
 from charms_bench.runs.folder import RunFolder
+from charms_bench.world.scene import SceneSettings
 
 METRICS = {
     "collision_rate": "collision rate",
@@ -33,6 +35,8 @@ METRICS = {
     "traffic_crashed": "vehicles crashed in 20 s, %",
 }
 """What the tables call each metric, in the order of their rows."""
+Z_95 = 1.96
+"""Standard errors from a value to the ends of its 95 % interval."""
 SOURCES = {"released": "authors' networks", "ours": "this project"}
 """The columns of values, by the beginning of the names of their columns in the CSV file."""
 
@@ -45,10 +49,11 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
         the paper reports, and the share that crashed.
 
     Raises:
-        ValueError: The two runs differ in their scenes.
+        ValueError: The two runs differ in more than the last decision, which only the authors' code
+            makes.
     """
     suites = [RunFolder(run).suite() for run in (released, ours)]
-    if suites[0].scene != suites[1].scene:
+    if suites[0].scene != _with_last_decision(suites[1].scene):
         raise ValueError(f"{released} and {ours} have different scenes; run both suites again")
     varied = "agent" if len(suites[0].egos) > 1 else "traffic"
     crashed = {"agent": "crashed_episodes", "traffic": "traffic_crashed"}[varied]
@@ -67,11 +72,20 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
     )
 
 
+def _with_last_decision(scene: SceneSettings) -> SceneSettings:
+    """The scene, with episodes of 61 decisions as in the authors' code."""
+    profile = scene.profile.model_copy(update={"sums_time": True})
+    return scene.model_copy(update={"profile": profile})
+
+
 def verdicts(rows: pl.DataFrame) -> str:
     """The rows of `compared` as a table with a verdict on each value, and how many values agree.
 
-    A value agrees if the paper's value lies in its interval, widened on both sides by half a unit
-    of the last digit that the paper gives for the metric.
+    The paper's values are means over 1,800 episodes, as these are, so that both have sampling
+    errors. A value agrees if it differs from the paper's by no more than two such samples do in
+    95 % of cases: by at most sqrt(2) times its interval's reach in the direction of the paper's
+    value, and half a unit of the last digit that the paper gives for the metric. The difference of
+    any other value is given in standard errors of the difference.
     """
     varied = rows.columns[0]
     digits = {
@@ -95,7 +109,7 @@ def verdicts(rows: pl.DataFrame) -> str:
     titles = [title for source in SOURCES.values() for title in (source, "agrees")]
     shown = table.named("paper", *titles)
     reported = [record for record in records if "paper" in record]
-    counts = {s: sum(each[f"{s} agrees"] == "yes" for each in reported) for s in SOURCES}
+    counts = {s: sum(each.get(f"{s} agrees") == "yes" for each in reported) for s in SOURCES}
     return (
         f"{markdown(shown)}\nThe paper's value agrees with that of the authors' networks in "
         f"{counts['released']} of {len(reported)} rows, and with that of this project in "
@@ -114,6 +128,8 @@ def _verdict(row: Mapping[str, Any], source: str, digits: int) -> str:
     value, low, high = (row[f"{source}_{part}"] for part in ("value", "low", "high"))
     if value is None:
         return "–"
-    half = 0.5 * 10**-digits
-    low, high = (value, value) if low is None else (low, high)  # it is constant
-    return "yes" if low - half <= row["paper"] <= high + half else "no"
+    difference = max(abs(row["paper"] - value) - 0.5 * 10**-digits, 0.0)
+    reach = 0.0 if low is None else high - value if row["paper"] > value else value - low
+    if difference <= math.sqrt(2) * reach:
+        return "yes"
+    return f"no, {difference / (math.sqrt(2) * reach / Z_95):.1f}" if reach else "no"

@@ -8,7 +8,7 @@ import typer
 from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, print_records, say
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
 
-DECISION_HZ = {"neighbours": 3.0, "Kinematics": 1.0}
+DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
 """The usual decision rate of networks trained on an observation: here, and in highway-env."""
 
 
@@ -154,8 +154,9 @@ def export(
         str,
         typer.Option(
             metavar="NAME",
-            help="Observation that the network was trained with: neighbours, or highway-env's "
-            "Kinematics, with options such as '{type: Kinematics, vehicles_count: 7}'.",
+            help="Observation that the network was trained with: neighbours, paper_neighbours (the "
+            "authors' of the paper), or highway-env's Kinematics, with options such as "
+            "'{type: Kinematics, vehicles_count: 7}'.",
         ),
     ] = "neighbours",
     decision_hz: Annotated[

@@ -16,7 +16,14 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
-from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, Y_SCALE_M, Observation, neighbours
+from charms_bench.world.observations import (
+    EGO,
+    SPEED_SCALE_MPS,
+    Y_SCALE_M,
+    Neighbours,
+    Observation,
+    neighbours,
+)
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, SceneSettings
 
 C = TypeVar("C")
@@ -46,15 +53,15 @@ def spaces_of(
 ) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Gymnasium's spaces of the ego's observations and actions.
 
-    In `neighbours`, the rows of other vehicles are clipped to [-1, 1]. The bounds of the ego's
-    position across the road and of its velocity are twice the values that occur while it drives;
-    with continuous actions, its position has no bounds. Other observations have no bounds, as in
-    highway-env.
+    In `neighbours` and `paper_neighbours`, the rows of other vehicles are clipped to [-1, 1]. The
+    bounds of the ego's position across the road and of its velocity are twice the values that occur
+    while it drives; with continuous actions, its position has no bounds. Other observations have no
+    bounds, as in highway-env.
     """
     actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
     if kind == "continuous":
         actions = spaces.Box(-1.0, 1.0, (len(CONTROLS),), np.float32)
-    if observation != neighbours:
+    if not isinstance(observation, Neighbours):
         return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
     profile = settings.profile
     targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)

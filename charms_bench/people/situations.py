@@ -13,7 +13,7 @@ from charms_bench.engine.kernels import locate
 from charms_bench.errors import DataError
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
 from charms_bench.world.following import FOLLOWING_RANGE_M
-from charms_bench.world.observations import RANGE_M, neighbours
+from charms_bench.world.observations import EGO, RANGE_M, Neighbours, neighbours
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings
 
@@ -25,7 +25,9 @@ _CHUNK = 200_000
 """Vehicles that are in memory as scenes at one time; they need about 50 MB."""
 
 
-def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Observations]:
+def situations(
+    recording: Recording, decision_hz: int, observation: Neighbours = neighbours
+) -> tuple[pl.DataFrame, Observations]:
     """The frames of a recording at which drivers decide, and what the drivers see there.
 
     Decision k is made k / `decision_hz` seconds after the recording's first frame, and the nearest
@@ -55,7 +57,7 @@ def situations(recording: Recording, decision_hz: int) -> tuple[pl.DataFrame, Ob
         if lanes >= LANES:
             section = recording.tracks.filter(pl.col("direction") == direction)["x"].to_numpy()
             ends = float(section.min()), float(section.max())
-            observations, distance, cut = _seen(recording, part, lanes, ends)
+            observations, distance, cut = _seen(recording, part, lanes, ends, observation)
         else:
             observations = np.zeros((part.height, 7, 5), dtype=np.float32)
             distance, cut = np.full(part.height, np.nan), np.zeros(part.height, dtype=np.bool_)
@@ -90,7 +92,11 @@ def nearest_to_decisions(frame: Ints, frames_per_decision: float) -> Bools:
 
 
 def _seen(
-    recording: Recording, rows: pl.DataFrame, lanes: int, section: tuple[float, float]
+    recording: Recording,
+    rows: pl.DataFrame,
+    lanes: int,
+    section: tuple[float, float],
+    observation: Neighbours,
 ) -> tuple[Observations, Floats, Bools]:
     """Observations, leader distances (NaN without a leader) and `view_cut` of a carriageway."""
     starts = np.flatnonzero(np.diff(rows["frame"].to_numpy(), prepend=-1))
@@ -124,8 +130,9 @@ def _seen(
             leader, present = scene.leader(vehicles, scene.lane[vehicles])
             ahead = scene.x[vehicles[0], leader] - scene.x[vehicles]
             following = present & (ahead <= FOLLOWING_RANGE_M)
-            observations[own.start + drivers] = neighbours(scene, vehicles)
+            observations[own.start + drivers] = observation(scene, vehicles)
             distance[own.start + drivers] = np.where(following, ahead, np.nan)
+    observations[:, EGO, 1] = 1.0  # the road begins long before the recorded section
     empty = observations[:, 1:, 0].reshape(-1, 3, 2) == 0
     lane_in_window = rows["lane"].to_numpy() - window
     side_lane = lane_in_window[:, None] + np.arange(-1, 2)

@@ -1,9 +1,18 @@
 """The observations of policies.
 
-`neighbours` is (7, 5) float32, one row per vehicle: presence, x, y, vx, vy. Row 0 is the vehicle
-itself: 1, 1, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its nearest neighbours within
-99 m, relative to it: x / 165 m, y / 12 m, velocity / 66 m/s, clipped to [-1, 1]. A row without a
-neighbour is all zeros. Neighbours follow highway-env's rule; see `Scene.leader`.
+`neighbours` and `paper_neighbours` are (7, 5) float32, one row per vehicle: presence, x, y, vx, vy.
+Row 0 is the vehicle itself: 1, its x, y / 12 m, and its velocity / 66 m/s. Rows 1 to 6 are its
+nearest neighbours on its own lane and on those beside it, relative to it: x / 165 m, y / 12 m,
+velocity / 66 m/s, clipped to [-1, 1]. A row without a neighbour is all zeros. They differ in three
+respects:
+
+- In `neighbours`, neighbours follow highway-env's rule (`Scene.leader`): a vehicle between two
+  lanes is a neighbour on both. In `paper_neighbours`, a vehicle is on the lane nearest to it, and
+  so in at most one row. At the same x, it is in a row behind.
+- The range is 99 m along the road, inclusive, or the Euclidean distance below 99 m.
+- The vehicle's own x is 1, or its position along the road / 165 m, at most 1.
+
+`paper_neighbours` is the observation of the networks that the paper's authors released.
 
 `Kinematics` is highway-env's own observation, with its options; see
 `charms_bench.world.kinematics_observation`.
@@ -17,7 +26,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.errors import InputError, first_problem, suggestion
-from charms_bench.world.compiled import clip, compiled_of_scenes
+from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
@@ -38,7 +47,7 @@ ObservationLike = str | Mapping[str, Any] | Observation
 """An observation, its name, or its name and options: `{type: name, option: value}`."""
 
 EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
-"""The rows of `neighbours`."""
+"""The rows of `neighbours` and `paper_neighbours`."""
 X_SCALE_M = 165.0
 Y_SCALE_M = 12.0
 SPEED_SCALE_MPS = 66.0
@@ -62,9 +71,22 @@ class Neighbours(FrozenModel):
         return observations
 
 
-neighbours = Neighbours()
+class PaperNeighbours(Neighbours):
+    """The observation `paper_neighbours`; it has no options."""
 
-OBSERVATIONS = {kind.name: kind for kind in (Neighbours, Kinematics)}
+    name: ClassVar[str] = "paper_neighbours"
+
+    def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
+        """The observations of M vehicles, (M, 7, 5)."""
+        observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
+        _fill_as_in_the_paper(scene, vehicles[0], vehicles[1], observations)
+        return observations
+
+
+neighbours = Neighbours()
+paper_neighbours = PaperNeighbours()
+
+OBSERVATIONS = {kind.name: kind for kind in (Neighbours, PaperNeighbours, Kinematics)}
 """The observations that have a name."""
 
 
@@ -94,10 +116,16 @@ def described(observation: Neighbours | Kinematics) -> str:
     """An observation as text, for the metadata of an ONNX file."""
     if isinstance(observation, Kinematics):
         return json.dumps({"type": observation.name, **observation.model_dump(mode="json")})
-    return (
-        "neighbours: (7, 5) float32, rows self, left front, left rear, front, rear, right front, "
-        "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
+    text = (
+        f"{observation.name}: (7, 5) float32, rows self, left front, left rear, front, rear, "
+        "right front, right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
     )
+    if observation == paper_neighbours:
+        text += (
+            "; each vehicle on the lane nearest to it, within 99 m between centres; x of self along"
+            " the road, at most 1"
+        )
+    return text
 
 
 def observation_described(text: str) -> Neighbours | Kinematics:
@@ -116,30 +144,71 @@ def observation_described(text: str) -> Neighbours | Kinematics:
 
 @compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
-    x, y, speed, lanes = scene.x, scene.y, scene.speed, scene.constants.lanes
-    direction_x, direction_y = scene.direction_x, scene.direction_y
+    """Writes the observations `neighbours` of M vehicles."""
+    x, lanes = scene.x, scene.constants.lanes
     lane, leaders, followers = scene.lane, scene.leaders, scene.followers
     for m in range(rows.size):
         b, i = rows[m], places[m]
-        vx, vy = speed[b, i] * direction_x[b, i], speed[b, i] * direction_y[b, i]
-        observations[m, 0, 0] = 1.0
-        observations[m, 0, 1] = 1.0
-        observations[m, 0, 2] = y[b, i] / Y_SCALE_M
-        observations[m, 0, 3] = vx / SPEED_SCALE_MPS
-        observations[m, 0, 4] = vy / SPEED_SCALE_MPS
+        _write_own_row(b, i, scene, observations[m])
+        observations[m, EGO, 1] = 1.0
         for side in range(3):
             on = lane[b, i] + side - 1
             if not 0 <= on < lanes:
                 continue
             for behind in range(2):
                 j = followers[b, i, on] if behind else leaders[b, i, on]
-                if j < 0 or abs(x[b, j] - x[b, i]) > RANGE_M:
-                    continue
-                row = 1 + 2 * side + behind
-                other_vx = speed[b, j] * direction_x[b, j]
-                other_vy = speed[b, j] * direction_y[b, j]
-                observations[m, row, 0] = 1.0
-                observations[m, row, 1] = clip((x[b, j] - x[b, i]) / X_SCALE_M, -1.0, 1.0)
-                observations[m, row, 2] = clip((y[b, j] - y[b, i]) / Y_SCALE_M, -1.0, 1.0)
-                observations[m, row, 3] = clip((other_vx - vx) / SPEED_SCALE_MPS, -1.0, 1.0)
-                observations[m, row, 4] = clip((other_vy - vy) / SPEED_SCALE_MPS, -1.0, 1.0)
+                if j >= 0 and abs(x[b, j] - x[b, i]) <= RANGE_M:
+                    _write_neighbour(b, i, j, scene, observations[m, 1 + 2 * side + behind])
+
+
+@compiled_of_scenes
+def _fill_as_in_the_paper(
+    scene: Scene, rows: Ints, places: Ints, observations: Observations
+) -> None:
+    """Writes the observations `paper_neighbours` of M vehicles."""
+    x, y, lane, order, rank = scene.x, scene.y, scene.lane, scene.order, scene.rank
+    for m in range(rows.size):
+        b, i = rows[m], places[m]
+        _write_own_row(b, i, scene, observations[m])
+        observations[m, EGO, 1] = min(x[b, i] / X_SCALE_M, 1.0)
+        for step in (1, -1):
+            k = rank[b, i] + step
+            while 0 <= k < order.shape[1]:
+                j = order[b, k]
+                k += step
+                ahead, across = x[b, j] - x[b, i], y[b, j] - y[b, i]
+                if not abs(ahead) < RANGE_M:
+                    break
+                side = lane[b, j] - lane[b, i] + 1
+                row = 1 + 2 * side + (not ahead > 0)
+                if (
+                    0 <= side <= 2
+                    and observations[m, row, 0] == 0
+                    and np.sqrt(ahead * ahead + across * across) < RANGE_M
+                ):
+                    _write_neighbour(b, i, j, scene, observations[m, row])
+
+
+@compiled
+def _write_own_row(b: int, i: int, scene: Scene, observation: Observations) -> None:
+    """Writes row 0 of vehicle i, except for x."""
+    observation[EGO, 0] = 1.0
+    observation[EGO, 2] = scene.y[b, i] / Y_SCALE_M
+    observation[EGO, 3] = scene.speed[b, i] * scene.direction_x[b, i] / SPEED_SCALE_MPS
+    observation[EGO, 4] = scene.speed[b, i] * scene.direction_y[b, i] / SPEED_SCALE_MPS
+
+
+@compiled
+def _write_neighbour(b: int, i: int, j: int, scene: Scene, row: Observations) -> None:
+    """Writes the row of vehicle j, relative to vehicle i."""
+    x, y, speed = scene.x, scene.y, scene.speed
+    vx, vy = speed[b, i] * scene.direction_x[b, i], speed[b, i] * scene.direction_y[b, i]
+    other_vx, other_vy = (
+        speed[b, j] * scene.direction_x[b, j],
+        speed[b, j] * scene.direction_y[b, j],
+    )
+    row[0] = 1.0
+    row[1] = clip((x[b, j] - x[b, i]) / X_SCALE_M, -1.0, 1.0)
+    row[2] = clip((y[b, j] - y[b, i]) / Y_SCALE_M, -1.0, 1.0)
+    row[3] = clip((other_vx - vx) / SPEED_SCALE_MPS, -1.0, 1.0)
+    row[4] = clip((other_vy - vy) / SPEED_SCALE_MPS, -1.0, 1.0)

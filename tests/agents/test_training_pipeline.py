@@ -27,6 +27,7 @@ from charms_agents.training.stage import Interrupted
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.runs.lock import locked
+from charms_bench.world.observations import paper_neighbours
 
 SUITE = """\
 pipeline: charms
@@ -149,6 +150,16 @@ def test_a_network_says_what_it_is(finished: Path) -> None:
     assert says["actions"] == "LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER"
     observations = np.zeros((7, 7, 5), dtype=np.float32)
     assert OnnxPolicy(file).values(observations).shape == (7, 5)
+
+
+def test_networks_observe_what_their_suite_names(tmp_path: Path) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text(SUITE.replace("seed: 3", "seed: 3\nobservation: paper_neighbours"))
+    pipeline.run(file, tmp_path / "run")
+    for name in ("first", "second"):
+        assert manifest(tmp_path / "run", name)["observation"] == "paper_neighbours"
+        network = OnnxPolicy(only(tmp_path / "run", f"{name}-*/{name}.onnx"))
+        assert network.observation == paper_neighbours
 
 
 def test_a_stage_drives_the_traffic_of_the_next(finished: Path) -> None:

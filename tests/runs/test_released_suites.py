@@ -6,10 +6,14 @@ import pytest
 import yaml
 from command_line import charms_bench
 
+from charms_bench.world.scene import SceneSettings
+
 PROJECT = Path(__file__).parents[2]
 SUITES = PROJECT / "suites"
 RELEASED = PROJECT.parent / "shared" / "released"
 NAMES = ("ego", "styles", "environment")
+FINE_TUNED = "CHARMS (PCH), fine-tuned"
+"""The traffic that only the released environment has."""
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +25,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("released")
     for name in NAMES:
         (made / f"{name}.yaml").write_bytes((SUITES / "released" / f"{name}.yaml").read_bytes())
-    zips = sorted(RELEASED.glob("*.zip"))
-    exported = charms_bench("export", *zips, "--to", made / "networks")
-    assert exported.returncode == 0, exported.stderr
-    assert len(exported.stdout.splitlines()) == len(zips) == 11
+    zips = sorted(RELEASED.rglob("*.zip"))
+    paper = ("--observation", "paper_neighbours")
+    for to, options in (("networks", ()), ("networks/traffic", ("--decision-hz", 15))):
+        exported = charms_bench("export", *zips, "--to", made / to, *paper, *options)
+        assert exported.returncode == 0, exported.stderr
+        assert len(exported.stdout.splitlines()) == len(zips) == 17
     return made
 
 
@@ -45,6 +51,7 @@ def test_a_suite_differs_from_its_counterpart_in_its_networks_and_seeds(name: st
     assert (theirs["seed"], theirs["episodes"]) == (5_000_000, ours["episodes"])
     assert theirs["columns"] == ours["columns"]
     ours["egos"] = [each for each in ours["egos"] if "best response" not in each["label"]]
+    theirs["traffics"] = [each for each in theirs["traffics"] if each["label"] != FINE_TUNED]
     for entries in ("egos", "traffics"):
         for one, other in zip(theirs[entries], ours[entries], strict=True):
             assert one["label"] == other["label"]
@@ -57,7 +64,14 @@ def test_a_suite_without_its_networks_says_how_to_make_them(name: str, tmp_path:
     suite.write_bytes((SUITES / "released" / f"{name}.yaml").read_bytes())
     called = charms_bench("run", suite, "--output", tmp_path / "run")
     assert called.returncode == 2
-    assert f".zip --to {tmp_path}/networks` makes it from a checkpoint" in called.stderr
+    assert f".zip --to {tmp_path}/networks" in called.stderr
+    assert "makes it from a checkpoint" in called.stderr
+
+
+@pytest.mark.parametrize("name", [*NAMES, "transfer"])
+def test_episodes_last_61_decisions(name: str) -> None:
+    text = yaml.safe_load((SUITES / "released" / f"{name}.yaml").read_text())
+    assert SceneSettings.model_validate(text["scene"]).decisions == 61
 
 
 def test_the_networks_stay_out_of_the_project() -> None:

@@ -5,7 +5,20 @@ import numpy as np
 from hypothesis import given, settings
 from scenes import all_vehicles, scene_of, scenes
 
-from charms_bench.world.observations import EGO, FRONT, LEFT_FRONT, REAR, RIGHT_REAR, neighbours
+from charms_bench.world.observations import (
+    EGO,
+    FRONT,
+    LEFT_FRONT,
+    LEFT_REAR,
+    REAR,
+    RIGHT_FRONT,
+    RIGHT_REAR,
+    Neighbours,
+    described,
+    neighbours,
+    observation_described,
+    paper_neighbours,
+)
 from charms_bench.world.scene import Scene
 
 
@@ -43,3 +56,61 @@ def test_differences_of_velocity_are_clipped_at_66_m_per_s() -> None:
     scene = scene_of(x=[100.0, 110.0], y=[4.0, 4.0], speed=[40.0, -40.0])
     seen = neighbours(scene, (np.array([0]), np.array([0])))[0]
     assert seen[FRONT, 3] == -1.0
+
+
+@settings(derandomize=True, deadline=None)
+@given(scenes())
+def test_the_papers_observations_are_those_of_the_plain_version(scene: Scene) -> None:
+    everybody = np.arange(scene.x.shape[1])
+    vehicles = everybody[[_has_no_rival(scene, i) for i in everybody]]
+    seen = paper_neighbours(scene, (np.zeros_like(vehicles), vehicles))
+    expected = [naive.paper_observation(scene, i) for i in vehicles]
+    np.testing.assert_allclose(seen, np.reshape(expected, (-1, 7, 5)), rtol=0, atol=1e-6)
+
+
+def _has_no_rival(scene: Scene, i: int) -> bool:
+    """Whether no two other vehicles on a lane have the same x, so that one of them is nearest."""
+    others = np.delete(np.stack([scene.x[0], scene.lane[0]], axis=1), i, axis=0)
+    return len(np.unique(others, axis=0)) == len(others)
+
+
+def first_seen(observation: Neighbours, **fields: list[float]) -> np.ndarray:
+    return observation(scene_of(**fields), (np.array([0]), np.array([0])))[0]
+
+
+def test_in_the_paper_a_vehicle_between_two_lanes_is_shown_on_the_nearest_one() -> None:
+    fields = {"x": [100.0, 133.0], "y": [0.0, 2.1]}
+    shown = first_seen(neighbours, **fields)[:, 0]
+    assert shown[FRONT] == shown[RIGHT_FRONT] == 1
+    shown = first_seen(paper_neighbours, **fields)[:, 0]
+    assert (shown[FRONT], shown[RIGHT_FRONT]) == (0, 1)
+
+
+def test_in_the_paper_the_own_x_grows_until_165_m() -> None:
+    assert first_seen(paper_neighbours, x=[66.0], y=[4.0])[EGO, 1] == np.float32(0.4)
+    assert first_seen(paper_neighbours, x=[500.0], y=[4.0])[EGO, 1] == 1
+    assert first_seen(neighbours, x=[66.0], y=[4.0])[EGO, 1] == 1
+
+
+def test_in_the_paper_the_range_is_between_centres() -> None:
+    # 98.95 m along the road and 4 m across are sqrt(98.95^2 + 4^2) = 99.03 m.
+    fields = {"x": [200.0, 298.95, 101.05], "y": [4.0, 8.0, 4.0]}
+    assert first_seen(neighbours, **fields)[RIGHT_FRONT, 0] == 1
+    shown = first_seen(paper_neighbours, **fields)[:, 0]
+    assert (shown[RIGHT_FRONT], shown[REAR]) == (0, 1)
+
+
+def test_in_the_paper_a_vehicle_level_with_the_observer_is_behind() -> None:
+    shown = first_seen(paper_neighbours, x=[100.0, 100.0], y=[4.0, 0.0])[:, 0]
+    assert (shown[LEFT_FRONT], shown[LEFT_REAR]) == (0, 1)
+
+
+def test_the_two_observations_have_texts_that_tell_them_apart() -> None:
+    for observation in (neighbours, paper_neighbours):
+        assert observation_described(described(observation)) == observation
+    # In the files of the package, which have to keep their bytes.
+    assert described(neighbours) == (
+        "neighbours: (7, 5) float32, rows self, left front, left rear, front, rear, right front, "
+        "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
+    )
+    assert described(paper_neighbours).startswith("paper_neighbours: (7, 5) float32")

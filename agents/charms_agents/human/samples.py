@@ -1,6 +1,6 @@
 """Samples of human driving: what a policy is fine-tuned on, from recordings in highD's format.
 
-Each sample is one driver at one decision: the observation `neighbours` and a soft label. A
+Each sample is one driver at one decision: the driver's observation and a soft label. A
 decision is rejected for the first of `REASONS` that applies. Of the accepted decisions, IDLE ones
 are drawn at random until their recording has at most `idle_ratio` of them for each other one.
 Whole drivers are held out, with their samples of all recordings; see `drivers`.
@@ -27,6 +27,7 @@ from charms_bench.people.survey import Learnable
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.fields import FrozenModel, NonNegative
 from charms_bench.world.files import write_atomically
+from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Bools, Observations
 
 REASONS = (
@@ -77,7 +78,7 @@ class Samples:
     """M samples, sorted by recording, direction, frame and position."""
 
     observations: Observations
-    """(M, 7, 5) the observation `neighbours`."""
+    """(M, 7, 5)"""
     labels: Labels
     """(M, 5) probabilities of the actions."""
     held_out: Bools
@@ -94,16 +95,18 @@ class SampleStore:
         recordings: The folder of recordings.
         cache: The folder of the Parquet file.
         settings: How samples are taken.
+        observation: What the drivers observe.
     """
 
     recordings: Path
     cache: Path
     settings: SampleSettings
+    observation: Neighbours = neighbours
 
     @cached_property
     def fingerprint(self) -> str:
         """Hash of the recordings, the settings and this project's version; see `fingerprint`."""
-        return fingerprint(find_trios(self.recordings), self.settings)
+        return fingerprint(find_trios(self.recordings), self.settings, self.observation)
 
     @property
     def path(self) -> Path:
@@ -119,7 +122,8 @@ class SampleStore:
         """
         path = self.path
         if not path.exists():
-            write_atomically(path, _table(collect(self.recordings, self.settings)).write_parquet)
+            samples = collect(self.recordings, self.settings, self.observation)
+            write_atomically(path, _table(samples).write_parquet)
         try:
             table = pl.read_parquet(path, glob=False)
             if table.schema != _SAMPLES:
@@ -135,13 +139,17 @@ class SampleStore:
             raise DataError(f"{path}: cannot be read: {reason}; delete it and try again") from error
 
 
-def fingerprint(trios: Sequence[Trio], settings: SampleSettings) -> str:
+def fingerprint(
+    trios: Sequence[Trio], settings: SampleSettings, observation: Neighbours = neighbours
+) -> str:
     """SHA-256 of everything that the samples depend on.
 
     Raises:
         DataError: A file cannot be read.
     """
     told = f"{version('charms-bench')} {_REVISION} {settings.model_dump_json()}"
+    if observation != neighbours:
+        told += f" {observation.name}"
     digest = hashlib.sha256(told.encode())
     for trio in trios:
         for path in trio.paths:
@@ -154,7 +162,9 @@ def fingerprint(trios: Sequence[Trio], settings: SampleSettings) -> str:
     return digest.hexdigest()
 
 
-def collect(folder: Path, settings: SampleSettings | None = None) -> Samples:
+def collect(
+    folder: Path, settings: SampleSettings | None = None, observation: Neighbours = neighbours
+) -> Samples:
     """The samples of a folder of recordings; only one recording is in memory at a time.
 
     Raises:
@@ -162,7 +172,7 @@ def collect(folder: Path, settings: SampleSettings | None = None) -> Samples:
     """
     sampler = CharmsSampler(settings)
     for recording in read_folder(folder):
-        sampler.add(recording, *situations(recording, sampler.settings.decision_hz))
+        sampler.add(recording, *situations(recording, sampler.settings.decision_hz, observation))
     return sampler.samples(sampler.decisions())
 
 

@@ -28,6 +28,7 @@ from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.files import write_bytes
+from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
 
 _OPTIONS = {
@@ -59,6 +60,8 @@ class Job:
     """The style of the network in words."""
     total: int
     """Number of steps or epochs to learn."""
+    observation: Neighbours
+    """What the network observes."""
     decision_hz: float
     """The network's decisions per second."""
     checkpoint_s: float
@@ -110,6 +113,7 @@ def reinforcement_job(
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
     options = stage.model_dump(mode="json", include=_OPTIONS, exclude_defaults=True)
+    observation = suite.model_dump(include={"observation"}, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     inputs = {
         "stage": name,
@@ -122,6 +126,7 @@ def reinforcement_job(
         "scene": stage.scene.model_dump(mode="json"),
         "traffic": _traffic_inputs(stage, drivers),
         "charms_bench": version("charms-bench"),
+        **observation,
         **options,
     }
     return Job(
@@ -130,6 +135,7 @@ def reinforcement_job(
         name,
         style=f"{stage.weights}, {stage.svo}",
         total=stage.steps,
+        observation=suite.observed,
         decision_hz=Policy.decision_hz,
         checkpoint_s=suite.checkpoint_s,
         inputs=inputs,
@@ -189,7 +195,12 @@ def human_job(
                 "exploration": EXPLORATION,
             }
             drive = partial(
-                own_driving, scene=scene, traffic=traffic, drivers=drivers, first_seed=first_seed
+                own_driving,
+                scene=scene,
+                traffic=traffic,
+                drivers=drivers,
+                first_seed=first_seed,
+                observation=suite.observed,
             )
     inputs = {
         "stage": name,
@@ -211,6 +222,7 @@ def human_job(
         name,
         style=style,
         total=settings.epochs,
+        observation=suite.observed,
         decision_hz=samples.settings.decision_hz,
         checkpoint_s=suite.checkpoint_s,
         inputs=inputs,

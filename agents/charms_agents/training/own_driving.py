@@ -11,7 +11,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.observations import neighbours
+from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Observations, SceneSettings
 
 EPISODES = 1_500
@@ -25,6 +25,7 @@ def own_driving(
     traffic: Traffic,
     drivers: Mapping[str, Agent],
     first_seed: int,
+    observation: Neighbours = neighbours,
 ) -> Observations:
     """(M, 7, 5) the observations at all decisions of `EPISODES` episodes with the network as ego.
 
@@ -34,6 +35,7 @@ def own_driving(
         traffic: Assigns a driver to each of the other vehicles.
         drivers: All agents that `traffic` names, by name.
         first_seed: Seed of the first episode; each further episode adds 1.
+        observation: What the network observes.
     """
     simulation = Simulation(scene, EPISODES, None, traffic, drivers)
     simulation.reset(np.arange(first_seed, first_seed + EPISODES, dtype=np.uint64))
@@ -43,13 +45,14 @@ def own_driving(
         explores = rng.random(best.size) < EXPLORATION
         return np.where(explores, rng.integers(len(ACTIONS), size=best.size), best)
 
-    return np.concatenate(list(drive(network, simulation, explore)))
+    return np.concatenate(list(drive(network, simulation, explore, observation)))
 
 
 def drive(
     network: Sequential,
     simulation: Simulation,
     explore: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda best: best,
+    observation: Neighbours = neighbours,
 ) -> Iterator[Observations]:
     """Drives the egos of a simulation to the end of all episodes.
 
@@ -57,6 +60,7 @@ def drive(
         network: Takes plain observations.
         simulation: Its egos must have no agent.
         explore: Turns the network's actions (K,) of one decision into those that are taken.
+        observation: What the network observes.
 
     Yields:
         After each step, the observations (K, 7, 5) of the K egos that decided.
@@ -64,7 +68,7 @@ def drive(
     running = simulation.scene.active
     while running.any():
         rows = np.flatnonzero(running)
-        observations = neighbours(simulation.scene, (rows, simulation.scene.ego[rows]))
+        observations = observation(simulation.scene, (rows, simulation.scene.ego[rows]))
         with torch.no_grad():
             best = network(torch.from_numpy(observations).flatten(1)).numpy().argmax(axis=1)
         actions = np.zeros(running.size, dtype=np.int64)

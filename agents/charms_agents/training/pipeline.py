@@ -17,7 +17,7 @@ from charms_agents.human.samples import SampleStore
 from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
 from charms_agents.training.progress import progress
 from charms_agents.training.schedule import run_stages
-from charms_agents.training.settings import Human, TrainingSuite, load_training
+from charms_agents.training.settings import TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.summary import write_curves, write_summary
 from charms_bench.errors import InputError
@@ -64,7 +64,7 @@ def run(
 
     samples = None
     if suite.human is not None and set(names) & set(suite.human.stages):
-        samples = _sample_store(suite_file, suite.human, output, recordings)
+        samples = _sample_store(suite_file, suite, output, recordings)
 
     needs = {
         title_of(seed_folder, name): [title_of(seed_folder, each) for each in suite.needs[name]]
@@ -86,16 +86,17 @@ def run(
 
 
 def _sample_store(
-    suite_file: Path, human: Human, output: Path, recordings: Path | None
+    suite_file: Path, suite: TrainingSuite, output: Path, recordings: Path | None
 ) -> SampleStore:
     """The samples of the recordings, which are kept in the run folder."""
-    folder = recordings or suite_file.parent / human.recordings
+    assert suite.human is not None
+    folder = recordings or suite_file.parent / suite.human.recordings
     if not folder.is_dir():
         what = f"no folder '{folder}'; put recordings in highD's format there, or name their folder"
         if recordings is not None:
             raise InputError(f"--recordings: {what}")
         raise Document(suite_file).error(("human", "recordings"), f"{what} with --recordings")
-    store = SampleStore(folder, output / "samples", human.samples)
+    store = SampleStore(folder, output / "samples", suite.human.samples, suite.observed)
     store.fingerprint  # noqa: B018  # names unusable recordings before the run folder is made
     return store
 

@@ -46,7 +46,7 @@ class Reinforcement(BaseCallback):
         reward = stage.reward(suite.weights[stage.weights])
         h, traffic = suite.hyperparameters_of(stage), suite.traffic_of(stage)
         self._episodes = HighwayVectorEnv(
-            stage.scene, h.scenes, traffic, drivers, reward, first_seed
+            stage.scene, h.scenes, traffic, drivers, reward, first_seed, suite.observed
         )
         self._agent = DoubleDQN(
             EpisodesVecEnv(self._episodes),
@@ -75,7 +75,9 @@ class Reinforcement(BaseCallback):
             device="cpu",
         )
         self._agent.set_logger(Logger(None, []))  # by default it would write a folder
-        self._keeper = stage.validation and Keeper(stage.validation, stage.scene, stage.steps)
+        self._keeper = stage.validation and Keeper(
+            stage.validation, stage.scene, stage.steps, suite.observed
+        )
         self._pause: Callable[[], None] = lambda: None
 
     @property

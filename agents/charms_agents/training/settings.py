@@ -23,6 +23,7 @@ from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
 from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, Positive
+from charms_bench.world.observations import Neighbours, neighbours, paper_neighbours
 from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
@@ -233,6 +234,8 @@ class TrainingSuite(FrozenModel):
     seeds: Annotated[tuple[Seed, ...], Field(strict=False, max_length=100)] = ()
     """If given, every stage is trained once with each of these seeds instead of `seed`; the stages
     of a seed need only stages of the same seed."""
+    observation: Literal["neighbours", "paper_neighbours"] = "neighbours"
+    """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`."""
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
     """Further hyperparameters, which stages can name."""
@@ -250,6 +253,11 @@ class TrainingSuite(FrozenModel):
         if len(set(self.seeds)) < len(self.seeds):
             raise ValueError("a seed is given twice in seeds")
         return self
+
+    @property
+    def observed(self) -> Neighbours:
+        """The observation of the name `observation`."""
+        return paper_neighbours if self.observation == "paper_neighbours" else neighbours
 
     @property
     def by_seed(self) -> dict[str, "TrainingSuite"]:

@@ -53,7 +53,7 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
     life = _Life(job, learner, tell, stop)
     life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
-    checked = export(learner.network, network, facts, learner.observations)
+    checked = export(learner.network, network, facts, learner.observations, job.observation)
     manifest = {
         **job.inputs,
         "key": job.key,

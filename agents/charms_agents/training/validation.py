@@ -14,6 +14,7 @@ from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.metrics import PAPER, STANDARD, sums_by_episode
 from charms_bench.plugins.registry import make_agent
+from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import SceneSettings
 
 MEASURED = ("speed_mean", "ttc_below_3s", "crashed_episodes")
@@ -38,10 +39,17 @@ class Keeper:
         rule: The episodes, and what the best network is.
         scene: The scene of the episodes.
         total: Number of steps of the training.
+        observation: What the networks observe.
     """
 
-    def __init__(self, rule: Validation, scene: SceneSettings, total: int) -> None:
-        self._rule, self._scene = rule, scene
+    def __init__(
+        self,
+        rule: Validation,
+        scene: SceneSettings,
+        total: int,
+        observation: Neighbours = neighbours,
+    ) -> None:
+        self._rule, self._scene, self._observation = rule, scene, observation
         self._from = total - rule.last_steps
         self._traffic = rule.traffic.make()
         self._drivers = {name: make_agent(name) for name in self._traffic.agents}
@@ -76,7 +84,7 @@ class Keeper:
         simulation = Simulation(self._scene, count, None, self._traffic, self._drivers)
         simulation.reset(np.arange(first, first + count, dtype=np.uint64))
         recording = Recording(simulation)
-        for _ in drive(network, simulation):
+        for _ in drive(network, simulation, observation=self._observation):
             recording.note()
         metrics = [METRICS[name] for name in MEASURED]
         sums = sums_by_episode(metrics, recording.episodes(), recording.steps(), self._scene)
