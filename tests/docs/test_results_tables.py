@@ -72,8 +72,8 @@ def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleTy
     columns = ["agent", "metric", "paper", *parts]
     rows = [
         # The column has two digits, so 23.10 means 23.095 to 23.105. The difference of 0.095 is
-        # less than sqrt(2) * 0.2 = 0.28, and 0.095 / (sqrt(2) * 0.03 / 1.96) = 4.4.
-        ("A", "speed_mean", 23.1, 23.2, 23.0, 23.4, 23.0, 22.9, 23.03),
+        # less than sqrt(2) * 0.1 = 0.141; that of 0.395 is sqrt(2) * 0.1 / 1.96 * 5.5.
+        ("A", "speed_mean", 23.1, 23.2, 23.1, 23.3, 22.7, 22.6, 22.8),
         ("B", "speed_mean", 23.67, 23.6, 23.47, 23.73, 23.668, None, None),
         ("B", "crashed_episodes", None, 0.25, 0.2, 0.3, None, None, None),
     ]
@@ -84,7 +84,7 @@ def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleTy
     assert table == [
         "| agent | metric | paper | authors' networks | agrees | this project | agrees |",
         "|---|---|---:|---:|---:|---:|---:|",
-        "| A | speed, m/s | 23.10 | 23.2 [23.0, 23.4] | yes | 23.000 [22.900, 23.030] | no, 4.4 |",
+        "| A | speed, m/s | 23.10 | 23.20 [23.10, 23.30] | yes | 22.70 [22.60, 22.80] | no, 5.5 |",
         "| B | speed, m/s | 23.67 | 23.60 [23.47, 23.73] | yes | 23.7 | yes |",
         "| B | episodes crashed, % | – | 25.0 [20.0, 30.0] | – | – | – |",
     ]
