@@ -108,12 +108,13 @@ def verdicts(rows: pl.DataFrame) -> str:
     table = Table.from_records(records, "", "", (varied, "metric"), tuple(columns))
     titles = [title for source in SOURCES.values() for title in (source, "agrees")]
     shown = table.named("paper", *titles)
-    reported = [record for record in records if "paper" in record]
-    counts = {s: sum(each.get(f"{s} agrees") == "yes" for each in reported) for s in SOURCES}
+    counts = []
+    for source in SOURCES:
+        found = [record.get(f"{source} agrees", "–") for record in records]
+        counts.append(f"{found.count('yes')} of {len(found) - found.count('–')} rows")
     return (
         f"{markdown(shown)}\nThe paper's value agrees with that of the authors' networks in "
-        f"{counts['released']} of {len(reported)} rows, and with that of this project in "
-        f"{counts['ours']}.\n"
+        f"{counts[0]}, and with that of this project in {counts[1]}.\n"
     )
 
 
