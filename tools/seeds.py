@@ -1,93 +1,133 @@
-"""The results of several training seeds of each recipe, for `tools/write_results.py`.
+"""The results of several training seeds of each configuration, for `tools/write_results.py`.
 
-Of the egos of `suites/seeds.yaml`, those whose labels differ only in the seed are one recipe. Each
-value is the interquartile mean over its seeds, without the lowest and the highest quarter (Agarwal
-et al. 2021, NeurIPS). Its interval is that of a bootstrap over seeds, and over the episodes of each
-seed that is drawn.
+Of the egos of `suites/seeds.yaml`, those whose labels differ only in the seed are one training
+configuration. Each value is the mean over its seeds, with Student's t interval, and the value of
+the worst seed. `python tools/seeds.py` prints how often such an interval contains the mean of
+several distributions.
 """
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import polars as pl
 from matplotlib.ticker import PercentFormatter
-from scipy.stats import trim_mean
+from scipy import special
 
 from charms_bench.metrics import METRIC_SETS
-from charms_bench.report.figures.drawing import panels, save
+from charms_bench.report.figures.drawing import SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.finished import open_finished
-from charms_bench.statistics.intervals import CONFIDENCE, resampled_totals
+from charms_bench.runs.folder import RunFolder
+from charms_bench.statistics.intervals import CONFIDENCE, Bounds
+from charms_bench.world.scene import Floats
 
 ROOT = Path(__file__).parent.parent
-TRIMMED = 0.25
-REPLICATES = 20_000
 COLUMNS = {
-    "episodes crashed": ("standard", "crashed_episodes", ".1%"),
-    "speed, m/s": ("paper", "speed_mean", ".2f"),
-    "TTC < 3 s": ("paper", "ttc_below_3s", ".3f"),
-    "acceleration std, m/s²": ("paper", "acc_std", ".2f"),
-    "harsh": ("paper", "harsh_acc_rate", ".3f"),
-    "conflicts per 1,000 km": ("standard", "conflicts_per_1000km", ",.0f"),
-    "lane changes per km": ("standard", "lane_changes_per_km", ".1f"),
+    "crashed_episodes": ("standard", "episodes crashed", ".1%", max),
+    "speed_mean": ("paper", "speed, m/s", ".2f", min),
+    "ttc_below_3s": ("paper", "TTC < 3 s", ".3f", max),
+    "acc_std": ("paper", "acceleration std, m/s²", ".2f", max),
+    "harsh_acc_rate": ("paper", "harsh", ".3f", max),
+    "conflicts_per_1000km": ("standard", "conflicts per 1,000 km", ",.0f", max),
+    "lane_changes_per_km": ("standard", "lane changes per km", ".1f", None),
 }
-"""Header, metric set, metric and format of each column."""
-PROFILES = {"episodes crashed": (0.002, 1.0), "TTC < 3 s": (0.01, 1.0)}
-"""The columns with a performance profile, and the smallest and largest value that are drawn."""
+"""Metric set, header and format of each metric, and which of the seeds' values is the worst, if
+any is better than another."""
+SHARES = ("crashed_episodes", "ttc_below_3s", "harsh_acc_rate")
+DRAWN = {"crashed_episodes": (0.002, 1.0), "ttc_below_3s": (0.005, 1.0)}
+"""The metrics of the figure, and the smallest and largest value on their axes."""
+SEEDS = 5
+REPETITIONS = 200_000
 
 
 def seeds_table(run: Path) -> str:
-    """The table of recipes, the crashed episodes of each seed, and `docs/profiles.png`."""
+    """The table of configurations; also writes `docs/results/seeds.csv` and `docs/seeds.png`."""
+    values = of_seeds(run)
+    values.write_csv(ROOT / "docs" / "results" / "seeds.csv")
+    draw_seeds(values, ROOT / "docs" / "seeds.png")
+    return f"{summary(values)}\n{RunFolder(run).suite().note}\n"
+
+
+def of_seeds(run: Path) -> pl.DataFrame:
+    """The metrics of every seed of every configuration, one row per seed."""
     finished = open_finished(run)
     known = {(found.name, each.name): each for found in METRIC_SETS for each in found.metrics}
-    metrics = [known[of, name] for of, name, _ in COLUMNS.values()]
-    rng = np.random.default_rng(finished.suite.seed)
-    values: dict[str, list[list[float]]] = {}
-    spreads: dict[str, list[list[np.ndarray]]] = {}
-    minutes: dict[str, list[float | None]] = {}
+    metrics = [known[of, name] for name, (of, *_) in COLUMNS.items()]
+    networks = {ego.title: ROOT / "suites" / ego.agent.name for ego in finished.suite.egos}
+    records: list[dict[str, Any]] = []
     for cell in finished.cells():
-        recipe = cell.agent.rpartition(", seed ")[0]
+        configuration, _, seed = cell.agent.rpartition(", seed ")
         sums = cell.sums(metrics, finished.suite.scene)
-        ends = np.cumsum([each.shape[1] for each in sums])[:-1]
-        resampled = np.split(resampled_totals(sums, rng), ends, axis=1)
         pairs = zip(metrics, sums, strict=True)
-        found = [float(metric.value(each.sum(axis=0))) for metric, each in pairs]
-        values.setdefault(recipe, []).append(found)
-        egos = finished.suite.egos
-        name = next(ego.agent.name for ego in egos if ego.title == cell.agent)
-        network = ROOT / "suites" / name
-        minutes.setdefault(recipe, []).append(_process_minutes(network))
-        spreads.setdefault(recipe, []).append(
-            [metric.value(each) for metric, each in zip(metrics, resampled, strict=True)]
-        )
+        found = {metric.name: float(metric.value(each.sum(axis=0))) for metric, each in pairs}
+        minutes = _process_minutes(networks[cell.agent])
+        labels = {"configuration": configuration, "seed": int(seed)}
+        records.append({**labels, **found, "process_minutes": minutes})
+    return pl.DataFrame(records, infer_schema_length=None).with_columns(
+        pl.selectors.float().round_sig_figs(6)
+    )
+
+
+def summary(values: pl.DataFrame) -> str:
+    """The table of configurations from the metrics of every seed, as Markdown."""
     rows = []
-    for recipe, of_seeds in values.items():
-        n = len(of_seeds)
-        drawn = rng.integers(n, size=(REPLICATES, n))
-        numbers = []
-        for m in range(len(metrics)):
-            spread = np.stack([each[m] for each in spreads[recipe]])
-            picked = spread[drawn, rng.integers(spread.shape[1], size=drawn.shape)]
-            tail = (1 - CONFIDENCE) / 2
-            low, high = np.quantile(trim_mean(picked, TRIMMED, axis=1), [tail, 1 - tail])
-            mean = trim_mean([each[m] for each in of_seeds], TRIMMED)
-            numbers.append(Number(float(mean), float(low), float(high), n))
-        known_minutes = [each for each in minutes[recipe] if each is not None]
-        numbers.append(Number(float(np.mean(known_minutes))) if known_minutes else Number())
-        rows.append(Row((recipe,), tuple(numbers)))
+    for (name,), part in values.group_by("configuration", maintain_order=True):
+        means, worst = [], []
+        for metric, (*_, worst_of) in COLUMNS.items():
+            found = part[metric].to_numpy()
+            low, high = t_interval(found)
+            highest = 1.0 if metric in SHARES else np.inf
+            means.append(Number(float(found.mean()), max(low, 0.0), min(high, highest), len(found)))
+            worst.append(Number(float(worst_of(found)) if worst_of else None))
+        means.append(Number(part["process_minutes"].mean()))  # type: ignore[arg-type]  # of floats
+        rows.append(Row((str(name), "mean [t interval]"), tuple(means)))
+        rows.append(Row(("", "worst seed"), (*worst, Number())))
     columns = (
-        *(Column(header, form=form) for header, (_, _, form) in COLUMNS.items()),
+        *(Column(header, form=form) for _, header, form, _ in COLUMNS.values()),
         Column("process-minutes", form=".1f"),
     )
-    table = Table("seeds", finished.suite.title, ("recipe",), columns, tuple(rows))
-    _draw_profiles(spreads, ROOT / "docs" / "profiles.png", rng)
-    crashed = [
-        f"- {recipe}: " + ", ".join(f"{each[0]:.1%}" for each in of_seeds).replace("%", " %")
-        for recipe, of_seeds in values.items()
-    ]
-    return f"{markdown(table)}\nEpisodes crashed, by seed:\n\n" + "\n".join(crashed) + "\n"
+    keys = ("training configuration", "over the seeds")
+    return markdown(Table("seeds", "", keys, columns, tuple(rows)))
+
+
+def t_interval(values: Floats) -> Bounds:
+    """Student's t interval of the mean of independent values (..., n), at a nominal 95 %."""
+    n = values.shape[-1]
+    t = special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
+    margin = t * values.std(axis=-1, ddof=1) / np.sqrt(n)
+    mean = values.mean(axis=-1)
+    return mean - margin, mean + margin
+
+
+def coverage() -> dict[str, float]:
+    """How often the t interval of five values contains their mean, by distribution."""
+    rng = np.random.default_rng(0)
+    normal = rng.standard_normal((REPETITIONS, SEEDS))
+    is_bad = rng.random(normal.shape) < 1 / SEEDS
+    samples = {
+        "normal": (normal, 0.0),
+        "lognormal, σ = 0.5": (np.exp(0.5 * normal), np.exp(0.125)),
+        "lognormal, σ = 1": (np.exp(normal), np.exp(0.5)),
+        "normal, but each seed is bad with probability 1/5, by 10 standard deviations": (
+            normal + 10 * is_bad,
+            10 / SEEDS,
+        ),
+    }
+    found = {}
+    for name, (values, mean) in samples.items():
+        low, high = t_interval(values)
+        found[name] = float(((low <= mean) & (mean <= high)).mean())
+    return found
+
+
+def coverage_table(run: Path | None = None) -> str:
+    """The simulated coverage as Markdown; it needs no run."""
+    column = Column("t intervals that contain the mean", form=".1%")
+    rows = tuple(Row((name,), (Number(share),)) for name, share in coverage().items())
+    return markdown(Table("seed-coverage", "", ("distribution of the seeds",), (column,), rows))
 
 
 def _process_minutes(network: Path) -> float | None:
@@ -100,31 +140,21 @@ def _process_minutes(network: Path) -> float | None:
     return start + float(made["cpu_s"]) / 60
 
 
-def _draw_profiles(
-    spreads: Mapping[str, list[list[np.ndarray]]], path: Path, rng: np.random.Generator
-) -> None:
-    """Draws performance profiles: the share of seeds below each value, with bootstrap bands."""
-    figure, axes = panels(len(PROFILES), 4.2, 3.2)
-    for ax, (header, ends) in zip(axes, PROFILES.items(), strict=True):
-        m, levels = list(COLUMNS).index(header), np.geomspace(*ends, 201)
-        for k, (recipe, of_seeds) in enumerate(spreads.items()):
-            spread = np.stack([each[m] for each in of_seeds])
-            n = len(spread)
-            drawn = rng.integers(n, size=(2_000, n))
-            picked = spread[drawn, rng.integers(spread.shape[1], size=drawn.shape)]
-            below = (picked[:, :, None] <= levels).mean(axis=1)
-            low, high = np.quantile(below, [0.025, 0.975], axis=0)
-            ax.plot(
-                levels,
-                (spread[:, :, None] <= levels).mean(axis=(0, 1)),
-                color=f"C{k}",
-                label=recipe,
-            )
-            ax.fill_between(levels, low, high, color=f"C{k}", alpha=0.12, linewidth=0)
-        ax.set_xlabel(header)
-        ax.set_xscale("log")
+def draw_seeds(values: pl.DataFrame, path: Path) -> None:
+    """Draws every seed of every configuration as a point."""
+    names = values["configuration"].unique(maintain_order=True).to_list()
+    places = [names.index(name) for name in values["configuration"]]
+    figure, axes = panels(len(DRAWN), 4.2, 3.2)
+    for ax, (metric, ends) in zip(axes, DRAWN.items(), strict=True):
+        look = {"color": SERIES[0], "alpha": 0.6, "markersize": 5, "clip_on": False}
+        ax.plot(values[metric], places, "o", **look)
+        ax.set(xlabel=COLUMNS[metric][1], xscale="log", xlim=ends)
+        ax.set_ylim(len(names) - 0.5, -0.5)
+        ax.set_yticks(range(len(names)), names if ax is axes[0] else [""] * len(names))
+        ax.grid(axis="y", linewidth=0.4, alpha=0.4)
         ax.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=1))
-        ax.set_ylim(0, 1.02)
-    axes[0].set_ylabel("share of training seeds at or below")
-    axes[-1].legend(fontsize="x-small", frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
+
+
+if __name__ == "__main__":
+    print(coverage_table())

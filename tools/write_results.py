@@ -16,7 +16,7 @@ from pathlib import Path
 
 import polars as pl
 from reproduction import compared, verdicts
-from seeds import seeds_table
+from seeds import coverage_table, seeds_table
 from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
@@ -121,13 +121,13 @@ def shown(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
 
 
 def realism(run: Path) -> str:
-    """How far each traffic is from each reference, the nearest in bold."""
+    """How far each traffic is from each reference, the nearest in bold, and the suite's note."""
     table = tables_of(run).realism
     assert table is not None
     what = {"speed": "speed", "dhw": "headway"}
     chosen = table.take([i for i, each in enumerate(table.columns) if each.name.startswith("js_")])
     headers = [f"{what[each.quantity]}, {each.group.upper()}" for each in chosen.columns]
-    return markdown(chosen.named(*headers))
+    return f"{markdown(chosen.named(*headers))}\n{RunFolder(run).suite().note}\n"
 
 
 def crossplay(run: Path) -> str:
@@ -200,6 +200,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),
+    "seed-coverage": ("seeds", coverage_table),
     "reproduction-ego": ("released-ego", reproduction),
     "reproduction-styles": ("released-styles", reproduction),
     "reproduction-environment": ("released-environment", reproduction),

@@ -16,7 +16,7 @@ from charms_bench.report.definitions import first_column
 from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
-from charms_bench.statistics.intervals import CONFIDENCE, resample
+from charms_bench.statistics.intervals import CONFIDENCE, resample, wilson
 from charms_bench.world.scene import Floats
 
 KEYS = ("first", "second")
@@ -96,6 +96,18 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
     folds = np.unique(fold)
     right = sum(_right(features[:, fold != k], features[:, fold == k]) for k in folds)
     return right, egos * episodes
+
+
+def guess_summary(suite: Suite, cells: Sequence[CellRows]) -> str:
+    """How often the ego is guessed right from one episode, beside the accuracy of chance."""
+    right, asked = guessed(suite, cells)
+    low, high = wilson(right, asked)
+    text = (
+        f"From the summary of one episode, its ego is guessed right in {right / asked:.1%} of "
+        f"{asked:,} cases [{100 * low:.1f}, {100 * high:.1f}]; by chance it would be "
+        f"{1 / len(cells):.1%}."
+    )
+    return text.replace("%", " %")
 
 
 def _right(known: Floats, asked: Floats) -> int:

@@ -175,7 +175,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         KEYS,
         LONG,
         _column,
-        note=NOTE,
+        note=f"{NOTE} {suite.note}".rstrip(),
     )
     names = [row.labels[0] for row in table.rows]
     columns = range(len(table.columns))

@@ -15,14 +15,13 @@ from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.preventable import draw_preventable
 from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
 from charms_bench.report.markdown import document, markdown
-from charms_bench.report.pairs_table import guessed, pairs_table
+from charms_bench.report.pairs_table import guess_summary, pairs_table
 from charms_bench.report.preventable_table import preventable_table
 from charms_bench.report.realism_table import TITLE, realism_table
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
-from charms_bench.statistics.intervals import wilson
 from charms_bench.world.files import write_bytes
 
 
@@ -96,7 +95,7 @@ def run_tables(
     rows = [cell.rows for cell in cells]
     if suite.pairs:
         pairs = pairs_table(suite, rows)
-        made.append((pairs, _pairs_summary(pairs, *guessed(suite, rows), len(suite.egos))))
+        made.append((pairs, _pairs_summary(pairs, guess_summary(suite, rows))))
     if suite.preventable_by is not None:
         made.append((preventable_table(suite, rows), ()))
     if references:
@@ -127,14 +126,9 @@ def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, byt
     }
 
 
-def _pairs_summary(table: Table, right: int, asked: int, egos: int) -> list[str]:
+def _pairs_summary(table: Table, guess: str) -> list[str]:
     """How many pairs differ, and how often an episode's ego is recognised."""
     apart = sum(any(cell.marked for cell in row.numbers) for row in table.rows)
-    low, high = wilson(right, asked)
-    guess = (
-        f"From the summary of one episode, its ego is guessed right in {right / asked:.1%} of "
-        f"{asked:,} cases [{low:.1%}, {high:.1%}]; by chance it would be {1 / egos:.1%}."
-    )
     return [f"{apart} of {len(table.rows)} pairs differ in at least one metric.", guess]
 
 

@@ -76,6 +76,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         KEYS,
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
+        note=suite.note,
         reference="paper",
     )
 

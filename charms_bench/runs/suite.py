@@ -27,7 +27,7 @@ PLACED_AT_ONCE = 100_000
 """Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffics."""
-PRESENTATION = ("title", "columns", "pairs", "preventable_by", "references")
+PRESENTATION = ("title", "note", "columns", "pairs", "preventable_by", "references")
 """Fields of a suite that affect only the presentation of results, and no row."""
 
 
@@ -83,6 +83,8 @@ class Suite(FrozenModel):
     suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     """Its name, and that of its tables."""
     title: Line = ""
+    note: Line = ""
+    """What a reader of its tables has to know, such as what an agent was trained on."""
     episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
     """Seed of the first episode; the next episodes have the next seeds."""

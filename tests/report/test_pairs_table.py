@@ -117,7 +117,7 @@ def test_the_tables_say_how_many_pairs_are_apart(tmp_path: Path) -> None:
     path = tmp_path / "tables" / f"{STYLES.suite}-pairs.md"
     text = path.read_text()
     assert text.startswith("2 of 3 pairs differ in at least one metric.")
-    assert "by chance it would be 33.3%" in text
+    assert "by chance it would be 33.3 %" in text
     assert "| one\\| | other\\| |" in text
     assert pl.read_csv(path.with_suffix(".csv")).height == 3 * len(COMPARED)
 

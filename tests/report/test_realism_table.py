@@ -216,3 +216,9 @@ def test_the_table_is_written_reference_by_reference(tmp_path: Path) -> None:
     assert "| like | **" in text
     assert "| un\\|like | " in text
     assert f"| {40 * EPISODES:,} |" in text, "n, which all distances of a row share"
+
+
+def test_the_note_of_the_suite_is_printed_with_the_table() -> None:
+    suite = SUITE.model_copy(update={"note": "The second traffic learnt from the reference."})
+    table = realism_table(suite, [traffic("t", 25.0)], [reference(speed=people(25.0))])
+    assert table.note.endswith(" The second traffic learnt from the reference.")

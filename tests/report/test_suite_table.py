@@ -167,3 +167,10 @@ def test_the_terminal_names_what_differs(
     cells = [cell([25.0], agent=agent, traffic=traffic) for agent, traffic in names]
     words = shown(suite_table(SUITE, cells), ("speed_mean",)).split()
     assert tuple(word for word in ("agent", "traffic") if word in words) == headers
+
+
+def test_the_note_of_a_suite_stands_under_its_table_and_in_its_document() -> None:
+    suite = SUITE.model_copy(update={"note": "IDM+MOBIL was calibrated."})
+    table = suite_table(suite, [cell([25.0])])
+    assert shown(table).rstrip().endswith("IDM+MOBIL was calibrated.")
+    assert "\n\nIDM+MOBIL was calibrated.\n\n" in document(table)

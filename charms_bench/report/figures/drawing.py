@@ -1,13 +1,16 @@
 """What all figures share: colours, axes with a plain look, error bars, a file written whole."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.typing import ColorType
 
 from charms_bench.errors import InputError
 from charms_bench.report.table import Number
@@ -23,8 +26,11 @@ MARKERS = "osD^vPX*"
 LINE_STYLES = ("-", "--", ":", "-.")
 GREY = "#b9c2cb"
 EDGE = "#6b7785"
-INK = "#1a1a1a"
-"""Text on light fields of colour, whatever is behind the figure."""
+PAPER = "#fffffe"
+"""What is behind the figure: white in a file, and in a page the colour of the page."""
+LIGHT, DARK = "#ffffff", "#010101"
+"""Text on fields of colour, whatever is behind the figure. One of the two stands out from any field
+by 4.5 to 1. Black itself would take the colour of the page's text."""
 
 
 def check_figure(path: Path) -> None:
@@ -90,12 +96,25 @@ def heat_map(
     mesh = axes.pcolormesh(*edges, np.ma.masked_invalid(values), **colours)
     for (i, j), value in np.ndenumerate(values):
         if not np.isnan(value):
-            colour = "white" if mesh.norm(value) > 0.6 else INK
+            colour = max(LIGHT, DARK, key=partial(contrast, mesh.to_rgba(value)))
             axes.text(j, i, texts[i][j], ha="center", va="center", color=colour, fontsize=8)
     axes.invert_yaxis()
     axes.spines[:].set_visible(False)
     axes.set_xticks(range(len(columns)), columns, rotation=35, ha="right", fontsize=8)
     axes.set_yticks(range(len(rows)), rows, fontsize=8)
+
+
+def contrast(one: ColorType, other: ColorType) -> float:
+    """How far two colours stand apart, from 1 to 21: the contrast ratio of WCAG 2.2."""
+    bright, dim = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (bright + 0.05) / (dim + 0.05)
+
+
+def _luminance(colour: ColorType) -> float:
+    """The relative luminance of WCAG 2.2."""
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
 def take_text_as_it_is(figure: Figure) -> None:

@@ -8,14 +8,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
-from charms_bench.report.figures.drawing import crosses, panels, points, take_text_as_it_is
+from charms_bench.report.figures.drawing import PAPER, crosses, panels, points, take_text_as_it_is
 from charms_bench.report.table import Number, Table
 from charms_bench.runs.suite import Suite
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 FINE_TICKS = (0.001, 0.002, 0.005)
 """More ticks where all shares are small."""
-BACKGROUND = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.5}
+BACKGROUND = {"facecolor": PAPER, "alpha": 0.7, "edgecolor": "none", "pad": 0.5}
 """Keeps names legible where they lie on points."""
 
 

@@ -1,4 +1,4 @@
-"""Figures inside a page: SVG whose black follows the page, light or dark."""
+"""Figures inside a page: SVG whose black and `PAPER` follow the page, light or dark."""
 
 import re
 from io import StringIO
@@ -7,11 +7,11 @@ import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from charms_bench.report.figures.drawing import take_text_as_it_is
+from charms_bench.report.figures.drawing import PAPER, take_text_as_it_is
 
 
 def in_page(figure: Figure, name: str, label: str) -> Markup:
-    """A figure as an SVG element, whose black becomes the colour of the page's text.
+    """A figure as an SVG element: black becomes the colour of text, and `PAPER` that of the page.
 
     `name` makes the ids of its parts unique in the page; `label` is for screen readers.
     """
@@ -26,7 +26,7 @@ def in_page(figure: Figure, name: str, label: str) -> Markup:
     found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
     found = re.sub(r'\bid="', f'id="{name}.', found)
     found = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}.", found)
-    found = found.replace("#000000", "currentColor")
+    found = found.replace("#000000", "currentColor").replace(PAPER, "var(--card)")
     described = Markup('<svg role="img" aria-label="{}" ').format(label)
     # The width in points is for paper; in a page the view box decides.
     head, _, rest = found.removeprefix("<svg ").partition(">")
