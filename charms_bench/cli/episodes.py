@@ -211,7 +211,7 @@ def what_if(
     )
     page = output or run / "replays" / name
     write_what_if(found, page)
-    recorded, instead = found.recorded.what_happened(), found.other.what_happened()
+    recorded, instead = found.sentences()
     if as_json:
         futures = [
             {"recorded": asdict(one), "what_if": asdict(two)} for one, two in found.futures()
