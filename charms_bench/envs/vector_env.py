@@ -272,6 +272,11 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         Raises:
             InputError: The state does not fit.
         """
+        if not isinstance(state, EpisodesState):
+            raise InputError(
+                f"found {type(state).__name__}, expected an EpisodesState; a SceneState continues "
+                'with reset(options={"state": state})'
+            )
         continue_from(self.simulation, state.scenes)
         self._returns[:] = state.returns
         self._next_seed = state.next_seed
