@@ -132,7 +132,9 @@ def test_what_is_not_a_state_of_scenes_is_named(tmp_path: Path) -> None:
 
 
 def test_a_vehicle_that_spins_off_the_road_is_a_state(tmp_path: Path) -> None:
-    env = ego_vector_env(1, actions="continuous", profile="highway-env", traffic_vehicles=0, ego_slots=1)
+    env = ego_vector_env(
+        1, actions="continuous", profile="highway-env", traffic_vehicles=0, ego_slots=1
+    )
     env.reset(seed=3)
     for _ in range(40):
         _, _, crashed, *_ = env.step(np.array([[1.0, 1.0]]))
