@@ -12,8 +12,8 @@ A collision that this driver avoids in the same scenario is preventable. The dri
    driver is clear of the vehicles ahead, or until it stands.
 
 The numbers are the regulation's. The TTC of 2 s and the leader's 5 m/s2 are those of two public
-implementations, esmini and JRC-FSM. The regulation's text does not say when the braking ends, and
-the implementations differ:
+implementations, esmini and JRC-FSM. The regulation's parameters do not say when the braking
+ends, and the implementations differ:
 
 - `clear`: the driver brakes while it closes in on a vehicle ahead. If it has slipped past a vehicle
   that cuts in, it releases the brake and keeps its speed. JRC-FSM does so once the driver's centre
