@@ -99,8 +99,11 @@ def continue_from(simulation: Simulation, state: SceneState) -> None:
     """Continues all scenes of a simulation whose egos are driven from outside.
 
     Raises:
-        InputError: The state does not fit, or its scenes are not between two decisions.
+        InputError: It is not a `SceneState`, it does not fit, or its scenes are not between two
+            decisions.
     """
+    if not isinstance(state, SceneState):
+        raise InputError(f"found {type(state).__name__}, expected a SceneState")
     if state.phase:
         raise InputError(
             f"the state was saved {state.phase} simulation steps after a decision; an environment "

@@ -11,7 +11,7 @@ import pytest
 
 from charms_bench import load_state, save_state
 from charms_bench.engine.simulation import Simulation
-from charms_bench.envs.ego_env import ego_vector_env
+from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
@@ -129,6 +129,8 @@ def test_what_is_not_a_state_of_scenes_is_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(observations, env.set_state(state))
     with pytest.raises(InputError, match=r"found SceneState, expected an EpisodesState; a Scene"):
         env.set_state(state.scenes)
+    with pytest.raises(InputError, match="found EpisodesState, expected a SceneState"):
+        EgoEnv().set_state(state)
 
 
 def test_a_vehicle_that_spins_off_the_road_is_a_state(tmp_path: Path) -> None:
