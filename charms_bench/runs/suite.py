@@ -32,8 +32,8 @@ PRESENTATION = ("title", "columns", "pairs", "preventable_by", "references")
 
 
 def _listed(value: object) -> object:
-    """A list, also of a single name."""
-    return [value] if isinstance(value, str) else value or []
+    """A list, also of a single name or of none."""
+    return [value] if isinstance(value, str) else [] if value is None else value
 
 
 class EgoEntry(FrozenModel):
