@@ -82,12 +82,19 @@ def overlap(dx: np.ndarray, dy: np.ndarray, heading: np.ndarray, margin: np.ndar
 
 
 def crashes(
-    others: Others, ego: np.ndarray, duration_s: float, later_s: float = 0.0, ahead_s: float = 0.0
+    others: Others,
+    ego: np.ndarray,
+    duration_s: float,
+    *,
+    stops: bool = False,
+    later_s: float = 0.0,
+    ahead_s: float = 0.0,
 ) -> np.ndarray:
     """Whether the driver, who starts at x = 0 with the speed `ego`, collides in each scenario.
 
-    `later_s` delays the braking. Vehicles that approach each other by some distance within
-    `ahead_s` collide at this distance already, as in highway-env.
+    If it `stops`, it brakes to a standstill, otherwise while it closes in. `later_s` delays the
+    braking. Vehicles that approach each other by some distance within `ahead_s` collide at this
+    distance already, as in highway-env.
     """
     x, v = np.zeros_like(ego), ego.copy()
     perceived, reacted = np.full_like(ego, np.inf), np.full_like(ego, np.inf)
@@ -113,7 +120,7 @@ def crashes(
         is_due = critical & (t - perceived >= 0.4)
         reacted = np.where(is_due, np.minimum(reacted, t), reacted)
         pressed = np.clip((t - reacted - 0.75 - later_s) / 0.6, 0.0, 1.0)
-        pressed = np.where((closing > 0) & np.isfinite(reacted), pressed, 0.0)
+        pressed = np.where(((closing > 0) | stops) & np.isfinite(reacted), pressed, 0.0)
         v = np.maximum(0.0, v - 0.774 * 9.81 * pressed / HZ)
         x = x + v / HZ
     return crashed

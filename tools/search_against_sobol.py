@@ -3,10 +3,11 @@
     python tools/search_against_sobol.py suites/r157.yaml Cut-in idm_mobil --repetitions 20
 
 The episodes up to the first failure are counted, with the seeds 0 to `repetitions` - 1. Those of
-the search include the episodes of the careful driver, and those of Sobol points do not.
+the search include the episodes of the reference drivers, and those of Sobol points do not.
 """
 
 import argparse
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -37,18 +38,20 @@ def main() -> None:
         traffic=entry,
         scene=suite.scene.of_scenario(entry.traffic.scenario),
     )
-    reference = next(each for each in suite.egos if each.title == suite.preventable_by)
+    references = [each for each in suite.egos if each.title in suite.preventable_by]
     assert entry.traffic.scenario is not None
     dimensions = len(entry.traffic.scenario.parameters)
 
     def started() -> Search:
-        return Search(cell, reference, suite.folder)
+        return Search(cell, references, suite.folder)
 
     whole = started()
     for first in range(0, SHARE_POINTS, AT_ONCE):
         whole.values(sobol(dimensions, first, AT_ONCE))
     failures = len(whole.failures)
     print(f"failures: {failures} of {SHARE_POINTS} Sobol points ({failures / SHARE_POINTS:.2%})")
+    for names, count in Counter(map(" and ".join, whole.preventable_by)).items():
+        print(f"preventable by {names}: {count}")
 
     needed: dict[str, list[int]] = {"search": [], "sobol": []}
     for seed in range(options.repetitions):

@@ -9,10 +9,12 @@ and so on; CSV files in `docs/results` hold their numbers.
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 
 import polars as pl
 from reproduction import compared, verdicts
@@ -21,6 +23,9 @@ from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
 from charms_bench import open_run
+from charms_bench.episodes.avoidability import Avoidability
+from charms_bench.plugins.registry import AGENTS, plugins
+from charms_bench.report.avoidability_table import in_words, rescuers_table
 from charms_bench.report.markdown import markdown
 from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
@@ -148,6 +153,44 @@ def edges(run: Path) -> str:
     return f"```text\n{listed}\n```\n\n{replayed}"
 
 
+def preventable(run: Path) -> str:
+    """The proportion of each kind of collisions, by ego and scenario."""
+    whole = tables_of(run).preventable
+    assert whole is not None
+    table = whole.take([i for i, each in enumerate(whole.columns) if each.name != "crashed"])
+    return markdown(table.named(*(column.name.replace("_", " ") for column in table.columns)))
+
+
+def avoidability(run: Path) -> str:
+    """How late CHARMS could have avoided its collisions of the suite `ego`, and who avoids them."""
+    ours = {name for name, each in plugins(AGENTS).items() if each.distribution == "charms-bench"}
+    found = [
+        replace(
+            each,
+            avoided_by=tuple(name for name in each.avoided_by if name in ours),
+            hit_by=tuple(name for name in each.hit_by if name in ours),
+        )
+        for each in open_run(run, ROOT / "suites").avoidability(agent="CHARMS")
+    ]
+    return how_late(found, RunFolder(run).suite().scene.decision_hz)
+
+
+def how_late(found: Sequence[Avoidability], decision_hz: int) -> str:
+    """The words and tables of `avoidability`."""
+    decisions = Counter(
+        each.step - each.last_step + 1 for each in found if each.last_step is not None
+    )
+    records = [
+        {"decisions": str(count), "time": count / decision_hz, "collisions": collisions}
+        for count, collisions in sorted(decisions.items())
+    ]
+    columns = (Column("time", form=".2f"), Column("collisions", form=".0f"))
+    late = Table.from_records(records, "", "", ("decisions",), columns).named(
+        "time from the last decision with an escape, s", "collisions"
+    )
+    return f"{fill(in_words(found), 100)}\n\n{markdown(late)}\n{markdown(rescuers_table(found))}"
+
+
 def fine_tuning(run: Path) -> str:
     """What learning from human driving did to each style; nothing if no stage learnt from it."""
     table = stored_training(run).stages
@@ -197,6 +240,8 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "realism": ("realism", realism),
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
+    "preventable": ("r157", preventable),
+    "avoidability": ("ego", avoidability),
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),

@@ -8,17 +8,32 @@ A collision that this driver avoids in the same scenario is preventable. The dri
 2. evaluates the risk for 0.4 s;
 3. reacts as soon as the time to collision is below 2 s, the leader brakes by more than 5 m/s2, or a
    vehicle that leaves the lane has shown a slower one;
-4. brakes 0.75 s later: the deceleration rises to 0.774 g within 0.6 s and stays there as long as
-   the driver closes in.
+4. brakes 0.75 s later: the deceleration rises to 0.774 g within 0.6 s and stays there until the
+   driver is clear of the vehicles ahead, or until it stands.
 
 The numbers are the regulation's. The TTC of 2 s and the leader's 5 m/s2 are those of two public
-implementations, esmini and JRC-FSM. The driver never changes lanes and, after it has braked, never
-accelerates, so the model is for single scenarios.
+implementations, esmini and JRC-FSM. The regulation's parameters do not say when the braking
+ends, and the implementations differ:
+
+- `clear`: the driver brakes while it closes in on a vehicle ahead. If it has slipped past a vehicle
+  that cuts in, it releases the brake and keeps its speed. JRC-FSM does so once the driver's centre
+  is ahead (`utility/models.py`, `CC_check_safety_cut_in`; `utility/movement.py`, `control`), and so
+  does esmini's `ControllerALKS_R157SM.cpp` by default, which considers only vehicles ahead
+  (`Model::Process`).
+- `standstill`: once the driver brakes, it brakes to a standstill, whatever happens. esmini's
+  `ControllerECE_ALKS_RefDriver.cpp` does so, and `ControllerALKS_R157SM.cpp` with its option
+  `fullStop`.
+
+The driver never changes lanes and, after it has braked, never accelerates, so the model is for
+single scenarios.
 """
+
+from typing import Literal, get_args
 
 import numpy as np
 
 from charms_bench import DriverModel
+from charms_bench.errors import InputError
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
@@ -35,15 +50,29 @@ REACTED_S = 200_000.0
 """`timer_s` when the driver reacts."""
 
 
+BrakesUntil = Literal["clear", "standstill"]
+
+
 class CarefulHuman(DriverModel):
-    """Keeps its speed and lane, and brakes for a risk as the regulation's driver does."""
+    """Keeps its speed and lane, and brakes for a risk as the regulation's driver does.
+
+    Args:
+        brakes_until: What ends its braking; see the module.
+    """
+
+    def __init__(self, brakes_until: BrakesUntil = "clear") -> None:
+        if brakes_until not in get_args(BrakesUntil):
+            raise InputError(
+                f"brakes_until: found {brakes_until!r}, expected 'clear' or 'standstill'"
+            )
+        self._stops = brakes_until == "standstill"
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
-        return _drive(scene, vehicles[0], vehicles[1])
+        return _drive(scene, vehicles[0], vehicles[1], self._stops)
 
 
 @compiled_of_scenes
-def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
+def _drive(scene: Scene, rows: Ints, places: Ints, stops: bool) -> tuple[Floats, Ints]:
     c, timer_s, speed = scene.constants, scene.timer_s, scene.speed
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     for m in range(rows.size):
@@ -60,12 +89,14 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
                 timer_s[b, i] = REACTED_S
             wanted = (scene.target_speed[b, i] - speed[b, i]) / c.tau_acceleration
             acceleration[m] = clip(wanted, -BRAKING_MPS2, BRAKING_MPS2)
-        elif closing > 0:
+            continue
+        excess = speed[b, i] if stops else closing
+        if excess > 0:
             # The mean over the step, and half a step more, because the engine moves a vehicle by
             # the speed that it has before the step.
             braked_s = timer_s[b, i] - REACTED_S + c.dt - DELAY_S
             braking = BRAKING_MPS2 * clip(braked_s / RISE_S, 0.0, 1.0)
-            acceleration[m] = -min(braking, closing / c.dt)
+            acceleration[m] = -min(braking, excess / c.dt)
     return acceleration, target_lane
 
 

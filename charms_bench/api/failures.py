@@ -25,7 +25,7 @@ def search(
 ) -> "Search":
     """Searches a scenario's parameters for failures of an agent, and writes them as a suite.
 
-    A failure is a collision that the driver named by `preventable_by` in the suite avoids. In a
+    A failure is a collision that a driver named by `preventable_by` in the suite avoids. In a
     suite without this key, every collision is a failure.
 
     Args:
@@ -50,11 +50,11 @@ def search(
     loaded = suite_of(document)
     check_networks(document, loaded)
     place = scenario_of(document.path, loaded, traffic)
-    reference = next((each for each in loaded.egos if each.title == loaded.preventable_by), None)
+    references = [each for each in loaded.egos if each.title in loaded.preventable_by]
     entry = loaded.traffics[place]
     scene = loaded.scene.of_scenario(entry.traffic.scenario)
     cell = Cell(ego=ego_of(document.path, loaded, agent), traffic=entry, scene=scene)
-    made = Search(cell, reference, loaded.folder)
+    made = Search(cell, references, loaded.folder)
     path = Path(output)
     made.found = lambda: write_found(made, document, place, path)
     try:

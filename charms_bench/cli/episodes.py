@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -211,7 +211,7 @@ def what_if(
     )
     page = output or run / "replays" / name
     write_what_if(found, page)
-    recorded, instead = found.recorded.what_happened(), found.other.what_happened()
+    recorded, instead = found.sentences()
     if as_json:
         futures = [
             {"recorded": asdict(one), "what_if": asdict(two)} for one, two in found.futures()
@@ -247,7 +247,7 @@ def search(
 ) -> None:
     """Search a scenario for failures of an agent, and write them as a suite.
 
-    A failure is a collision that the driver named by `preventable_by` avoids in the same scenario.
+    A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
     """
     from charms_bench import api
 
@@ -259,6 +259,7 @@ def search(
         print_json(
             {
                 "failures": made.failures,
+                "preventable_by": made.preventable_by,
                 "episodes": made.simulations,
                 "episodes_to_first": made.simulations_to_first,
                 "suite": str(output) if made.failures else None,
@@ -274,6 +275,12 @@ def search(
         f"{made.simulations_to_first:,}"
     )
     forms = dict.fromkeys(made.failures[0], ".3f")
-    records = [{"failure": str(k), **point} for k, point in enumerate(made.failures)]
+    records: list[dict[str, Any]] = [
+        {"failure": str(k), **point} for k, point in enumerate(made.failures)
+    ]
+    if made.references:
+        forms["preventable by"] = ""
+        for record, names in zip(records, made.preventable_by, strict=True):
+            record["preventable by"] = " and ".join(names)
     print_records("failure", records, forms)
     say(f"Written: {output}; run it with `charms-bench run {output}`")

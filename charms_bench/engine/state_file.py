@@ -1,6 +1,12 @@
-"""A `SceneState` as a JSON file. Numbers keep all their bits."""
+"""A `SceneState` as a JSON file. Numbers keep all their bits.
 
+The first line has the SHA-256 of all lines after it, so that a file that has been edited or damaged
+is rejected instead of continued as another scene.
+"""
+
+import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,14 +18,15 @@ from charms_bench.engine.collisions import COLLISIONS
 from charms_bench.engine.simulation import ENDINGS
 from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem
+from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.files import read_limited, write_bytes
 from charms_bench.world.scene import SceneSettings
 
-FORMAT, VERSION = "charms-bench scene state", 1
+FORMAT, VERSION = "charms-bench scene state", 2
 LIMIT_BYTES = 2**28
 _LARGEST = 1e9
-"""Within ± this number, no quantity of a simulation overflows."""
+"""Bound of what a driver model may write: within it, no quantity of a simulation overflows."""
 _INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "target_lane")
 _BOOLEANS = ("active", "has_action", "crashed", "impact")
 _TYPES = (
@@ -33,32 +40,46 @@ _TYPES = (
 def save_state(state: SceneState, path: str | Path) -> None:
     """Writes a state, one line per field.
 
+    The state of a vector environment also has the environment's counters. Save its `scenes`.
+
     Raises:
-        InputError: The state belongs to a scenario, which the file format cannot store.
+        InputError: It is not a `SceneState`, or it belongs to a scenario, which the file format
+            cannot store.
         RunFolderError: The folder cannot be written to.
     """
+    if not isinstance(state, SceneState):
+        raise InputError(
+            f"{path}: found {type(state).__name__}, expected a SceneState; save the scenes of a "
+            "vector environment with save_state(env.get_state().scenes, path)"
+        )
     if state.settings.scenario is not None:
         raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
     fields = {
-        "format": FORMAT,
-        "version": VERSION,
         "settings": state.settings.model_dump(mode="json"),
         "agents": state.agents,
         "phase": state.phase,
         **{name: array.tolist() for name, array in state.arrays().items()},
     }
     lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in fields.items())
-    write_bytes(Path(path), ("{" + ",\n".join(lines) + "}\n").encode())
+    body = (",\n".join(lines) + "}\n").encode()
+    write_bytes(Path(path), _first_line(body) + body)
+
+
+def _first_line(body: bytes) -> bytes:
+    """The line that stands before `body`."""
+    fields = {"format": FORMAT, "version": VERSION, "sha256": hashlib.sha256(body).hexdigest()}
+    return (json.dumps(fields).removesuffix("}") + ",\n").encode()
 
 
 def load_state(path: str | Path) -> SceneState:
     """Reads a state.
 
     Raises:
-        InputError: The file cannot be read or is not a state; the message names the field.
+        InputError: The file cannot be read, is not a state, or was changed after it was saved.
     """
     try:
-        found = json.loads(read_limited(Path(path), LIMIT_BYTES), parse_constant=_refuse)
+        data = read_limited(Path(path), LIMIT_BYTES)
+        found = json.loads(data, parse_constant=_refuse)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
@@ -66,6 +87,7 @@ def load_state(path: str | Path) -> SceneState:
             f"{path}: is not a complete state file: {error}; save the state again"
         ) from error
     try:
+        _check_file(found, data)
         return _state_of(found)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -75,7 +97,7 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"found the number {constant}, expected finite numbers")
 
 
-def _state_of(found: Any) -> SceneState:
+def _check_file(found: Any, data: bytes) -> None:
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise InputError(f"is not a state file; expected the format '{FORMAT}'")
     if found.get("version") != VERSION:
@@ -83,7 +105,16 @@ def _state_of(found: Any) -> SceneState:
             f"version: found {found.get('version')!r}, expected {VERSION}; read it with the "
             "charms-bench that wrote it"
         )
-    known = {"format", "version", "settings", "agents", "phase", *ARRAYS}
+    body = data.partition(b"\n")[2]
+    if data != _first_line(body) + body:
+        raise InputError(
+            "sha256: the content is not that with which the file was saved, so it has been edited "
+            "or damaged; save the state again"
+        )
+
+
+def _state_of(found: dict[str, Any]) -> SceneState:
+    known = {"format", "version", "sha256", "settings", "agents", "phase", *ARRAYS}
     for name in sorted(known ^ found.keys()):
         raise InputError(f"{name}: {'is missing' if name in known else 'unknown field'}")
     try:
@@ -136,6 +167,7 @@ def check_state(state: SceneState) -> None:
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
     bounds: dict[str, tuple[float, float]] = {
+        **{name: (-bound, bound) for name, bound in _magnitudes(settings).items()},
         "phase": (0, settings.steps_per_decision),
         "steps": (0, settings.decisions),
         "ending": (0, len(ENDINGS) - 1),
@@ -155,3 +187,30 @@ def check_state(state: SceneState) -> None:
         ):
             found = values[np.nonzero(wrong)][0] if values.ndim else values
             raise InputError(f"{name}: found {found}, expected {low:g} to {high:g}")
+
+
+def _magnitudes(settings: SceneSettings) -> dict[str, float]:
+    """What no quantity of the scenes exceeds in either direction."""
+    profile = settings.profile
+    speeds = (profile.speed_limit_mps, profile.ego_speed_mps, profile.target_speed_max_mps)
+    # Twice the fastest speed, because a vehicle beyond a limit returns to it only gradually.
+    speed = 2 * max(*speeds, profile.speed_max_mps, -profile.speed_min_mps)
+    acceleration = max(2 * speed / profile.tau_acceleration_s, speed, ACCELERATION_LIMIT_MPS2)
+    distance = settings.road_length_m + speed * settings.duration_s
+    # A collision moves two overlapping vehicles apart, and what they cover in one step [`SAT`].
+    impact = 2 * (profile.vehicle_length_m + profile.vehicle_width_m)
+    impact += speed / settings.simulation_hz
+    # The bicycle model turns by at most speed / (length / 2), and no further than steering to the
+    # side takes it; full circles are not taken off.
+    heading = 2 * math.pi + 2 * speed / profile.vehicle_length_m * settings.duration_s
+    return {
+        "x": distance,
+        "y": distance,
+        "heading": heading,
+        "speed": speed,
+        "acceleration": acceleration,
+        "steering": math.pi / 2,
+        "target_speed": speed,
+        "impact_x": impact,
+        "impact_y": impact,
+    }

@@ -106,8 +106,11 @@ def continue_from(simulation: Simulation, state: SceneState) -> None:
     """Continues all scenes of a simulation whose egos are driven from outside.
 
     Raises:
-        InputError: The state does not fit, or its scenes are not between two decisions.
+        InputError: It is not a `SceneState`, it does not fit, or its scenes are not between two
+            decisions.
     """
+    if not isinstance(state, SceneState):
+        raise InputError(f"found {type(state).__name__}, expected a SceneState")
     if state.phase:
         raise InputError(
             f"the state was saved {state.phase} simulation steps after a decision; an environment "
@@ -279,6 +282,11 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         Raises:
             InputError: The state does not fit.
         """
+        if not isinstance(state, EpisodesState):
+            raise InputError(
+                f"found {type(state).__name__}, expected an EpisodesState; a SceneState continues "
+                'with reset(options={"state": state})'
+            )
         continue_from(self.simulation, state.scenes)
         self._returns[:] = state.returns
         self._next_seed = state.next_seed

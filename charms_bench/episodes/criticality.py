@@ -51,9 +51,11 @@ IS_OF_KIND: dict[Kind, pl.Expr] = {
 
 
 def criticality(
-    episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings
+    episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettings, since: int = 1
 ) -> pl.DataFrame:
     """Returns one row per episode, sorted by episode.
+
+    Only the decisions from `since` on are measured; each episode must have lasted until then.
 
     episode, ending: As recorded.
     ttc_min_s: Null if the ego never closed in on a leader.
@@ -75,6 +77,7 @@ def criticality(
     return (
         join_rows(episodes, steps, settings)
         .with_columns(abandoned=abandoned.fill_null(False))
+        .filter(pl.col("step").fill_null(1) >= since)
         .group_by("episode", maintain_order=True)
         .agg(
             pl.first("ending"),

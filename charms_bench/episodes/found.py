@@ -14,7 +14,7 @@ from charms_bench.world.files import write_bytes
 
 
 def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
-    """Writes a suite whose episodes are the failures, driven by both drivers of the search.
+    """Writes a suite whose episodes are the failures, driven by all drivers of the search.
 
     Args:
         search: What has been found.
@@ -24,7 +24,7 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
     """
     entry = deepcopy(document.data["traffics"][traffic])
     entry["traffic"]["scenario"]["points"] = search.failures
-    egos = [search.cell.ego, *([search.reference] if search.reference else [])]
+    egos = [search.cell.ego, *search.references]
     suite: dict[str, Any] = {
         "suite": path.stem,
         "title": f"Failures of {search.cell.title}",
@@ -40,8 +40,8 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
         "traffics": [entry],
         "columns": document.data.get("columns", []),
     }
-    if search.reference is not None:
-        suite["preventable_by"] = search.reference.title
+    if search.references:
+        suite["preventable_by"] = [each.title for each in search.references]
     moved = _moved(suite, document.path.parent, path.parent)
     text = yaml.safe_dump(moved, sort_keys=False, allow_unicode=True, width=100)
     write_bytes(path, text.encode())

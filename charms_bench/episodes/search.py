@@ -1,12 +1,12 @@
 """Searches the parameters of a scenario for failures of an agent, by differential evolution.
 
-A failure is a preventable collision: the agent collides, and the suite's reference driver does not.
-The search minimises the agent's margin to a collision (`severity`); where it collides, the larger
-one of its margin and the reference driver's negative margin, which is below 0 in a failure only.
-So the reference driver is simulated only where the agent collides.
+A failure is a preventable collision: the agent collides, and a reference driver of the suite does
+not. The search minimises the agent's margin to a collision (`severity`); where it collides, the
+larger one of its margin and the negative of the reference drivers' largest margin, which is below 0
+in a failure only. So the reference drivers are simulated only where the agent collides.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -38,13 +38,15 @@ class Search:
     """The failures of an agent in a scenario, and how many episodes it took to find them."""
 
     cell: Cell
-    reference: EgoEntry | None
-    """The driver that decides which collisions are preventable; None if all are."""
+    references: Sequence[EgoEntry]
+    """The drivers that decide which collisions are preventable; if there are none, all are."""
     folder: Path
     """Folder that relative paths of networks start from."""
     failures: list[Point] = field(default_factory=list)
+    preventable_by: list[list[str]] = field(default_factory=list)
+    """The titles of the reference drivers that avoid each failure."""
     simulations: int = 0
-    """Episodes simulated, those of the reference driver included."""
+    """Episodes simulated, those of the reference drivers included."""
     simulations_to_first: int | None = None
     found: Callable[[], None] = lambda: None
     """Called when there are new failures."""
@@ -84,7 +86,7 @@ class Search:
                 callback=is_over,
                 rng=np.random.default_rng([seed, start]),
             )
-        del self.failures[failures:]
+        del self.failures[failures:], self.preventable_by[failures:]
 
     def values(self, shares: Floats) -> Floats:
         """Returns what the search minimises at points (R, P) of the unit cube; notes failures."""
@@ -96,15 +98,22 @@ class Search:
         ]
         found = self._margins(self.cell.ego.agent, points)
         collides = np.nonzero(found < 0)[0]
-        if collides.size and self.reference is not None:
+        avoided_by: list[list[str]] = [[] for _ in collides]
+        if collides.size and self.references:
             asked = [points[k] for k in collides]
-            theirs = self._margins(self.reference.agent, asked)
-            found[collides] = np.maximum(found[collides], -theirs)
-            collides = collides[theirs >= 0]
+            theirs = np.array([self._margins(each.agent, asked) for each in self.references])
+            found[collides] = np.maximum(found[collides], -theirs.max(axis=0))
+            for k, each in zip(*np.nonzero(theirs.T >= 0), strict=True):
+                avoided_by[k].append(self.references[each].title)
         # Each generation begins with points that were simulated before.
-        new = [points[k] for k in collides if points[k] not in self.failures]
+        new = [
+            (points[k], names)
+            for k, names in zip(collides, avoided_by, strict=True)
+            if (names or not self.references) and points[k] not in self.failures
+        ]
         if new:
-            self.failures += new
+            self.failures += [point for point, _ in new]
+            self.preventable_by += [names for _, names in new]
             self.simulations_to_first = self.simulations_to_first or self.simulations
             self.found()
         return found
@@ -148,7 +157,7 @@ def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
     Raises:
         InputError: There is no such ego and no such agent, or the suite has several egos.
     """
-    known = {entry.title: entry for entry in suite.egos if entry.title != suite.preventable_by}
+    known = {entry.title: entry for entry in suite.egos if entry.title not in suite.preventable_by}
     if name is None and len(known) != 1:
         what = f"{len(known)} egos to search failures of; choose one with --agent"
         raise InputError(f"{path}: {what}. {suggestion('', known)}")

@@ -6,6 +6,7 @@ Vehicles are named by their index in the order of spawning, as in animations and
 from dataclasses import dataclass
 
 import numpy as np
+import polars as pl
 
 from charms_bench.engine.collisions import vehicle_hit
 from charms_bench.engine.lane_changes import ATTEMPT_DECISIONS, TAKEN_RANGE_M
@@ -31,17 +32,20 @@ class AbandonedChange:
     """The vehicle that took the gap; see `abandoned_changes`."""
 
 
-def what_happened(replay: Replay, kind: Kind | None = None) -> str:
-    """Returns one sentence about the most critical event of an episode, or of one kind."""
+def what_happened(replay: Replay, kind: Kind | None = None, since: int = 1) -> str:
+    """Returns one sentence about the most critical event of an episode, or of one kind.
+
+    Events before the decision `since`, at which the episode must still run, are left out.
+    """
     if kind is None:
-        measured = criticality(replay.episodes, replay.steps, replay.settings)
+        measured = criticality(replay.episodes, replay.steps, replay.settings, since)
         kind = measured["kind"].item()
     return {
         "collision": _collision,
         "near-miss": _near_miss,
         "hard-braking": _hard_braking,
         "abandoned-lane-change": _abandoned_change,
-    }[kind](replay)
+    }[kind](replay, since)
 
 
 def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
@@ -79,8 +83,9 @@ def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
     return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
 
 
-def _abandoned_change(replay: Replay) -> str:
-    changes = abandoned_changes(replay)
+def _abandoned_change(replay: Replay, since: int) -> str:
+    start = replay.frame_of(since - 1)
+    changes = [change for change in abandoned_changes(replay) if change.ended > start]
     taken = [change for change in changes if change.taker is not None]
     change = max(taken or changes, key=lambda change: change.ended - change.began)
     lasted = replay.t_s[change.ended] - replay.t_s[change.began]
@@ -93,7 +98,7 @@ def _abandoned_change(replay: Replay) -> str:
     return f"{words}, {_at(replay, change.ended)}"
 
 
-def _collision(replay: Replay) -> str:
+def _collision(replay: Replay, _: int) -> str:
     ego = replay.ego
     if replay.ending == "off_road":
         return f"left the road at {replay.speed[-1, ego]:.1f} m/s, {_at(replay, -1)}"
@@ -117,8 +122,9 @@ def _collision(replay: Replay) -> str:
     return f"vehicle {other} steered into the ego from the {side} at {speed[other]:.1f} m/s, {when}"
 
 
-def _near_miss(replay: Replay) -> str:
+def _near_miss(replay: Replay, since: int) -> str:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
+    rows = rows.filter(pl.col("step") >= since)
     if rows["ttc_s"].is_null().all():
         return "never closed in on a vehicle"
     row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
@@ -130,9 +136,10 @@ def _near_miss(replay: Replay) -> str:
     )
 
 
-def _hard_braking(replay: Replay) -> str:
+def _hard_braking(replay: Replay, since: int) -> str:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
-    changed = int(rows["imposed_braking_mps2"].arg_max() or 0)
+    imposed = rows.select(pl.when(pl.col("step") >= since).then("imposed_braking_mps2"))
+    changed = int(imposed.to_series().arg_max() or 0)
     window = round(LANE_CHANGE_WINDOW_S * replay.settings.decision_hz)
     braking = rows.slice(changed, window).filter("driving")
     strongest = braking.row(int(braking["follower_acceleration"].arg_min() or 0), named=True)

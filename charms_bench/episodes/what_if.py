@@ -8,6 +8,7 @@ from charms_bench.engine.conduct import HARSH_MPS2
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, Seat, replay, simulate
+from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError
 from charms_bench.world.scene import Floats
 
@@ -53,6 +54,12 @@ class WhatIf:
         """The frame at which the futures part."""
         return self.recorded.frame_of(self.step - 1)
 
+    def sentences(self) -> tuple[str, str]:
+        """The most critical event from the decision on, in the recorded future and the other."""
+        return what_happened(self.recorded, since=self.step), what_happened(
+            self.other, since=self.step
+        )
+
     def futures(self) -> list[tuple[Future, Future]]:
         """The recorded future and the other one, of the ego and of the vehicle."""
         places = dict.fromkeys([self.recorded.ego, self.vehicle])
@@ -73,7 +80,7 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
         vehicle: The vehicle's index in the order of spawning; None is the ego.
 
     Raises:
-        InputError: There is no such decision, agent or vehicle.
+        InputError: There is no such decision, agent or vehicle, or the vehicle has crashed before.
         RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
     """
     (recorded,) = replay(cell, [episode])
@@ -83,31 +90,36 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
     place = recorded.ego if vehicle is None else vehicle
     if not 0 <= place < vehicles:
         raise InputError(f"episode {episode} has the vehicles 0 to {vehicles - 1}, not {vehicle}")
+    if recorded.crashed[recorded.frame_of(step - 1), place]:
+        raise InputError(
+            f"vehicle {place} has crashed before decision {step} of episode {episode}; choose an "
+            "earlier decision or another vehicle"
+        )
     (other,) = simulate(cell, [episode], Seat(step, place, agent))
     return WhatIf(recorded, other, step, place, agent)
 
 
 def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
-    """What a vehicle did from a frame on; measures stop where it crashes."""
+    """What a vehicle did from a frame on, before which it has not crashed, until it crashes."""
     crashed = replayed.crashed[:, vehicle]
     last = len(replayed.t_s) - 1
     end = int(crashed.argmax()) if crashed.any() else last
-    driving = slice(start, max(end, start + 1))
+    after = slice(start + 1, end + 1)  # a frame has the command of the step that ends in it
     if vehicle == replayed.ego:
         ending = "time over" if replayed.ending == "time" else replayed.ending.replace("_", " ")
     else:
         ending = "crashed" if crashed.any() else "drives on"
     view = ego_view(replace(replayed, ego=vehicle))
-    acceleration, lane = replayed.acceleration[driving, vehicle], replayed.lane[driving, vehicle]
+    acceleration, lane = replayed.acceleration[after, vehicle], replayed.lane[start : end + 1]
     return Future(
         vehicle=vehicle,
         agent=replayed.agents[vehicle],
         ending=f"{ending} at {replayed.t_s[end]:.1f} s",
-        lasted_s=float(max(0.0, replayed.t_s[end] - replayed.t_s[start])),
-        ttc_min_s=_smallest(view.ttc[driving]),
-        gap_min_m=_smallest(view.gap_ahead[driving]),
-        speed_mps=float(replayed.speed[driving, vehicle].mean()),
-        lane_changes=int((np.diff(lane) != 0).sum()),
+        lasted_s=float(replayed.t_s[end] - replayed.t_s[start]),
+        ttc_min_s=_smallest(view.ttc[after]),
+        gap_min_m=_smallest(view.gap_ahead[after]),
+        speed_mps=float(replayed.speed[after, vehicle].mean()),
+        lane_changes=int((np.diff(lane[:, vehicle]) != 0).sum()),
         hard_braking_s=float((acceleration < -HARSH_MPS2).sum() / replayed.settings.simulation_hz),
         braking_max_mps2=float(max(0.0, -acceleration.min())),
     )

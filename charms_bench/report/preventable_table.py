@@ -1,7 +1,8 @@
 """The table of preventable collisions: those in episodes in which a reference driver has none.
 
 All egos of a suite drive the same episodes, so in a suite of scenarios the reference driver meets
-the same concrete scenario.
+the same concrete scenario. If a suite has two reference drivers, the collisions that only one of
+them avoids have their own columns.
 """
 
 from collections.abc import Sequence
@@ -18,11 +19,8 @@ from charms_bench.statistics.intervals import wilson
 
 KEYS = ("agent", "traffic")
 LONG = {"share": "name", "value": "value", "low": "low", "high": "high", "n": "n"}
-COLUMNS = {
-    "crashed": "share of episodes in which the ego collides or leaves the road",
-    "preventable": "share of episodes in which it does so and {} does not",
-    "not_preventable": "share of episodes in which both do so",
-}
+ONLY = "preventable only by "
+"""Begins the name of a kind of collisions, which ends with a reference driver's."""
 
 
 def crashed(cell: CellRows) -> NDArray[np.bool_]:
@@ -31,33 +29,61 @@ def crashed(cell: CellRows) -> NDArray[np.bool_]:
     return rows["ending"].to_numpy().astype(np.bool_)
 
 
+def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> list[dict[str, NDArray[np.bool_]]]:
+    """Returns the episodes (E,) with each kind of collision, by the kind's name, of each cell.
+
+    Every collision is of one kind: `preventable` if all reference drivers avoid it,
+    `not_preventable` if none does, and otherwise `ONLY` and the name of the one that does.
+    """
+    has_crashed = {(cell.agent, cell.traffic): crashed(cell) for cell in cells}
+    found = []
+    for cell in cells:
+        mine = has_crashed[cell.agent, cell.traffic]
+        avoided = ~np.array([has_crashed[name, cell.traffic] for name in suite.preventable_by])
+        kinds = {"preventable": mine & avoided.all(axis=0)}
+        if len(avoided) > 1:
+            for name, each in zip(suite.preventable_by, avoided, strict=True):
+                kinds[ONLY + name] = mine & each & (avoided.sum(axis=0) == 1)
+        found.append({**kinds, "not_preventable": mine & ~avoided.any(axis=0)})
+    return found
+
+
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The shares of preventable and other collisions of every cell, with 95 % intervals."""
-    reference = {
-        cell.traffic: crashed(cell) for cell in cells if cell.agent == suite.preventable_by
-    }
     records = []
-    for cell in cells:
-        mine, unavoidable = crashed(cell), reference[cell.traffic]
-        counts = (mine.sum(), (mine & ~unavoidable).sum(), (mine & unavoidable).sum())
-        for name, count in zip(COLUMNS, counts, strict=True):
-            value, bounds = int(count) / mine.size, wilson(int(count), mine.size)
-            records.append((cell.agent, cell.traffic, name, value, *bounds, mine.size))
+    for cell, kinds in zip(cells, kinds_of(suite, cells), strict=True):
+        for name, each in {"crashed": crashed(cell), **kinds}.items():
+            count = int(each.sum())
+            bounds = wilson(count, each.size)
+            records.append((cell.agent, cell.traffic, name, count / each.size, *bounds, each.size))
     return from_frame(pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row"), suite)
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of preventable collisions from its long frame."""
+    references = " and ".join(suite.preventable_by)
+    shares = {
+        "crashed": "share of episodes in which the ego collides or leaves the road",
+        "preventable": f"share of episodes in which it does so and {references} "
+        f"{'do' if len(suite.preventable_by) > 1 else 'does'} not",
+        **{
+            ONLY + name: f"share of episodes in which it does so and, of {references}, only {name} "
+            "does not"
+            for name in suite.preventable_by
+        },
+        "not_preventable": f"share of episodes in which it and {references} do so",
+    }
 
     def column(_: str, name: str) -> Column:
         return Column(
             name=name,
-            definition=COLUMNS.get(name, "").format(suite.preventable_by),
+            definition=shares.get(name, ""),
             counted="episodes",
             interval="Wilson's score interval of a share of episodes",
             form=".1%",
         )
 
+    avoid = "avoid" if len(suite.preventable_by) > 1 else "avoids"
     return Table.from_frame(
         frame,
         f"{suite.suite}-preventable",
@@ -65,5 +91,5 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         KEYS,
         LONG,
         column,
-        note=f"A collision is preventable if {suite.preventable_by} avoids it in the same episode.",
+        note=f"A collision is preventable if {references} {avoid} it in the same episode.",
     )

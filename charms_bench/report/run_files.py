@@ -61,7 +61,7 @@ def write_run(
         write_table(folder, table, introduction)
     table, figures, name = tables[0][0], folder / "figures", suite.suite
     rows = [cell.rows for cell in cells]
-    if suite.preventable_by is not None and (figure := draw_preventable(suite, rows)):
+    if suite.preventable_by and (figure := draw_preventable(suite, rows)):
         save(figure, figures / f"{name}-preventable.png")
     if len(cells) > 1:
         save(draw_tradeoff(table, tradeoff_of(suite)), figures / f"{name}-tradeoff.png")
@@ -96,7 +96,7 @@ def run_tables(
     if suite.pairs:
         pairs = pairs_table(suite, rows)
         made.append((pairs, _pairs_summary(pairs, guess_summary(suite, rows))))
-    if suite.preventable_by is not None:
+    if suite.preventable_by:
         made.append((preventable_table(suite, rows), ()))
     if references:
         realism = realism_table(suite, following, references)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, ValidationError, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
@@ -29,6 +29,11 @@ ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffics."""
 PRESENTATION = ("title", "note", "columns", "pairs", "preventable_by", "references")
 """Fields of a suite that affect only the presentation of results, and no row."""
+
+
+def _listed(value: object) -> object:
+    """A list, also of a single name or of none."""
+    return [value] if isinstance(value, str) else [] if value is None else value
 
 
 class EgoEntry(FrozenModel):
@@ -99,9 +104,12 @@ class Suite(FrozenModel):
     """Metrics of the printed table; if empty, all that the paper reports."""
     pairs: bool = False
     """Whether to compare the egos pair by pair in a table."""
-    preventable_by: Name | None = None
+    preventable_by: Annotated[
+        tuple[Name, ...], BeforeValidator(_listed), Field(max_length=2, strict=False)
+    ] = ()
     """Label of the ego that decides which collisions are preventable: those in the episodes in
-    which it does not crash itself."""
+    which it does not crash itself. With two labels, tables show the collisions that only one of
+    the two egos avoids apart from those that both avoid."""
     references: Annotated[
         tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
     ] = ()
@@ -134,9 +142,12 @@ class Suite(FrozenModel):
         if self.scene.scenario is not None:
             raise ValueError("scene.scenario: give the scenario as a traffic")
         labels = [ego.title for ego in self.egos]
-        if self.preventable_by is not None and self.preventable_by not in labels:
-            known = suggestion(self.preventable_by, dict.fromkeys(labels))
-            raise ValueError(f"preventable_by: no ego called '{self.preventable_by}'. {known}")
+        for name in self.preventable_by:
+            if name not in labels:
+                known = suggestion(name, dict.fromkeys(labels))
+                raise ValueError(f"preventable_by: no ego called '{name}'. {known}")
+        if len(set(self.preventable_by)) < len(self.preventable_by):
+            raise ValueError(f"preventable_by: '{self.preventable_by[0]}' is given twice")
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(

@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 from written import PAGES, ROOT
 
+from charms_bench.episodes.avoidability import Avoidability
 from charms_bench.report.markdown import markdown
 from charms_bench.report.suite_table import KEYS, LONG, from_frame
 from charms_bench.report.table import long_schema
@@ -59,6 +60,27 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
         "| IDM | 3.0 % [2.3, 3.9] | 23.68 (23.67) |",
         "| other | 0.0 % | – |",
     ]
+
+
+def test_collisions_are_counted_by_the_decisions_that_were_left(tool: ModuleType) -> None:
+    fields = {"ego": "A", "traffic": "T", "ending": "side", "replacement": None, "nodes": 1}
+    found = [
+        Avoidability(
+            **fields, episode=k, step=30, verdict=verdict, last_step=last, avoided_by=by, hit_by=hit
+        )
+        for k, (verdict, last, by, hit) in enumerate(
+            [
+                ("avoidable", 30, ("b",), ("c",)),
+                ("avoidable", 26, ("b", "c"), ()),
+                ("avoidable", 26, (), ("b", "c")),
+                ("spawn", None, (), ()),
+            ]
+        )
+    ]
+    words, late, who = tool.how_late(found, 3).split("\n\n")
+    assert words.startswith("4 collisions of the ego: 3 avoidable")
+    assert late.splitlines()[2:] == ["| 1 | 0.33 | 1 |", "| 5 | 1.67 | 2 |"]
+    assert who.splitlines()[2:] == ["| b | 2 | 3 |", "| c | 1 | 3 |"]
 
 
 @pytest.mark.parametrize("name", REPRODUCTIONS)

@@ -1,5 +1,6 @@
 """States as files: all bits are kept, and files that are not states are refused by field."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from charms_bench import load_state, save_state
 from charms_bench.engine.simulation import Simulation
+from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
@@ -40,10 +42,15 @@ def test_a_file_keeps_all_bits(running: Simulation, file: Path) -> None:
 
 
 def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
+    """An edit that also corrects the checksum, so that only the fields themselves are wrong."""
+
     def edit(text: str) -> str:
         fields = json.loads(text)
         change(fields)
-        return json.dumps(fields)
+        head = {name: fields.pop(name) for name in ("format", "version", "sha256")}
+        body = json.dumps(fields)[1:] + "\n"
+        head["sha256"] = hashlib.sha256(body.encode()).hexdigest()
+        return json.dumps(head)[:-1] + ",\n" + body
 
     return edit
 
@@ -55,13 +62,17 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
         (lambda text: "", "is not a complete state file"),
         (lambda text: "[" * 100_000, "is not a complete state file"),
         (lambda text: "[1]", "is not a state file; expected the format 'charms-bench scene state'"),
-        (edited(lambda f: f.update(version=2)), "version: found 2, expected 1"),
+        (edited(lambda f: f.update(version=3)), "version: found 3, expected 2"),
         (edited(lambda f: f.pop("speed")), "speed: is missing"),
         (edited(lambda f: f.update(colour=1)), "colour: unknown field"),
         (edited(lambda f: f["settings"].update(lanes=1)), r"settings\.lanes: .*found 1"),
         (edited(lambda f: f["x"][0].__setitem__(0, float("nan"))), "found the number NaN"),
-        (lambda text: text.replace('"x": [[', '"x": [[1e999, '), "x: rows have different lengths"),
-        (edited(lambda f: f["x"][0].__setitem__(0, 1e300)), r"x: found 1e\+300, expected -1e\+09"),
+        (edited(lambda f: f["x"][0].append(1e200)), "x: rows have different lengths"),
+        (edited(lambda f: f["x"][0].__setitem__(0, 1e300)), r"x: found 1e\+300, expected -"),
+        (edited(lambda f: f["heading"][0].__setitem__(0, 1e9)), r"heading: found 1000000000\.0, "),
+        (edited(lambda f: f["speed"][0].__setitem__(0, 70.0)), r"speed: found 70\.0, .* -66 to 66"),
+        (edited(lambda f: f["steering"][0].__setitem__(0, 1.6)), r"steering: found 1\.6, expected"),
+        (edited(lambda f: f["impact_y"][1].__setitem__(0, 99.0)), r"impact_y: found 99\.0, expect"),
         (edited(lambda f: f["speed"].pop()), r"speed: found the shape \(1, 5\), expected \(2, 5\)"),
         (edited(lambda f: f["ego"].__setitem__(0, 5)), "ego: found 5, expected 0 to 4"),
         (edited(lambda f: f["ego"].__setitem__(0, 0.5)), "ego: expected integers"),
@@ -84,6 +95,56 @@ def test_a_file_that_is_not_a_state_is_refused(
     file.write_text(change(file.read_text()))
     with pytest.raises(InputError, match=rf"state\.json: .*{message}"):
         load_state(file)
+
+
+def test_every_edit_of_one_digit_is_refused(file: Path) -> None:
+    text, rng = file.read_text(), np.random.default_rng(0)
+    places = [k for k, letter in enumerate(text) if letter.isdigit()]
+    for place in rng.choice(places, 60, replace=False):
+        others = [digit for digit in "0123456789" if digit != text[place]]
+        file.write_text(text[:place] + rng.choice(others) + text[place + 1 :])
+        with pytest.raises(InputError, match=r"state\.json: "):
+            load_state(file)
+
+
+def test_a_file_that_was_edited_or_written_again_says_so(file: Path) -> None:
+    text = file.read_text()
+    again = json.dumps(json.loads(text))
+    for changed in (again, text + "\n", text.replace('"idm_mobil"', '"level_0"')):
+        file.write_text(changed)
+        with pytest.raises(InputError, match=r"sha256: .*has been edited or damaged; save the sta"):
+            load_state(file)
+
+
+def test_what_is_not_a_state_of_scenes_is_named(tmp_path: Path) -> None:
+    env = ego_vector_env(2)
+    env.reset(seed=3)
+    state: Any = env.get_state()
+    with pytest.raises(InputError, match=r"found EpisodesState, expected a SceneState; save the"):
+        save_state(state, tmp_path / "state.json")
+    save_state(state.scenes, tmp_path / "state.json")
+    restored = load_state(tmp_path / "state.json")
+    assert restored == state.scenes
+    observations, _ = env.reset(options={"state": restored})
+    np.testing.assert_array_equal(observations, env.set_state(state))
+    with pytest.raises(InputError, match=r"found SceneState, expected an EpisodesState; a Scene"):
+        env.set_state(state.scenes)
+    with pytest.raises(InputError, match="found EpisodesState, expected a SceneState"):
+        EgoEnv().set_state(state)
+
+
+def test_a_vehicle_that_spins_off_the_road_is_a_state(tmp_path: Path) -> None:
+    env = ego_vector_env(
+        1, actions="continuous", profile="highway-env", traffic_vehicles=0, ego_slots=1
+    )
+    env.reset(seed=3)
+    for _ in range(40):
+        _, _, crashed, *_ = env.step(np.array([[1.0, 1.0]]))
+        assert not crashed
+    state = env.get_state().scenes
+    assert np.abs(state.heading).max() > 40
+    save_state(state, tmp_path / "state.json")
+    assert load_state(tmp_path / "state.json") == state
 
 
 def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:

@@ -87,6 +87,28 @@ def test_hard_braking_names_the_follower_and_the_side() -> None:
     )
 
 
+def test_only_events_since_a_decision_are_told() -> None:
+    near = {"leader_distance": 15.0, "leader_speed": 15.0}
+    later = {"leader_distance": 55.0, "leader_speed": 20.0}
+    replay = replay_of("time", [near, {}, later], x=np.tile([0.0, 55.0], (16, 1)), y=4.0)
+    assert "TTC 1.0 s" in what_happened(replay)
+    assert what_happened(replay, since=2) == (
+        "TTC 10.0 s behind vehicle 1, 5.0 m/s faster than it and 50.0 m away (DRAC 0.2 m/s²), "
+        "at t = 1.0 s"
+    )
+    quiet = replay_of("time", [near, {}], x=np.zeros((11, 1)))
+    assert what_happened(quiet, since=2) == "never closed in on a vehicle"
+
+
+def test_a_lane_change_before_the_decision_is_not_told() -> None:
+    changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
+    replay = replay_of("time", [{}, changed, changed], x=np.tile([100.0, 85.0], (16, 1)), y=8.0)
+    assert "braked at 4.5 m/s²" in what_happened(replay, since=2)
+    assert what_happened(replay, since=3) == "never closed in on a vehicle"
+    abandoned = given_up(18.0, 0, 2)
+    assert what_happened(abandoned, "abandoned-lane-change", since=3).endswith("at t = 1.0 s")
+
+
 def test_a_quiet_episode_says_so() -> None:
     assert what_happened(replay_of(x=np.zeros((6, 1)))) == "never closed in on a vehicle"
 

@@ -1,15 +1,17 @@
 """What if: the prefix repeats exactly, and with the same agent the whole episode does."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import charms_bench
+from handmade_replay import replay_of
 
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, Seat, replay, simulate
-from charms_bench.episodes.what_if import WhatIf, what_if
+from charms_bench.episodes.what_if import WhatIf, future_of, what_if
 from charms_bench.errors import InputError, RegistryError, RunFolderError
 from charms_bench.report.html.what_if import write_what_if
 from charms_bench.report.what_if_table import what_if_table
@@ -100,6 +102,36 @@ def test_the_table_compares_the_futures_of_the_ego_and_of_the_vehicle(
     at = [column.name for column in table.columns].index("speed_mps")
     assert table.rows[0].numbers[at].value == pytest.approx(driven.mean(), rel=0.01)
     assert table.rows[0].cells[0] == "time over at 5.0 s"
+
+
+@pytest.mark.parametrize("step", [6, 12])
+def test_the_sentences_tell_nothing_before_the_decision(finished: FinishedRun, step: int) -> None:
+    for agent in ("level_0", "idm_mobil"):
+        found = asked(finished, step, agent)
+        for sentence in found.sentences():
+            at = re.search(r"at t = ([0-9.]+) s$", sentence)
+            assert at is None or float(at[1]) > (step - 1) / 3
+
+
+def test_a_future_has_only_what_follows_its_first_frame() -> None:
+    acceleration = np.zeros((31, 1))
+    acceleration[:11], acceleration[11] = -9.0, -4.0  # frame 10 ends the step before
+    replayed = replay_of("time", [{}] * 6, x=np.zeros((31, 1)), acceleration=acceleration)
+    future = future_of(replayed, 0, 10)
+    assert future.braking_max_mps2 == 4.0
+    assert future.hard_braking_s == pytest.approx(1 / 15)
+    assert future.lasted_s == pytest.approx(20 / 15)
+
+
+def test_a_vehicle_that_has_crashed_before_gets_no_driver(
+    finished: FinishedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = RecordedCell(finished, 0, Path())
+    (recorded,) = replay(cell, [12])
+    recorded.crashed[25:, 5] = True
+    monkeypatch.setattr("charms_bench.episodes.what_if.replay", lambda *_: [recorded])
+    with pytest.raises(InputError, match="vehicle 5 has crashed before decision 6 of episode 12"):
+        what_if(cell, 12, 6, "level_0", 5)
 
 
 def test_the_page_has_both_futures(finished: FinishedRun, tmp_path: Path) -> None:

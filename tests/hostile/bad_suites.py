@@ -222,7 +222,7 @@ _VALUES: tuple[tuple[str, str, Sequence[str]], ...] = (
         _scenario(more="actions: [{at_s: 0, lane: 1, duration_s: 0}]"),
         _scenario(more="actions: [{at_s: 0, lane: -1, duration_s: 1}]"),
     )),
-    (PREVENTABLE, "preventable_by", ("nobody", "3", "[]")),
+    (PREVENTABLE, "preventable_by", ("nobody", "3", "[3]", "[idm_mobil, idm_mobil]")),
     (BASE, "columns", ("[nothing]", "[3]", "nothing", "[" + "x" * 50_000 + "]")),
     (BASE, "pairs", ("true", "3", '"yes"')),
     (BASE, "references", (

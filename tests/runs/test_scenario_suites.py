@@ -54,6 +54,8 @@ def written(folder: Path, text: str = SUITE, name: str = "small.yaml") -> Path:
         ("gap: [5, 70]", "gap: [70, 5]", "13: .*gap: range: 70 exceeds 5"),
         ("-braking}", "-brake}", "21: .*acceleration_mps2: no parameter named 'brake'"),
         ("by: Careful", "by: Carefull", "preventable_by: no ego called 'Carefull'"),
+        ("by: Careful", "by: [Careful, Careful]", "preventable_by: 'Careful' is given twice"),
+        ("by: Careful", "by: [Careful, Level 0, a]", "preventable_by: .*at most 2"),
         ("        ego: {", "        points: grid\n        ego: {", "14: .*points: has 25 points"),
         (
             "        ego: {",
@@ -147,8 +149,25 @@ def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path
     points = [tuple(point.values()) for point in made.failures]
     assert len(points) == len(set(points)) == 5
     run = charms_bench.run(found, tmp_path / "run", workers=1)
-    rows = run.tables["found-preventable"].rows
-    assert {row.labels[0]: row.numbers[1].value for row in rows}["CHARMS"] == 1.0
+    table = run.tables["found-preventable"]
+    (charms,) = (each for each in table.records() if each["agent"] == "CHARMS")
+    assert charms["preventable"] == 1.0
+
+
+def test_a_search_says_under_which_rule_a_failure_is_preventable(tmp_path: Path) -> None:
+    found = tmp_path / "found.yaml"
+    suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
+    made = charms_bench.search(suite, "IDM+MOBIL", "Cut-in", found, failures=3)
+    clear, standstill = made.references[0].title, made.references[1].title
+    assert made.preventable_by == [[clear]] * 3
+    table = charms_bench.run(found, tmp_path / "run", workers=1).tables["found-preventable"]
+    of_agent = {each["agent"]: each for each in table.records()}
+    shown = of_agent["IDM+MOBIL"]
+    assert (shown["crashed"], shown["preventable"], shown["not_preventable"]) == (1.0, 0.0, 0.0)
+    assert shown[f"preventable only by {clear}"] == 1.0
+    assert shown[f"preventable only by {standstill}"] == 0.0
+    assert of_agent[clear]["crashed"] == 0.0
+    assert of_agent[standstill]["crashed"] == 1.0
 
 
 def test_a_search_without_failures_writes_nothing(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from charms_bench.report.figures.drawing import panels
-from charms_bench.report.preventable_table import crashed
+from charms_bench.report.preventable_table import ONLY, crashed, kinds_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.world.points import values_at
@@ -19,15 +19,29 @@ from charms_bench.world.points import values_at
 BINS = 14
 REGION = "#8cc9a1"
 FROM_WHITE = LinearSegmentedColormap.from_list("region", ["white", REGION])
-PREVENTABLE: dict[str, Any] = {"color": "#c2122d", "marker": "o"}
-UNAVOIDABLE: dict[str, Any] = {"color": "#7a8290", "marker": "x"}
+LOOKS: dict[str, dict[str, Any]] = {
+    "not_preventable": {"color": "#7a8290", "marker": "x"},
+    "preventable": {"color": "#c2122d", "marker": "o"},
+}
+OF_ONLY: tuple[dict[str, Any], ...] = (
+    {"color": "#b35c00", "marker": "^"},
+    {"color": "#5b3fa0", "marker": "v"},
+)
+"""Of collisions that only the first or only the second reference driver avoids."""
+
+
+def survivors(suite: Suite) -> str:
+    """What the green fields of a suite's figure show."""
+    if len(suite.preventable_by) == 1:
+        return f"{suite.preventable_by[0]} survives"
+    return f"{' and '.join(suite.preventable_by)} survive (lighter: one)"
 
 
 def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     """Egos down, scenarios across, each over the first two parameters of its scenario.
 
-    Green fields: the share of episodes that the reference driver survives. None without scenarios
-    of two parameters.
+    Green fields: the share of episodes that the reference driver survives, or the mean of the
+    shares of two. None without scenarios of two parameters.
     """
     numbers = np.arange(suite.seed, suite.seed + suite.episodes)
     points = {}
@@ -35,35 +49,44 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
         scenario = entry.traffic.scenario
         if scenario is not None and len(scenario.parameters) >= 2:
             points[entry.title] = list(values_at(scenario, numbers).items())[:2]
-    if not points or suite.preventable_by is None:
+    if not points or not suite.preventable_by:
         return None
     has_crashed = {(cell.agent, cell.traffic): crashed(cell) for cell in cells}
+    kinds = {
+        (cell.agent, cell.traffic): each
+        for cell, each in zip(cells, kinds_of(suite, cells), strict=True)
+    }
+    looks = LOOKS | dict(zip((ONLY + name for name in suite.preventable_by), OF_ONLY, strict=False))
     egos = [ego.title for ego in suite.egos]
     count = len(egos) * len(points)
     figure, every = panels(count, 3.1, 2.15, len(points))
     for axes, (ego, title) in zip(every, product(egos, points), strict=True):
         (across, x), (up, y) = points[title]
-        unavoidable = has_crashed[suite.preventable_by, title]
+        survives = 1.0 - np.mean(
+            [has_crashed[name, title] for name in suite.preventable_by], axis=0
+        )
         edges = [
             np.linspace(each.min(), max(each.max(), each.min() + 1e-6), BINS) for each in (x, y)
         ]
         total, *_ = np.histogram2d(x, y, edges)
-        survived, *_ = np.histogram2d(x[~unavoidable], y[~unavoidable], edges)
+        survived, *_ = np.histogram2d(x, y, edges, weights=survives)
         with np.errstate(invalid="ignore"):
             share = np.ma.masked_invalid(survived / total)
         axes.pcolormesh(*edges, share.T, cmap=FROM_WHITE, vmin=0, vmax=1)
-        mine = has_crashed[ego, title]
-        for look, chosen in ((UNAVOIDABLE, mine & unavoidable), (PREVENTABLE, mine & ~unavoidable)):
-            axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **look)
+        of_ego = kinds[ego, title]
+        for name in sorted(of_ego, key=list(looks).index):
+            chosen = of_ego[name]
+            axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **looks[name])
         axes.set_title(f"{ego}: {title}", fontsize=8)
         axes.tick_params(labelsize=7)
         axes.set_xlabel(across, fontsize=8)
         axes.set_ylabel(up, fontsize=8)
     dots = [
-        Line2D([], [], linestyle="", label=label, **look)
-        for label, look in (("preventable", PREVENTABLE), ("not preventable", UNAVOIDABLE))
+        Line2D([], [], linestyle="", label=name.replace("_", " "), **looks[name])
+        for name in next(iter(kinds.values()))
     ]
-    field = Patch(color=REGION, label=f"{suite.preventable_by} survives")
-    figure.legend(handles=[field, *dots], loc="outside upper center", ncols=3, frameon=False,
+    field = Patch(color=REGION, label=survivors(suite))
+    columns = 3 if len(dots) == 2 else 2
+    figure.legend(handles=[field, *dots], loc="outside upper center", ncols=columns, frameon=False,
                   fontsize=8)  # fmt: skip
     return figure

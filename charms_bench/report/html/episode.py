@@ -5,15 +5,21 @@ from typing import Any
 from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
+from charms_bench.episodes.what_happened import what_happened
 from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.svg import in_page
 
 
-def for_page(name: str, replay: Replay, ghosts: Replay | None = None) -> dict[str, Any]:
-    """An episode for the page's templates and player; another future is drawn as ghosts."""
+def for_page(
+    name: str, replay: Replay, ghosts: Replay | None = None, since: int = 1
+) -> dict[str, Any]:
+    """An episode for the page's templates and player; another future is drawn as ghosts.
+
+    Its sentence and its criticality are those of the decisions from `since` on.
+    """
     view, ego, traffic = ego_view(replay), replay.cell.ego.title, replay.cell.traffic.title
-    measured = criticality(replay.episodes, replay.steps, replay.settings)["criticality"].item()
+    measured = criticality(replay.episodes, replay.steps, replay.settings, since)
     label = (
         "Over time: gaps ahead and behind, time to collision, speed and reward of "
         f"{ego} in {traffic}, episode {replay.episode}"
@@ -23,8 +29,8 @@ def for_page(name: str, replay: Replay, ghosts: Replay | None = None) -> dict[st
         "ego": ego,
         "traffic": traffic,
         "episode": replay.episode,
-        "criticality": f"{measured:.2f}",
-        "what": replay.what_happened(),
+        "criticality": f"{measured['criticality'].item():.2f}",
+        "what": what_happened(replay, since=since),
         "seconds": f"{replay.t_s[-1]:.1f}",
         "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),

@@ -12,7 +12,7 @@ from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.learning import draw_curves
 from charms_bench.report.figures.paper_values import draw_beside_paper
-from charms_bench.report.figures.preventable import draw_preventable
+from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
@@ -149,10 +149,10 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         caption = f"In how many of {len(pairs.columns)} metrics the two differ by more than chance "
         caption += "(Holm-corrected p < 0.05)."
         found.append(_picture(f"{key}-separations", title, caption, draw_separations(pairs)))
-    drawn = None if suite.preventable_by is None else draw_preventable(suite, source.run.cells())
+    drawn = draw_preventable(suite, source.run.cells()) if suite.preventable_by else None
     if drawn is not None:
         title = "Preventable collisions"
-        caption = f"Green: {suite.preventable_by} survives. Points: collisions of the ego."
+        caption = f"Green: {survivors(suite)}. Points: collisions of the ego."
         found.append(_picture(f"{key}-preventable", title, caption, drawn, wide=True))
     if not suite.references:
         return found

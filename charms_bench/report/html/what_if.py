@@ -19,7 +19,7 @@ def write_what_if(found: WhatIf, path: Path) -> None:
     """
     check_page(path)
     section = what_if_section(found, "futures")
-    shown = for_page(f"what-if-{found.recorded.episode}", found.recorded, found.other)
+    shown = for_page(f"what-if-{found.recorded.episode}", found.recorded, found.other, found.step)
     page = render(
         [section],
         title=section.title,
@@ -36,9 +36,6 @@ def write_what_if(found: WhatIf, path: Path) -> None:
 def what_if_section(found: WhatIf, name: str) -> Section:
     """The section of two futures; links call it `name`."""
     recorded, table = found.recorded, what_if_table(found)
-    facts = [
-        recorded.cell.title,
-        f"recorded: {recorded.what_happened()}",
-        f"what if: {found.other.what_happened()}",
-    ]
+    happened, instead = found.sentences()
+    facts = [recorded.cell.title, f"recorded: {happened}", f"what if: {instead}"]
     return Section(name, table.title, facts, [table], [])
