@@ -19,7 +19,8 @@ def scene_of(profile: str = "highway-env", lanes: int = 3, **fields: Any) -> Sce
     settings = SceneSettings(
         profile=PROFILES[profile], lanes=lanes, traffic_vehicles=vehicles - 1, ego_slots=1
     )
-    scene = Scene.empty(settings, 1)
+    parameters = np.shape(fields.get("parameters", [[]]))[-1]
+    scene = Scene.empty(settings, 1, parameters)
     for name, values in fields.items():
         getattr(scene, name)[0] = values
     scene.order[0] = np.random.default_rng(0).permutation(vehicles)
