@@ -45,6 +45,10 @@ class ScenarioError(InputError):
         super().__init__(what)
         self.location = location
 
+    def __reduce__(self) -> tuple[type["ScenarioError"], tuple[Sequence[str | int], str]]:
+        """Workers send errors to the process that started them."""
+        return type(self), (self.location, str(self))
+
 
 class RegistryError(InputError):
     """A plugin cannot be found or loaded."""

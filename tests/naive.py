@@ -18,7 +18,7 @@ def closest_lane(y: float, lanes: int, width: float) -> int:
 def is_on_lane(x: float, y: float, lane: int, c: Constants) -> bool:
     """`AbstractLane.on_lane` with a margin of 1 m."""
     beside = abs(y - lane * c.lane_width)
-    return beside <= c.lane_width / 2 + 1 and -c.length <= x < c.road_length + c.length
+    return beside <= c.lane_width / 2 + 1 and -5.0 <= x < c.road_length + 5.0
 
 
 def neighbours(scene: Scene, i: int, lane: int) -> tuple[int, int]:
@@ -135,7 +135,7 @@ def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
         elif scene.timer_s[0, i] > p.lane_change_period_s and scene.speed[0, i] >= 1:
             for side in (lanes[i] - 1, lanes[i] + 1):
                 near = abs(scene.y[0, i] - side * c.lane_width) <= 2 * c.lane_width
-                on_length = 0 <= scene.x[0, i] < c.road_length + c.length
+                on_length = 0 <= scene.x[0, i] < c.road_length + 5.0
                 if 0 <= side < c.lanes and near and on_length and mobil(driver, i, side):
                     targets[i] = int(side)
         wanted = [

@@ -21,7 +21,7 @@ def ahead(h: History, t: int, i: int, lane: int, c: Constants, sign: int = 1) ->
     for j in range(h["x"].shape[1]):
         x, y = h["x"][t, j], h["y"][t, j]
         distance = sign * (x - h["x"][t, i])
-        on_road = -c.length <= x < c.road_length + c.length
+        on_road = -5.0 <= x < c.road_length + 5.0
         on_lane = on_road and abs(y - lane * c.lane_width) <= c.lane_width / 2 + 1
         if j == i or not on_lane or distance <= 0:
             continue
@@ -34,7 +34,7 @@ def lost_at(h: History, i: int, c: Constants) -> int:
     """The first decision at which i has collided or left the road; T + 1 if it never has."""
     centre = h["lane"][1:, i] * c.lane_width
     off_road = abs(h["y"][1:, i] - centre) > c.lane_width / 2
-    off_road |= (h["x"][1:, i] < -c.length) | (h["x"][1:, i] >= c.road_length + c.length)
+    off_road |= (h["x"][1:, i] < -5.0) | (h["x"][1:, i] >= c.road_length + 5.0)
     gone = off_road | h["crashed"][1:, i]
     return int(gone.argmax()) + 1 if gone.any() else len(gone) + 1
 

@@ -10,16 +10,24 @@ from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Scene, SceneSettings
 
 
-def scene_of(profile: str = "highway-env", lanes: int = 3, **fields: Any) -> Scene:
+def scene_of(
+    profile: str = "highway-env",
+    lanes: int = 3,
+    sizes: dict[str, float] | None = None,
+    **fields: Any,
+) -> Scene:
     """A scene whose arrays hold `fields`, a number a vehicle; the first vehicle is the ego.
 
-    Vehicles keep to their nearest lane and their speed where the fields say nothing of it.
+    Vehicles keep to their nearest lane and their speed where the fields say nothing of it. `sizes`
+    replace constants of the profile.
     """
     vehicles = len(fields["x"])
     settings = SceneSettings(
         profile=PROFILES[profile], lanes=lanes, traffic_vehicles=vehicles - 1, ego_slots=1
     )
-    scene = Scene.empty(settings, 1)
+    parameters = np.shape(fields.get("parameters", [[]]))[-1]
+    scene = Scene.empty(settings, 1, parameters)
+    scene = scene._replace(constants=scene.constants._replace(**(sizes or {})))
     for name, values in fields.items():
         getattr(scene, name)[0] = values
     scene.order[0] = np.random.default_rng(0).permutation(vehicles)
@@ -43,18 +51,28 @@ def all_vehicles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def scenes(
     draw: st.DrawFn, most_vehicles: int = 8, profiles: tuple[str, ...] = tuple(PROFILES)
 ) -> Scene:
-    """Crowded scenes: vehicles level with each other, on two lanes, beside and before the road."""
+    """Crowded scenes: vehicles level with each other, on two lanes, beside the road and beyond it.
+
+    Vehicles, lanes and the road have different sizes.
+    """
     lanes = draw(st.integers(2, 5))
     vehicles = draw(st.integers(2, most_vehicles))
 
     def each(values: st.SearchStrategy[Any]) -> list[Any]:
         return draw(st.lists(values, min_size=vehicles, max_size=vehicles))
 
-    level = st.sampled_from([-6.0, -5.0, 0.0, 10.0, 25.0, 40.0])
-    centres = st.integers(0, lanes - 1).map(lambda lane: 4.0 * lane)
+    level = st.sampled_from([-6.0, -5.0, 0.0, 10.0, 25.0, 35.0, 40.0])
+    sizes = {
+        "length": draw(st.sampled_from([5.0, 3.0, 18.0])),
+        "width": draw(st.sampled_from([2.0, 1.6, 2.6])),
+        "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5])),
+        "road_length": draw(st.sampled_from([10_000.0, 30.0])),
+    }
+    centres = st.integers(0, lanes - 1).map(lambda lane: sizes["lane_width"] * lane)
     return scene_of(
         profile=draw(st.sampled_from(profiles)),
         lanes=lanes,
+        sizes=sizes,
         x=each(st.one_of(level, st.floats(-8.0, 120.0))),
         y=each(st.one_of(centres, st.floats(-4.0, 4.0 * lanes))),
         heading=each(st.one_of(st.just(0.0), st.floats(-0.5, 0.5))),

@@ -25,7 +25,8 @@ class BatchedEngine:
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
     ) -> None:
-        self.scene = Scene.empty(settings, scenes)
+        parameters = max((len(model.parameters) for model in models.values()), default=0)
+        self.scene = Scene.empty(settings, scenes, parameters)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self._settings = settings
         self._spawn_rule = _spawn_rule(settings)

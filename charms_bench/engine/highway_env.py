@@ -41,7 +41,8 @@ class HighwayEnvEngine:
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
     ) -> None:
-        self.scene = Scene.empty(settings, scenes)
+        parameters = max((len(model.parameters) for model in models.values()), default=0)
+        self.scene = Scene.empty(settings, scenes, parameters)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
@@ -127,7 +128,7 @@ class HighwayEnvEngine:
                 places = np.nonzero(drivers == agent)[0]
                 if places.size and not model.highway_env_class:
                     self._ask(model, row, places)
-                self._act(row, places)
+                self._act(row, places, tuple(model.parameters))
             if self._script is not None:
                 self._prescribe(row, self._script)
             self.roads[row].step(dt)
@@ -143,9 +144,12 @@ class HighwayEnvEngine:
             vehicle.obey(*answer)
             vehicle.timer = float(self.scene.timer_s[row, place])
 
-    def _act(self, row: int, places: Ints) -> None:
+    def _act(self, row: int, places: Ints, parameters: tuple[str, ...] = ()) -> None:
+        """Has vehicles act whose drivers have parameters with these names."""
         for place in places:
             vehicle = self.roads[row].vehicles[place]
+            own = dict(zip(parameters, self.scene.parameters[row, place].tolist(), strict=False))
+            vars(vehicle).update(_idm_attributes(own))
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
@@ -321,16 +325,30 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         "LOWEST_TARGET": profile.target_speed_min_mps,
         "HIGHEST_TARGET": profile.target_speed_max_mps,
         "FROM_CURRENT_LANE": profile.lane_command_from == "current_lane",
-        "ACC_MAX": idm.acceleration_limit_mps2,
-        "COMFORT_ACC_MAX": idm.acceleration_mps2,
-        "COMFORT_ACC_MIN": -idm.deceleration_mps2,
-        "DISTANCE_WANTED": idm.jam_distance_m,
-        "TIME_WANTED": idm.time_headway_s,
         "DELTA_RANGE": [idm.exponent_low, idm.exponent_high],
-        "POLITENESS": idm.politeness,
-        "LANE_CHANGE_MIN_ACC_GAIN": idm.lane_change_gain_mps2,
-        "LANE_CHANGE_MAX_BRAKING_IMPOSED": idm.imposed_braking_mps2,
-        "LANE_CHANGE_DELAY": idm.lane_change_period_s,
+        **_idm_attributes(idm.model_dump()),
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
     return type(vehicle_class.__name__, (vehicle_class,), held)
+
+
+def _idm_attributes(constants: Mapping[str, float]) -> dict[str, float]:
+    """The attributes of `IDMVehicle` for fields of `IdmMobilConstants`; others have none."""
+    return {
+        _IDM_ATTRIBUTES[name]: -value if name == "deceleration_mps2" else value
+        for name, value in constants.items()
+        if name in _IDM_ATTRIBUTES
+    }
+
+
+_IDM_ATTRIBUTES = {
+    "acceleration_mps2": "COMFORT_ACC_MAX",
+    "deceleration_mps2": "COMFORT_ACC_MIN",
+    "jam_distance_m": "DISTANCE_WANTED",
+    "time_headway_s": "TIME_WANTED",
+    "acceleration_limit_mps2": "ACC_MAX",
+    "politeness": "POLITENESS",
+    "lane_change_gain_mps2": "LANE_CHANGE_MIN_ACC_GAIN",
+    "imposed_braking_mps2": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+    "lane_change_period_s": "LANE_CHANGE_DELAY",
+}

@@ -422,6 +422,7 @@ def collide(scene: Scene, first: int, after: int) -> None:
     hits = np.empty((vehicles, 6))
     corners = np.empty((2, 4, 2))
     diagonal = math.sqrt(c.length**2 + c.width**2)
+    beside = c.width + 1e-6  # where rounding does not decide whether they touch
     x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
     direction_x, direction_y, order = scene.direction_x, scene.direction_y, scene.order
     for row in range(first, after):
@@ -443,7 +444,7 @@ def collide(scene: Scene, first: int, after: int) -> None:
                 dx, dy = x[b, far] - x[b, near], y[b, far] - y[b, near]
                 if dx > reach:
                     break
-                if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > c.width:
+                if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > beside:
                     continue  # side by side and straight, so they are apart across the road
                 i, j = min(order[b, k], order[b, m]), max(order[b, k], order[b, m])
                 if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:

@@ -14,6 +14,7 @@ from charms_bench.engine.collisions import (
     note_collisions,
 )
 from charms_bench.engine.kernels import are_off_road, is_on_own_lane, vehicles_of
+from charms_bench.engine.parameters import Ranges, set_parameters
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -100,6 +101,8 @@ class Simulation:
             for k, agent in self.made.items()
             if isinstance(agent, DriverModel)
         }
+        self.ranges = {k: model.parameters for k, model in models.items() if model.parameters}
+        """The parameters of driver models and their ranges, by the index of the agent."""
         continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
         if actions == "continuous":
             continuous += [k for k, name in enumerate(self.agents) if not name]
@@ -142,7 +145,7 @@ class Simulation:
         """Starts an episode in each of the scenes `rows`; by default, in all scenes.
 
         If `draws` (R, 4 N + 1) are given, vehicles are placed by them (see `engine.draws`), and the
-        seeds only decide what the traffic draws.
+        seeds only decide what the traffic and its drivers' parameters draw.
         """
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
@@ -157,6 +160,7 @@ class Simulation:
             self.engine.reset(rows, seeds, traffic)
         else:
             self.engine.place(rows, draws, traffic)
+        set_parameters(self, rows)
         self.steps[rows] = 0
         self.ending[rows] = RUNNING
         self.phase = 0
@@ -290,12 +294,28 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
     return policy
 
 
+def _checked_ranges(name: str, model: DriverModel) -> Ranges:
+    try:
+        ranges = {
+            str(key): (float(low), float(high)) for key, (low, high) in model.parameters.items()
+        }
+    except (AttributeError, TypeError, ValueError):
+        ranges = {"": (np.inf, -np.inf)}
+    if not all(-np.inf < low <= high < np.inf for low, high in ranges.values()):
+        raise InputError(
+            f"agent '{name}': its attribute `parameters` is {str(model.parameters)[:80]!r}; "
+            "expected ranges by name, such as {'time_headway_s': (0.6, 2.0)}"
+        )
+    return ranges
+
+
 class _CheckedModel(DriverModel):
     """Checks what a driver model returns, and passes it on."""
 
     def __init__(self, name: str, model: DriverModel, simulation: Simulation) -> None:
         self._name, self._model, self._simulation = name, model, simulation
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
+        self.parameters = _checked_ranges(name, model)
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.parameters import set_parameters
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
@@ -173,6 +174,7 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
         for name in names:
             getattr(arrays, name)[rows] = getattr(state, name)
     simulation.engine.restore(rows, state.seeds)
+    set_parameters(simulation, rows)
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:

@@ -6,6 +6,8 @@ vehicles may be split over several calls, or over several runs, at any time.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 from charms_bench.world.actions import ActionKind, Actions
@@ -58,6 +60,14 @@ class DriverModel(ABC):
     """The highway-env vehicle class that is this model's reference, as `module:Class`.
 
     If it is given, the engine `highway-env` uses that class instead of this model's `drive`.
+    """
+
+    parameters: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    """The parameters in which the drivers of this model differ, by name, and their ranges.
+
+    Each vehicle's are drawn from its episode's seed, uniformly and independently; a scenario can
+    give them instead. `drive` finds them in `scene.parameters`, in this order. A parameter that has
+    the name of a field of the profile's `idm_mobil` also applies to the `highway_env_class`.
     """
 
     @abstractmethod

@@ -192,6 +192,7 @@ class HeldModel(Held[DriverModel], DriverModel):
     ) -> None:
         super().__init__(model, other, rng, calls)
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
+        self.parameters = model.parameters
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         if not self._is_chosen():

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,12 +12,13 @@ from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, mo
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.people.reference import ReferenceSpec
+from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.registry import AGENTS, find, is_network
+from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.world.fields import Finite, FrozenModel, Line, Name
-from charms_bench.world.placement import place
+from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
@@ -215,7 +216,12 @@ def check_scenarios(document: Document, suite: Suite) -> None:
             last = min(first + PLACED_AT_ONCE, suite.episodes)
             numbers = np.arange(suite.seed + first, suite.seed + last)
             try:
-                place(scenario, suite.scene.of_scenario(scenario).constants, numbers)
+                constants = suite.scene.of_scenario(scenario).constants
+                place(scenario, constants, numbers)
+                for k, vehicle in enumerate(scenario.vehicles):
+                    if vehicle.driver_parameters:
+                        ranges = _ranges_of(str(vehicle.agent))
+                        driver_parameters(scenario, k, constants, ranges, numbers)
             except ScenarioError as error:
                 at = ("traffics", index, "traffic", "scenario", *error.location)
                 raise document.error(at, str(error)) from error
@@ -248,6 +254,12 @@ def _check_metric(
     known = {metric.name: metric for metric_set in sets for metric in metric_set.metrics}
     if name not in known:
         raise document.error(location, f"no metric named '{name}'. {suggestion(name, known)}")
+
+
+def _ranges_of(agent: str) -> Mapping[str, tuple[float, float]]:
+    """Returns the parameters of an agent's drivers, and their ranges; policies have none."""
+    made = None if is_network(agent) else make_agent(agent)
+    return made.parameters if isinstance(made, DriverModel) else {}
 
 
 def _names(entry: EgoEntry | TrafficEntry) -> tuple[str, ...]:

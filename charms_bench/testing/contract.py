@@ -34,15 +34,20 @@ from charms_bench.world.scene import Observations, Scene, SceneSettings, Vehicle
 
 Rule = Callable[[], None]
 _SCENES = 16
+_NOT_SEATED = 2
+"""The index of an agent that drives no vehicle."""
 _WRITABLE = {"timer_s"}
 SLOW_MS = 3.0
 """Longest time per decision of a vehicle, among many; networks of 256-256 units take 0.002."""
 
 
-def example_scene(seed: int = 0) -> Scene:
-    """16 scenes of 21 vehicles in motion; some vehicles are changing lanes, a few have crashed."""
+def example_scene(seed: int = 0, model: DriverModel | None = None) -> Scene:
+    """16 scenes of 21 vehicles in motion; some vehicles are changing lanes, a few have crashed.
+
+    All vehicles have drawn parameters of the model.
+    """
     settings = SceneSettings(density=2.0)
-    engine = BatchedEngine(settings, _SCENES, {})
+    engine = BatchedEngine(settings, _SCENES, {} if model is None else {_NOT_SEATED: model})
     rows = np.arange(_SCENES)
     traffic = np.ones((_SCENES, settings.traffic_vehicles), dtype=np.int64)
     engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), traffic)
@@ -52,6 +57,9 @@ def example_scene(seed: int = 0) -> Scene:
         engine.command(everyone, rng.integers(0, len(ACTIONS), everyone[0].size))
         for _ in range(5):
             engine.advance()
+    if model is not None and model.parameters:
+        low, high = np.array([*model.parameters.values()]).T
+        engine.scene.parameters[:] = rng.uniform(low, high, engine.scene.parameters.shape)
     return engine.scene
 
 
@@ -144,7 +152,7 @@ def policy_does_not_change_its_observations(policy: Policy) -> None:
 
 def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> None:
     """`drive` returns possible accelerations and lanes of the road, one of each per vehicle."""
-    scene = example_scene()
+    scene = example_scene(model=model)
     for vehicles in (_everyone(scene), (np.array([0]), np.array([3]))):
         acceleration, lane = map(np.asarray, model.drive(scene, vehicles))
         shapes = (acceleration.shape, lane.shape)
@@ -157,7 +165,7 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
 
 def model_drives_each_scene_independently(model: DriverModel) -> None:
     """What happens in one scene does not depend on the others, their number or their order."""
-    scene = example_scene()
+    scene = example_scene(model=model)
     asked = SceneQuestion("drive", scene, _everyone(scene), ())
     said = driving(model)(asked.part(None)[0].scene.read_only(), asked.vehicles)
     order = np.random.default_rng(0).permutation(_SCENES)
@@ -168,7 +176,7 @@ def model_drives_each_scene_independently(model: DriverModel) -> None:
 
 def model_does_not_change_the_scene(model: DriverModel) -> None:
     """`drive` writes to `timer_s` only."""
-    scene, before = example_scene(), example_scene()
+    scene, before = example_scene(model=model), example_scene(model=model)
     model.drive(scene, _everyone(scene))
     for name in set(Scene._fields) - _WRITABLE - {"constants"}:
         same = np.array_equal(getattr(scene, name), getattr(before, name))
@@ -247,7 +255,7 @@ def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
     if isinstance(agent, Policy):
         observations = _observations(agent, seed)
         return lambda: np.array(agent.decide(observations.copy())).T
-    scene = example_scene(seed)
+    scene = example_scene(seed, agent)
     return lambda: _answer(agent, copied(scene), _everyone(scene))
 
 

@@ -81,12 +81,19 @@ class Comparison:
         return replace(self, largest=max(self.largest, other.largest), **sums)
 
 
+class _Cell(FrozenModel):
+    scene: SceneSettings
+    traffic: TrafficSpec
+
+
 class _DefaultCases(FrozenModel):
     episodes: Annotated[int, Field(ge=1)]
     continuous_episodes: Annotated[int, Field(ge=1)]
     scenes: tuple[SceneSettings, ...] = Field(strict=False)
     egos: tuple[AgentSpec, ...] = Field(strict=False)
     traffic: TrafficSpec
+    """Drives in all `scenes`."""
+    cells: tuple[_Cell, ...] = Field(strict=False)
 
 
 def default_cases(continuous: bool = False) -> tuple[list[Case], int]:
@@ -96,8 +103,11 @@ def default_cases(continuous: bool = False) -> tuple[list[Case], int]:
     """
     cases = Document(Path(__file__).with_name("verify.yaml")).validate(_DefaultCases)
     egos = (None,) if continuous else cases.egos
+    cells = [(scene, cases.traffic) for scene in cases.scenes]
+    for cell in cases.cells:
+        cells.append((cell.scene.of_scenario(cell.traffic.scenario), cell.traffic))
     return [
-        Case(scene=scene, ego=ego, traffic=cases.traffic) for ego in egos for scene in cases.scenes
+        Case(scene=scene, ego=ego, traffic=traffic) for ego in egos for scene, traffic in cells
     ], cases.continuous_episodes if continuous else cases.episodes
 
 

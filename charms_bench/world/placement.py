@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.world.formula import Formula, evaluate
+from charms_bench.world.lanes import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
@@ -64,6 +65,36 @@ def place_at(
     return _Placing(scenario, c, values, count).placement()
 
 
+def driver_parameters(
+    scenario: Scenario,
+    k: int,
+    c: Constants,
+    ranges: Mapping[str, tuple[float, float]],
+    numbers: NDArray[Any],
+) -> dict[str, Floats]:
+    """Returns the parameters (R,) that a scenario gives to the driver of its vehicle k, by name.
+
+    Args:
+        scenario: The scenario.
+        k: The vehicle's index in the scenario.
+        c: The constants of the scene.
+        ranges: The parameters that the vehicle's agent has, and their ranges.
+        numbers: (R,) the numbers of the points.
+
+    Raises:
+        ScenarioError: The agent has no such parameter, or the value is out of its range.
+    """
+    vehicle, values = scenario.vehicles[k], values_at(scenario, numbers)
+    placing, given = _Placing(scenario, c, values, numbers.size), {}
+    for name, formula in vehicle.driver_parameters.items():
+        at = ("vehicles", k, "driver_parameters", name)
+        if name not in ranges:
+            what = f"agent '{vehicle.agent}' has no parameter '{name}'. {suggestion(name, ranges)}"
+            raise ScenarioError(at, what)
+        given[name] = placing.within(at, formula, *ranges[name])
+    return given
+
+
 def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
     parameters, points, count = scenario.parameters, scenario.points, count_of(scenario)
     last = int(numbers.max(initial=0))
@@ -118,7 +149,7 @@ class _Placing:
             names[name] = i
             made.lane[:, i] = self._lane((*at, "lane"), vehicle.lane)
             low, high = max(0.0, c.speed_min), c.speed_max
-            made.speed[:, i] = self._within((*at, "speed_mps"), vehicle.speed_mps, low, high)
+            made.speed[:, i] = self.within((*at, "speed_mps"), vehicle.speed_mps, low, high)
             made.x[:, i] = self._x(i, at, names, made.x)
             self._check_free(i, at, made, list(names))
             for k, action in enumerate(vehicles[i - 1].actions if i else ()):
@@ -126,13 +157,12 @@ class _Placing:
         return made
 
     def _x(self, i: int, at: Location, names: Mapping[str, int], x: Floats) -> Floats:
-        length = self._c.length
-        ends = (-length, self._c.road_length)
+        ends = (-END_MARGIN_M, self._c.road_length)
         vehicle = self._scenario.vehicles[i - 1] if i else None
         if vehicle is None or vehicle.x_m is not None:
             formula = vehicle.x_m if vehicle else self._scenario.ego.x_m
             assert formula is not None
-            return self._within((*at, "x_m"), formula, *ends)
+            return self.within((*at, "x_m"), formula, *ends)
         field = "ahead_of" if vehicle.ahead_of is not None else "behind"
         other = str(getattr(vehicle, field))
         known = {name: place for name, place in names.items() if place < i}
@@ -142,7 +172,7 @@ class _Placing:
         assert vehicle.gap_m is not None
         gap = self._value((*at, "gap_m"), vehicle.gap_m)
         sign = 1.0 if field == "ahead_of" else -1.0
-        found = x[:, known[other]] + sign * (gap + length)
+        found = x[:, known[other]] + sign * (gap + self._c.length)
         outside = ~((found >= ends[0]) & (found < ends[1]))
         self._check((*at, "gap_m"), outside, f"off the road, at x {{:g}} m; expected "
                     f"{ends[0]:g} to {ends[1]:g}", found)  # fmt: skip
@@ -162,22 +192,22 @@ class _Placing:
 
     def _set_action(self, i: int, k: int, at: Location, action: Action, made: Placement) -> None:
         c = self._c
-        begins = self._within((*at, "at_s"), action.at_s, 0.0, np.inf)
+        begins = self.within((*at, "at_s"), action.at_s, 0.0, np.inf)
         if action.acceleration_mps2 is not None:
             limit = 20.0
             asked = (*at, "acceleration_mps2")
-            acceleration = self._within(asked, action.acceleration_mps2, -limit, limit)
+            acceleration = self.within(asked, action.acceleration_mps2, -limit, limit)
             ends = np.where(acceleration < 0, max(0.0, c.speed_min), c.speed_max)
             if action.until_mps is not None:
                 bounds = (max(0.0, c.speed_min), c.speed_max)
-                ends = self._within((*at, "until_mps"), action.until_mps, *bounds)
+                ends = self.within((*at, "until_mps"), action.until_mps, *bounds)
             made.brakes_at[:, i, k] = begins
             made.acceleration[:, i, k], made.until[:, i, k] = acceleration, ends
             return
         assert action.lane is not None
         assert action.duration_s is not None
         lane = self._lane((*at, "lane"), action.lane)
-        duration = self._within((*at, "duration_s"), action.duration_s, c.dt, np.inf)
+        duration = self.within((*at, "duration_s"), action.duration_s, c.dt, np.inf)
         start, ready = made.lane[:, i], np.full(self._count, -np.inf)
         for earlier in range(k):
             has_moved = made.moves_at[:, i, earlier] < np.inf
@@ -196,7 +226,8 @@ class _Placing:
         self._check(at, ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last)), what, lane)
         return np.asarray(lane.astype(np.int64))
 
-    def _within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:
+    def within(self, at: Location, formula: Formula, low: float, high: float) -> Floats:
+        """Returns the value of a formula at each point, which must lie between two bounds."""
         value = self._value(at, formula)
         bounds = f"at least {low:g}" if high == np.inf else f"{low:g} to {high:g}"
         what = f"{{:g}} is out of range; expected {bounds}"

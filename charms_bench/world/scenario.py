@@ -94,6 +94,9 @@ class PlacedVehicle(FrozenModel):
     gap_m: Formula | None = None
     agent: Line | None = None
     """The agent that drives it; without one, it keeps its speed and lane but for `actions`."""
+    driver_parameters: Annotated[dict[Name, Formula], Field(max_length=100)] = {}  # noqa: RUF012
+    """Parameters of its driver, for an agent with `DriverModel.parameters`; the middles of their
+    ranges by default."""
     actions: Annotated[tuple[Action, ...], Field(max_length=20, strict=False)] = ()
 
     @model_validator(mode="after")
@@ -104,6 +107,8 @@ class PlacedVehicle(FrozenModel):
             raise ValueError("expected x_m, or gap_m with either ahead_of or behind")
         if self.agent is not None and self.actions:
             raise ValueError("actions are for vehicles without an agent")
+        if self.agent is None and self.driver_parameters:
+            raise ValueError("driver_parameters are for vehicles with an agent")
         if self.agent == PRESCRIBED:
             raise ValueError(f"agent: '{PRESCRIBED}' is what drives a vehicle without an agent")
         return self

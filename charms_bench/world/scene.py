@@ -177,7 +177,10 @@ class _Fields(NamedTuple):
     timer_s: Floats
     """[B, N] time since the driver model last set it to 0; starts within a lane-change period."""
     temperament: Floats
-    """[B, N] in [0, 1], drawn once per vehicle, for properties that vary between drivers."""
+    """[B, N] in [0, 1], drawn once per vehicle: IDM+MOBIL's exponent depends on it."""
+    parameters: Floats
+    """[B, N, P] the parameters of each vehicle's driver, in the order in which its model declares
+    them [`DriverModel.parameters`]; P is the number of the model that declares most."""
     ego: Ints
     """[B] the ego's place."""
     active: Bools
@@ -214,8 +217,8 @@ class Scene(_Fields):
         raise AttributeError(f"scene.{name} cannot be set; a scene is read-only")
 
     @classmethod
-    def empty(cls, settings: SceneSettings, scenes: int) -> "Scene":
-        """Some scenes, all zeros; an engine fills them."""
+    def empty(cls, settings: SceneSettings, scenes: int, parameters: int = 0) -> "Scene":
+        """Some scenes, all zeros; an engine fills them. Drivers have so many `parameters`."""
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
         nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
@@ -227,6 +230,7 @@ class Scene(_Fields):
         per_vehicle["direction_x"][:] = 1.0
         return cls(
             **per_vehicle,
+            parameters=np.zeros((*shape, parameters)),
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
             order=places,

@@ -1,55 +1,40 @@
-"""IDM+MOBIL drivers with drawn parameters, against IDM+MOBIL with these parameters."""
+"""IDM+MOBIL drivers with their own parameters, against IDM+MOBIL with these constants."""
 
 import numpy as np
-import pytest
 from charms_baselines.idm_mobil import IdmMobil
 from charms_baselines.varied_idm import VariedIdmMobil
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import all_vehicles, scene_of
+from scenes import all_vehicles, scene_of, scenes
 
 from charms_bench.world.scene import Scene
 
-# Digits to the base 128: 64, 32, 96, 0, 16, 48, 80, each with 64 after it for the last.
-DIGITS = (64, 32, 96, 0, 16, 48, 80)
-TEMPERAMENT = sum(digit * 128.0 ** -(k + 1) for k, digit in enumerate(DIGITS))
-
-
-def two(temperament: float, gap_m: float) -> Scene:
-    return scene_of(
-        x=[0.0, gap_m],
-        y=[4.0, 4.0],
-        speed=[24.0, 20.0],
-        target_speed=[26.0, 20.0],
-        temperament=[temperament, temperament],
-    )
+RANGES = VariedIdmMobil.parameters
 
 
 @settings(derandomize=True, deadline=None, max_examples=50)
-@given(st.floats(15.0, 120.0))
-def test_a_driver_is_idm_with_the_parameters_that_its_temperament_says(gap_m: float) -> None:
-    def share(k: int) -> float:  # the digits from k on, as a number in [0, 1)
-        return sum(digit * 128.0 ** -(n + 1) for n, digit in enumerate(DIGITS[k:]))
-
-    scene = two(TEMPERAMENT, gap_m)
-    drawn = scene.constants.idm_mobil._replace(
-        acceleration_mps2=1 + 3 * share(0),
-        deceleration_mps2=2 + 4 * share(1),
-        jam_distance_m=7 + 6 * share(2),
-        time_headway_s=0.6 + 1.4 * share(3),
-        politeness=0.5 * share(4),
-        lane_change_gain_mps2=0.1 + 0.4 * share(5),
-        imposed_braking_mps2=1 + 3 * share(6),
+@given(scenes(), st.tuples(*(st.floats(*bounds) for bounds in RANGES.values())))
+def test_a_driver_is_idm_mobil_with_its_parameters(
+    scene: Scene, parameters: tuple[float, ...]
+) -> None:
+    own = scene._replace(parameters=np.tile(np.array(parameters), (*scene.x.shape, 1)))
+    constants = scene.constants.idm_mobil._replace(**dict(zip(RANGES, parameters, strict=True)))
+    same = scene._replace(
+        constants=scene.constants._replace(idm_mobil=constants), timer_s=scene.timer_s.copy()
     )
-    same = scene._replace(constants=scene.constants._replace(idm_mobil=drawn))
-    found = VariedIdmMobil().drive(scene, all_vehicles(scene))[0][0]
-    assert found == pytest.approx(IdmMobil().drive(same, all_vehicles(same))[0][0], abs=1e-6)
+    found = VariedIdmMobil().drive(own, all_vehicles(own))
+    expected = IdmMobil().drive(same, all_vehicles(same))
+    np.testing.assert_array_equal(found, expected)
 
 
-def test_drivers_differ() -> None:
-    temperaments = np.random.default_rng(0).random(50)
-    answers = [
-        VariedIdmMobil().drive(scene, all_vehicles(scene))[0][0]
-        for scene in (two(temperament, 45.0) for temperament in temperaments)
-    ]
-    assert np.std(answers) > 0.3
+def test_two_drivers_in_the_same_place_differ_by_their_parameters() -> None:
+    # (s* / gap)^2 of s* = 10 + 20 T, 40 m behind a leader of 20 m/s: 22 / 40 and 50 / 40.
+    calm, hasty = ([1.0, 5.0, 10.0, headway, 0.0, 0.2, 2.0] for headway in (2.0, 0.6))
+    scene = scene_of(
+        x=[0.0, 40.0, 0.0, 40.0],
+        y=[0.0, 0.0, 8.0, 8.0],
+        speed=[20.0] * 4,
+        parameters=[hasty, hasty, calm, calm],
+    )
+    found = VariedIdmMobil().drive(scene, all_vehicles(scene))[0]
+    np.testing.assert_allclose(found[[0, 2]], [-((22 / 40) ** 2), -((50 / 40) ** 2)])

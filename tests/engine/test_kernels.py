@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
 from charms_bench.engine import kernels
+from charms_bench.world.lanes import is_reachable
 from charms_bench.world.scene import Scene
 
 DT = 1 / 15
@@ -24,6 +25,8 @@ ROW = np.array([0])
 def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     """highway-env's road with the vehicles of a scene."""
     c, network = scene.constants, RoadNetwork()
+    sizes = {"LENGTH": c.length, "WIDTH": c.width}
+    vehicle_class = type(vehicle_class.__name__, (vehicle_class,), sizes)
     for lane in range(c.lanes):
         ends = np.array([[0.0, lane * c.lane_width], [c.road_length, lane * c.lane_width]])
         network.add_lane("0", "1", StraightLane(*ends, width=c.lane_width, speed_limit=30))
@@ -83,6 +86,20 @@ def test_a_vehicle_beside_the_road_is_nobodys_neighbour() -> None:
     scene = scene_of(x=[10.0, 30.0, -6.0], y=[0.0, -3.1, 0.0])
     assert (scene.leaders[0, 0] == -1).all()
     assert (scene.followers[0, 0] == -1).all()
+
+
+@pytest.mark.parametrize("length", [3.0, 18.0])
+def test_the_road_reaches_5_m_beyond_its_ends_whatever_the_length_of_vehicles(
+    length: float,
+) -> None:
+    scene = scene_of(
+        x=[50.0, -5.1, -5.0, 104.9, 105.0],
+        y=[0.0] * 5,
+        sizes={"length": length, "road_length": 100.0},
+    )
+    assert (scene.leaders[0, 0, 0], scene.followers[0, 0, 0]) == (3, 2)
+    x = np.array([-0.1, 0.0, 104.9, 105.0])
+    assert list(is_reachable(x, 0.0, 1, scene.constants)) == [False, True, True, False]
 
 
 @settings(derandomize=True, deadline=None)
@@ -199,6 +216,15 @@ def test_vehicles_side_by_side_on_two_lanes_do_not_collide() -> None:
     kernels.collide(scene, 0, 1)
     assert not scene.crashed.any()
     assert not scene.impact.any()
+
+
+def test_vehicles_that_touch_side_by_side_collide_as_rounding_says() -> None:
+    sizes = {"width": 1.65, "lane_width": 1.65}
+    scene = scene_of(lanes=5, sizes=sizes, x=[100.0, 100.0], y=[3 * 1.65, 4 * 1.65])
+    first, other = road_of(scene).vehicles
+    first.handle_collisions(other, DT)
+    kernels.collide(scene, 0, 1)
+    assert list(scene.crashed[0]) == [first.crashed, other.crashed] == [True, True]
 
 
 def test_directions_are_the_cosine_and_sine_of_headings() -> None:

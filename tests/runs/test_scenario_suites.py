@@ -39,6 +39,12 @@ preventable_by: Careful
 """
 
 
+DRIVEN = """\
+            agent: idm_mobil_varied
+            driver_parameters: {time_headway_s: gap / 10}
+"""
+
+
 def written(folder: Path, text: str = SUITE, name: str = "small.yaml") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
@@ -192,3 +198,20 @@ def test_a_search_names_what_it_can_search(
 ) -> None:
     with pytest.raises(InputError, match=error):
         charms_bench.search(written(tmp_path), agent, traffic, tmp_path / "found.yaml")
+
+
+@pytest.mark.parametrize(
+    ("instead", "error"),
+    [
+        ("time_headway: 1", "22: .*'idm_mobil_varied' has no parameter 'time_headway'. Known: "),
+        ("time_headway_s: gap / 10", "22: .*time_headway_s: .* is out of range; expected 0.6 to 2"),
+        ("time_headway_s: gap + gip", "22: .*no parameter named 'gip'. Known: gap, braking"),
+    ],
+)
+def test_wrong_parameters_of_a_driver_are_refused_with_their_line(
+    tmp_path: Path, instead: str, error: str
+) -> None:
+    actions = "            actions: [{at_s: 1, acceleration_mps2: -braking}]\n"
+    text = SUITE.replace(actions, DRIVEN.replace("time_headway_s: gap / 10", instead))
+    with pytest.raises(SuiteError, match=error):
+        load_suite(written(tmp_path, text))

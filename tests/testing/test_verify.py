@@ -7,6 +7,7 @@ from charms_bench.engine import batched, kernels
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.testing import verify
 from charms_bench.testing.verify import Case, compare, default_cases
+from charms_bench.world.placement import place
 from charms_bench.world.scene import Bools, Scene, SceneSettings
 
 CASE = Case(
@@ -75,6 +76,35 @@ def test_random_controls_steer_little_in_some_episodes_and_much_in_others() -> N
 def test_500_episodes_are_compared_with_continuous_actions() -> None:
     cases, episodes = default_cases(continuous=True)
     assert len(cases) * episodes >= 500
+
+
+@pytest.mark.parametrize("which", range(-5, 0))
+def test_the_engines_agree_with_vehicles_and_lanes_of_other_sizes(which: int) -> None:
+    case = default_cases()[0][which]
+    (comparison,) = verify.verify([case], episodes=2, seed=0, workers=1)
+    assert (comparison.differences, comparison.largest) == ((), 0.0)
+
+
+@pytest.mark.parametrize("which", [-2, -1])
+def test_vehicles_of_the_default_cases_pass_the_ends_of_the_road(which: int) -> None:
+    case = default_cases()[0][which]
+    assert case.scene.scenario is not None
+    placed = place(case.scene.scenario, case.scene.constants, np.arange(38))
+    end, duration_s = case.scene.constants.road_length, case.scene.duration_s
+    if which == -2:
+        assert ((placed.x[:, 0] < 0) & (placed.x[:, 0] > -5)).all()
+    else:
+        assert (placed.x[:, 0] + placed.speed[:, 0] * duration_s > end + 5).mean() > 0.5
+
+
+def test_the_default_cases_have_vehicles_and_lanes_of_different_sizes() -> None:
+    profiles = [case.scene.profile for case in default_cases()[0]]
+    lengths = {profile.vehicle_length_m for profile in profiles}
+    widths = {profile.vehicle_width_m for profile in profiles}
+    lanes = {profile.lane_width_m for profile in profiles}
+    assert (min(lengths), max(lengths)) == (3.0, 18.0)
+    assert (min(widths), max(widths)) == (1.6, 2.6)
+    assert (min(lanes), max(lanes)) == (3.0, 4.5)
 
 
 def test_the_default_cases_cover_what_they_promise() -> None:
