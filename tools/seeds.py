@@ -26,6 +26,7 @@ TRIMMED = 0.25
 REPLICATES = 20_000
 COLUMNS = {
     "episodes crashed": ("standard", "crashed_episodes", ".1%"),
+    "crashed at fault": ("standard", "crashed_at_fault", ".1%"),
     "speed, m/s": ("paper", "speed_mean", ".2f"),
     "TTC < 3 s": ("paper", "ttc_below_3s", ".3f"),
     "acceleration std, m/s²": ("paper", "acc_std", ".2f"),

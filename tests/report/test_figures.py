@@ -68,6 +68,20 @@ def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:
     assert "<!-- busy -->" in svg
 
 
+def test_crashes_at_fault_are_hollow_points_below_all_crashes() -> None:
+    rows = [
+        ("A", "calm", metric, value)
+        for metric, value in (
+            ("speed_mean", 25.0),
+            ("crashed_episodes", 0.3),
+            ("crashed_at_fault", 0.1),
+        )
+    ]
+    (axes,) = draw_tradeoff(table(*rows), OF_EGOS).axes
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert [tuple(*line.get_xydata()) for line in hollow] == [(25.0, 0.1)]
+
+
 def test_drivers_at_the_same_place_keep_their_names_apart(tmp_path: Path) -> None:
     same = [(name, "calm", m, 0.01) for name in "AB" for m in ("speed_mean", "crashed_episodes")]
     save(draw_tradeoff(table(*same), OF_EGOS), tmp_path / "t.svg")
