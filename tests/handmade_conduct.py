@@ -34,7 +34,8 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         scene=scene,
         steps=np.zeros(1, dtype=np.int64),
         collision=collision[:1],
-        settings=SimpleNamespace(decision_hz=3),
+        settings=SimpleNamespace(decision_hz=3, simulation_hz=15),
+        collision_watchers=[],
         agents=tuple(map(str, range(vehicles))),
         engine=SimpleNamespace(drivers=np.arange(vehicles)[None]),
         ego_vehicles=(np.array([0]), np.array([0])),
@@ -49,6 +50,9 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         if "target_lane" not in fields:
             scene.target_lane[:] = scene.lane
         simulation.collision = collision[t : t + 1]
+        if (collision[t] != collision[t - 1]).any():
+            for watch in simulation.collision_watchers:
+                watch()
         simulation.steps[:] = t
         scene.active[:] = t < decisions - 1 or not ends
         made.note(np.array([0]))

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.scene import Scene
@@ -38,6 +39,41 @@ def neighbours(scene: Scene, i: int, lane: int) -> tuple[int, int]:
 def velocity(scene: Scene, i: int) -> np.ndarray:
     heading = scene.heading[0, i]
     return scene.speed[0, i] * np.array([math.cos(heading), math.sin(heading)])
+
+
+def planar_ttc(scene: Scene, i: int) -> float:
+    """When vehicle i would touch another vehicle, within 10 s; infinite if it would not.
+
+    Two rectangles overlap while the way between their centres lies in the convex hull of the
+    differences of their corners (their Minkowski difference).
+    """
+    c, times = scene.constants, [math.inf]
+    signs = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)])
+    corners = signs * [c.length / 2, c.width / 2]
+
+    def turned(j: int) -> np.ndarray:
+        angle = scene.heading[0, j]
+        matrix = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+        return corners @ np.transpose(matrix)
+
+    for j in range(scene.x.shape[1]):
+        if j == i:
+            continue
+        differences = (turned(i)[:, None] - turned(j)[None]).reshape(-1, 2)
+        sides = ConvexHull(differences).equations  # outside if normal . point + offset > 0
+        way = np.array([scene.x[0, j] - scene.x[0, i], scene.y[0, j] - scene.y[0, i]])
+        begin, end = 0.0, math.inf
+        for *normal, offset in sides:
+            distance = normal @ way + offset
+            speed = normal @ (velocity(scene, j) - velocity(scene, i))
+            if speed < 0:
+                begin = max(begin, distance / -speed)
+            elif speed > 0:
+                end = min(end, -distance / speed)
+            elif distance > 0:
+                end = -math.inf
+        times.append(begin if begin <= end and begin <= 10 else math.inf)
+    return min(times)
 
 
 def neighbours_observation(scene: Scene, i: int) -> np.ndarray:

@@ -45,14 +45,16 @@ def last_change(h: History, t: int, i: int, name: str, since: int) -> int:
     return int(changed[-1]) + 1 if changed.size else since
 
 
-def conduct(h: History, dt: float, c: Constants) -> list[Counter[str]]:
-    """What each vehicle of a scene did, by column."""
+def conduct(h: History, dt: float, c: Constants, at_fault: list[bool]) -> list[Counter[str]]:
+    """What each vehicle of a scene did, by column; `at_fault` says it of those that collide."""
     decisions, vehicles = h["x"].shape[0] - 1, h["x"].shape[1]
     lost = [lost_at(h, i, c) for i in range(vehicles)]
     sums: list[Counter[str]] = [Counter() for _ in range(vehicles)]
     for i in range(vehicles):
         driving = range(1, lost[i])
         _driving(h, i, lost[i], dt, sums[i])
+        if lost[i] < len(h["x"]):
+            sums[i]["at_fault"] = int(at_fault[i] or not h["crashed"][lost[i], i])
         for t in driving:
             _lane_change(h, t, i, lost, dt, c, sums)
             _abandoned(h, t, i, lost, sums)
@@ -81,15 +83,11 @@ def _lane_change(
     if lane == h["lane"][t - 1, i]:
         return
     sums[i]["lane_changes"] += 1
-    for s in range(t, t + round(2 / dt)):
-        if s >= min(lost[i], len(h["x"])) or (s > t and h["lane"][s, i] != lane):
-            break
-        f = ahead(h, s, i, lane, c, -1)
-        if f >= 0 and not h["crashed"][s, f] and h["acceleration"][s, f] < -2:
-            sums[i]["hard_braking_by"] += 1
-            sums[f]["hard_braking_to"] += 1
-            break
     f, rear = ahead(h, t, i, lane, c, -1), h["x"][t, i] - c.length / 2
+    window = [s for s in range(t, t + round(2 / dt)) if s < min(lost[i], len(h["x"]))]
+    if f >= 0 and any(not h["crashed"][s, f] and h["acceleration"][s, f] < -2 for s in window):
+        sums[i]["hard_braking_by"] += 1
+        sums[f]["hard_braking_to"] += 1
     if f < 0 or h["lane"][t, f] != lane or lost[f] <= t:
         return
     front = h["x"][:, f] + c.length / 2

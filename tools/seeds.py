@@ -27,6 +27,7 @@ from charms_bench.world.scene import Floats
 ROOT = Path(__file__).parent.parent
 COLUMNS = {
     "crashed_episodes": ("standard", "episodes crashed", ".1%", max),
+    "crashed_at_fault": ("standard", "crashed at fault", ".1%", max),
     "speed_mean": ("paper", "speed, m/s", ".2f", min),
     "ttc_below_3s": ("paper", "TTC < 3 s", ".3f", max),
     "acc_std": ("paper", "acceleration std, m/s²", ".2f", max),
@@ -36,7 +37,7 @@ COLUMNS = {
 }
 """Metric set, header and format of each metric, and which of the seeds' values is the worst, if
 any is better than another."""
-SHARES = ("crashed_episodes", "ttc_below_3s", "harsh_acc_rate")
+SHARES = ("crashed_episodes", "crashed_at_fault", "ttc_below_3s", "harsh_acc_rate")
 DRAWN = {"crashed_episodes": (0.002, 1.0), "ttc_below_3s": (0.005, 1.0)}
 """The metrics of the figure, and the smallest and largest value on their axes."""
 SEEDS = 5

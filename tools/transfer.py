@@ -12,7 +12,11 @@ from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.folder import RunFolder
 
-METRIC = "crashed_episodes"
+METRICS = {
+    "crashed_episodes": ("Episodes crashed", "crashed in the worst of other conditions"),
+    "crashed_at_fault": ("Crashed at fault", "crashed at fault in the worst of other conditions"),
+}
+"""What the tables show: the title of a table, and the header of a column in the table of egos."""
 CONDITIONS = {
     "transfer-traffics": "",
     "released-transfer": "the authors' ",
@@ -26,14 +30,14 @@ CONDITIONS = {
 """Names of run folders. One with several traffics gives a condition for each, after this prefix."""
 
 
-def crashed_elsewhere(runs: Path) -> dict[str, dict[str, Number]]:
-    """The share of crashed episodes by condition and ego."""
+def crashed_elsewhere(runs: Path, metric: str) -> dict[str, dict[str, Number]]:
+    """A metric of `METRICS` by condition and ego."""
     found: dict[str, dict[str, Number]] = {}
     for name, said in CONDITIONS.items():
         if not (runs / name).is_dir():
             continue
         table = stored_tables(runs / name, RunFolder(runs / name).suite()).metrics
-        place = [column.name for column in table.columns].index(METRIC)
+        place = [column.name for column in table.columns].index(metric)
         several = len({row.labels[1] for row in table.rows}) > 1
         for row in table.rows:
             condition = said + row.labels[1] if several else said
@@ -42,25 +46,34 @@ def crashed_elsewhere(runs: Path) -> dict[str, dict[str, Number]]:
 
 
 def transfer_table(run: Path) -> str:
-    """A condition per row and an ego per column, as Markdown."""
-    found = crashed_elsewhere(run.parent)
-    egos = list(dict.fromkeys(ego for numbers in found.values() for ego in numbers))
-    columns = tuple(Column(ego, form=".1%") for ego in egos)
-    rows = tuple(
-        Row((condition,), tuple(numbers.get(ego, Number()) for ego in egos))
-        for condition, numbers in found.items()
-    )
-    return markdown(Table("transfer", "", ("condition",), columns, rows))
+    """A table for each of `METRICS`, a condition per row and an ego per column, as Markdown."""
+    tables = []
+    for metric, (title, _) in METRICS.items():
+        found = crashed_elsewhere(run.parent, metric)
+        egos = list(dict.fromkeys(ego for numbers in found.values() for ego in numbers))
+        columns = tuple(Column(ego, form=".1%") for ego in egos)
+        rows = tuple(
+            Row((condition,), tuple(numbers.get(ego, Number()) for ego in egos))
+            for condition, numbers in found.items()
+        )
+        table = Table("transfer", "", ("condition",), columns, rows)
+        tables.append(f"**{title}**\n\n{markdown(table)}")
+    return "\n".join(tables)
 
 
 def with_worst(table: Table, runs: Path) -> Table:
-    """The table of egos with their largest share of crashed episodes in any condition."""
-    conditions = crashed_elsewhere(runs).values()
-    rows = []
-    for row in table.rows:
-        shares = [numbers[row.labels[0]] for numbers in conditions if row.labels[0] in numbers]
-        worst = max(shares, key=lambda number: number.value or 0.0, default=Number())
-        rows.append(Row(row.labels, (row.numbers[0], worst, *row.numbers[1:])))
-    column = Column("crashed in the worst of other conditions", form=".1%")
-    columns = (table.columns[0], column, *table.columns[1:])
-    return replace(table, columns=columns, rows=tuple(rows))
+    """The table of egos with the largest share in any condition, for each of `METRICS`.
+
+    The columns of the table begin with those of `METRICS`.
+    """
+    columns = list(table.columns)
+    numbers = {row.labels: list(row.numbers) for row in table.rows}
+    for place, (metric, (_, header)) in enumerate(METRICS.items()):
+        at = 2 * place + 1
+        columns.insert(at, Column(header, form=".1%"))
+        conditions = crashed_elsewhere(runs, metric).values()
+        for labels, own in numbers.items():
+            shares = [found[labels[0]] for found in conditions if labels[0] in found]
+            own.insert(at, max(shares, key=lambda each: each.value or 0.0, default=Number()))
+    rows = tuple(Row(labels, tuple(own)) for labels, own in numbers.items())
+    return replace(table, columns=tuple(columns), rows=rows)

@@ -40,6 +40,7 @@ BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results --
 
 EGO = {
     "episodes crashed": ("crashed_episodes", ".1%"),
+    "crashed at fault": ("crashed_at_fault", ".1%"),
     "collision rate": ("collision_rate", ".4f"),
     "TTC < 3 s": ("ttc_below_3s", ".3f"),
     "speed, m/s": ("speed_mean", ".2f"),
@@ -48,6 +49,7 @@ EGO = {
     "harsh": ("harsh_acc_rate", ".4f"),
     "harsh, all steps": ("harsh_acc_rate_all_steps", ".4f"),
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
+    "planar conflicts per 1,000 km": ("planar_conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".2f"),
 }
 """The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
@@ -60,7 +62,9 @@ STYLES = {
     "headway std": ("dhw_std", ".1f"),
     "harsh": ("harsh_acc_rate", ".4f"),
     "episodes crashed": ("crashed_episodes", ".1%"),
+    "crashed at fault": ("crashed_at_fault", ".1%"),
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
+    "planar conflicts per 1,000 km": ("planar_conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".2f"),
 }
 TRAFFIC = {

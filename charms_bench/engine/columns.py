@@ -62,8 +62,20 @@ STEP: Mapping[str, Column] = {
         "m/s²",
         "Acceleration commanded by that follower; null if the follower has crashed.",
     ),
+    "new_follower_acceleration": Column(
+        pl.Float32(),
+        "m/s²",
+        "In the first row on another lane: the lowest acceleration commanded by `follower`, the "
+        "new follower, at the decisions within 2 s, until it or the ego crashes; otherwise null.",
+    ),
     "vehicles_near": Column(
         pl.Int16(), "", "Vehicles within 30 m and one lane of the ego, the ego included."
+    ),
+    "planar_ttc": Column(
+        pl.Float32(),
+        "s",
+        "Least time until the rectangles of the ego and of another vehicle touch, if all keep "
+        "their velocities and headings; null above 10 s.",
     ),
 }
 """One row per decision of the ego, with the state after it."""
@@ -78,6 +90,11 @@ EPISODE: Mapping[str, Column] = {
         "",
         "In a rear-end collision, whether the follower struck the ego; false if the ego struck its "
         "leader, and null for every other ending.",
+    ),
+    "at_fault": Column(
+        pl.Boolean(),
+        "",
+        "Whether the ego is at fault for its crash (`engine.fault`); null if it did not crash.",
     ),
     "steps": Column(pl.Int32(), "", "Decisions of the ego."),
     "duration_s": Column(pl.Float64(), "s", "Simulated time."),
@@ -121,6 +138,7 @@ DRIVER: Mapping[str, Column] = {
     ),
     "vehicles": Column(pl.Int32(), "", "Vehicles that the agent drives."),
     "crashed": Column(pl.Int32(), "", "Vehicles that collided or left the road."),
+    "at_fault": Column(pl.Int32(), "", "Vehicles that crashed and were at fault (`engine.fault`)."),
     "rear_end_striking": Column(
         pl.Int32(), "", "Vehicles that crashed into the rear of another vehicle."
     ),

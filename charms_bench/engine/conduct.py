@@ -20,10 +20,11 @@ from charms_bench.engine.columns import (
 )
 from charms_bench.engine.conflict_onsets import note_conflicts
 from charms_bench.engine.encroachment import note_encroachments
-from charms_bench.engine.lane_changes import note_lane_changes
+from charms_bench.engine.fault import Fault
+from charms_bench.engine.lane_changes import NOBODY, imposed_decisions, note_lane_changes
 from charms_bench.engine.rss import note_rss
 from charms_bench.engine.simulation import Simulation
-from charms_bench.world.compiled import compiled, index
+from charms_bench.world.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
@@ -56,7 +57,7 @@ driver: Its column in the sums: 0 for the ego, otherwise 1 more than the agent's
 x, lane, target_lane: At the last decision.
 lost: Whether the vehicle has collided or left the road.
 changed, began: When the nearest lane and the target lane last changed.
-imposes_until: Until when the braking of the follower is attributed to the last lane change.
+imposes_until: Until when braking of the new follower is attributed to the last lane change.
 near: The leader with which it has a near miss; `leader_began` and `in_conflict` describe that.
 cutter: The vehicle that cut in at the time `cut_in`; the follower reaches its rear at x = `place`.
 is_pressed: Whether a vehicle behind is too close by RSS.
@@ -81,16 +82,35 @@ class Conduct:
             self._state[name] = getattr(scene, name)
         self._state["changed"] = LONG_AGO
         self._state["near"] = self._state["cutter"] = -1
+        shape = (*scene.x.shape, imposed_decisions(self._interval_s))
+        self._new_followers = np.full(shape, NOBODY, dtype=np.int16)
+        self._fault = Fault(simulation)
 
     @property
     def lost(self) -> Bools:
         """[B, N] whether the vehicle has collided or left the road."""
         return np.asarray(self._state["lost"])
 
+    @property
+    def at_fault(self) -> Bools:
+        """[B, N] whether the vehicle has collided and was at fault."""
+        return self._fault.at_fault
+
     def note(self, scenes: Ints) -> None:
         """Adds the decision interval of the scenes (S,) that has just ended."""
-        made, state, sums = self._simulation, self._state, self._sums
-        note_conduct(made.scene, scenes, made.steps, made.collision, self._interval_s, state, sums)
+        made = self._simulation
+        self._fault.note(scenes)
+        note_conduct(
+            made.scene,
+            scenes,
+            made.steps,
+            made.collision,
+            self.at_fault,
+            self._interval_s,
+            self._state,
+            self._new_followers,
+            self._sums,
+        )
 
     def table(self) -> pl.DataFrame:
         """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""
@@ -106,20 +126,22 @@ class Conduct:
         return table(columns, DRIVER_SCHEMA).sort(DRIVER_KEYS)
 
 
-@compiled
+@compiled_of_scenes
 def note_conduct(
     scene: Scene,
     scenes: Ints,
     steps: Ints,
     collision: Ints,
+    at_fault: Bools,
     interval_s: float,
     state: Any,
+    new_followers: Ints,
     sums: Any,
 ) -> None:
     """Adds a decision interval to `sums`; the order matters, because each part uses `state`."""
-    note_driving(scene, scenes, collision, interval_s, state, sums)
+    note_driving(scene, scenes, collision, at_fault, interval_s, state, sums)
     note_encroachments(scene, scenes, steps, interval_s, state, sums)
-    note_lane_changes(scene, scenes, steps, interval_s, state, sums)
+    note_lane_changes(scene, scenes, steps, state, new_followers, sums)
     note_conflicts(scene, scenes, steps, interval_s, state, sums)
     note_rss(scene, scenes, interval_s, state, sums)
     remember(scene, scenes, state)
@@ -127,7 +149,13 @@ def note_conduct(
 
 @compiled
 def note_driving(
-    scene: Scene, scenes: Ints, collision: Ints, interval_s: float, state: Any, sums: Any
+    scene: Scene,
+    scenes: Ints,
+    collision: Ints,
+    at_fault: Bools,
+    interval_s: float,
+    state: Any,
+    sums: Any,
 ) -> None:
     """Adds distance and time, and the crashes of a decision interval."""
     c, x, y, lanes = scene.constants, scene.x, scene.y, scene.lane
@@ -146,6 +174,7 @@ def note_driving(
             if crashed[b, i] or not is_on_lane(x[b, i], y[b, i], lanes[b, i], c, 0.0):
                 own.lost = True
                 mine.crashed += 1
+                mine.at_fault += at_fault[b, i] or not crashed[b, i]
                 continue
             mine.distance_m += x[b, i] - own.x
             mine.time_s += interval_s

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from charms_bench.engine.planar_ttc import overlap
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, InputError, raised
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.held import HeldEvent
-from charms_bench.world.compiled import compiled, inlined
+from charms_bench.world.compiled import compiled
 from charms_bench.world.scene import Floats, Ints, Scene
 
 HORIZON_S = 100.0
@@ -132,12 +133,3 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
             if 2 * time < inverse_decelerations[r] * closing:
                 inverse_decelerations[r] = 2 * time / closing
     return times, inverse_decelerations
-
-
-@inlined
-def overlap(distance: float, speed: float, size: float) -> tuple[float, float]:
-    """When a distance that changes with a speed is at most a size either way: from and to."""
-    if speed == 0.0:
-        return (-np.inf, np.inf) if abs(distance) <= size else (np.inf, -np.inf)
-    one, other = (-size - distance) / speed, (size - distance) / speed
-    return min(one, other), max(one, other)

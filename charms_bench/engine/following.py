@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.engine.columns import COUNT_SCHEMA, table
-from charms_bench.world.compiled import compiled
+from charms_bench.world.compiled import compiled_of_scenes
 from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Ints, Scene
@@ -39,7 +39,7 @@ class FollowingCounts:
         return table(columns, COUNT_SCHEMA).sort("episode", "quantity", "bin")
 
 
-@compiled
+@compiled_of_scenes
 def _count(scene: Scene, scenes: Ints, target_lane: Ints, counts: Ints) -> None:
     """Adds to `counts` [B, 2, BINS]; `target_lane` [B, N] becomes that of the scenes."""
     speed, dhw = 0, 1

@@ -1,5 +1,8 @@
 """Lane changes, those given up, and the braking that they impose on the new follower.
 
+The new follower is the follower on the new lane at the first decision there, and stays so for 2 s,
+whichever vehicle follows later.
+
 A lane change is complete when the nearest lane changes. It is given up when another lane becomes
 the target lane before that. Another vehicle took the gap if it came to the wanted lane meanwhile,
 or is still steering to it, and is the next vehicle ahead or behind among those on that lane or
@@ -11,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled, index
+from charms_bench.world.compiled import compiled, index, inlined
 from charms_bench.world.scene import Ints, Scene
 
 TAKEN_RANGE_M = 50.0
@@ -19,17 +22,28 @@ ATTEMPT_DECISIONS = 2
 HARD_BRAKING_MPS2 = 2.0
 """highway-env's limit for the braking that a lane change imposes (MOBIL)."""
 IMPOSED_S = 2.0
-"""For this long after a lane change, the follower's braking is attributed to it."""
+"""For this long after a lane change, the new follower's braking is attributed to it."""
+NOBODY = -1
+
+
+@inlined
+def imposed_decisions(interval_s: float) -> int:
+    """At how many decisions braking is attributed to a lane change; the first is its own."""
+    return max(1, round(IMPOSED_S / interval_s))
 
 
 @compiled
 def note_lane_changes(
-    scene: Scene, scenes: Ints, steps: Ints, interval_s: float, state: Any, sums: Any
+    scene: Scene, scenes: Ints, steps: Ints, state: Any, new_followers: Ints, sums: Any
 ) -> None:
-    """Adds the lane changes, the given-up ones and the hard braking of a decision interval."""
+    """Adds the lane changes, the given-up ones and the hard braking of a decision interval.
+
+    `new_followers` [B, N, W] holds the new followers of the lane changes at the last W decisions,
+    until they brake hard.
+    """
     lanes, target_lane, crashed = scene.lane, scene.target_lane, scene.crashed
     followers, acceleration, vehicles = scene.followers, scene.acceleration, scene.x.shape[1]
-    window = max(1, round(IMPOSED_S / interval_s))
+    window = new_followers.shape[2]
     for row in scenes:
         b = index(row)
         step = steps[b]
@@ -41,9 +55,11 @@ def note_lane_changes(
             lane, target, wanted = lanes[b, i], target_lane[b, i], own.target_lane
             if not own.lost:
                 mine = sums[b, own.driver]
+                new_followers[b, i, step % window] = NOBODY
                 if own.changed == step:
                     mine.lane_changes += 1
                     own.imposes_until = step + window - 1
+                    new_followers[b, i, step % window] = followers[b, i, lane]
                 elif wanted != own.lane and wanted != target:
                     mine.abandoned += 1
                     taker = -1
@@ -53,11 +69,12 @@ def note_lane_changes(
                         mine.gaps_lost += 1
                         sums[b, state[b, taker].driver].gaps_taken += 1
                 if step <= own.imposes_until:
-                    j = followers[b, i, lane]
-                    if j >= 0 and not crashed[b, j] and acceleration[b, j] < -HARD_BRAKING_MPS2:
-                        mine.hard_braking_by += 1
-                        sums[b, state[b, j].driver].hard_braking_to += 1
-                        own.imposes_until = 0
+                    for k in range(window):
+                        j = new_followers[b, i, k]
+                        if j >= 0 and not crashed[b, j] and acceleration[b, j] < -HARD_BRAKING_MPS2:
+                            mine.hard_braking_by += 1
+                            sums[b, state[b, j].driver].hard_braking_to += 1
+                            new_followers[b, i, k] = NOBODY
             if target != wanted:
                 own.began = step
 

@@ -14,9 +14,11 @@ from charms_bench.engine.collisions import STRUCK
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_RECORD, STEP_SCHEMA, table
 from charms_bench.engine.conduct import Conduct
 from charms_bench.engine.following import FollowingCounts
-from charms_bench.engine.simulation import ENDINGS, REAR_END, Simulation
-from charms_bench.world.compiled import compiled
-from charms_bench.world.scene import Bools, Ints, Scene
+from charms_bench.engine.lane_changes import imposed_decisions
+from charms_bench.engine.planar_ttc import planar_ttc
+from charms_bench.engine.simulation import ENDINGS, OFF_ROAD, REAR_END, Simulation
+from charms_bench.world.compiled import compiled_of_scenes
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 INTERACTION_RANGE_M = 30.0
 MASKS = {
@@ -24,6 +26,8 @@ MASKS = {
     "has_leader": ["leader", "leader_distance", "leader_speed"],
     "has_follower": ["follower", "follower_distance", "follower_speed"],
     "follower_drives": ["follower_acceleration"],
+    "new_follower_drives": ["new_follower_acceleration"],
+    "has_planar_ttc": ["planar_ttc"],
 }
 """The columns with values that can be missing, by what a step must have for these values."""
 _MASK_RECORD = np.dtype([(name, np.bool_) for name in ("recorded", *MASKS)])
@@ -41,6 +45,7 @@ class Recording:
         self._was_running = scene.active.copy()
         self._following = FollowingCounts(scene)
         self._conduct = Conduct(simulation)
+        self._window = imposed_decisions(1 / simulation.settings.decision_hz)
 
     def note(self) -> None:
         """Adds the rows of the step that has just ended."""
@@ -56,6 +61,8 @@ class Recording:
             simulation.steps,
             simulation.action,
             simulation.has_action,
+            planar_ttc(scene, scenes),
+            self._window,
             self._rows,
             self._masks,
         )
@@ -74,6 +81,7 @@ class Recording:
         simulation, scene = self._simulation, self._simulation.scene
         rows, ego = simulation.ego_vehicles
         driven = scene.x - self._start
+        at_fault = self._conduct.at_fault[rows, ego] | (simulation.ending == OFF_ROAD)
         is_traffic = np.ones(driven.shape, dtype=np.bool_)
         is_traffic[rows, ego] = False
         columns = {
@@ -84,6 +92,10 @@ class Recording:
                 for collision, ending in zip(
                     simulation.collision[rows, ego], simulation.ending, strict=True
                 )
+            ],
+            "at_fault": [
+                bool(fault) if failed else None
+                for fault, failed in zip(at_fault, simulation.failed, strict=True)
             ],
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
@@ -103,7 +115,7 @@ class Recording:
         return self._conduct.table()
 
 
-@compiled
+@compiled_of_scenes
 def _note(
     scene: Scene,
     scenes: Ints,
@@ -111,11 +123,18 @@ def _note(
     steps: Ints,
     action: Ints,
     has_action: Bools,
+    planar_ttc_s: Floats,
+    window: int,
     rows: Any,
     masks: Any,
 ) -> None:
-    """Fills `rows` and `masks` [B, T] with a step of the scenes (S,)."""
-    for b in scenes:
+    """Fills `rows` and `masks` [B, T] with a step of the scenes (S,).
+
+    `planar_ttc_s` (S,) are the egos' planar TTC. The braking of a new follower belongs to the row
+    of the lane change, and is noted in `window` decisions.
+    """
+    for s in range(scenes.size):
+        b = scenes[s]
         ego, step = scene.ego[b], steps[b]
         row, mask = rows[b, step - 1], masks[b, step - 1]
         x, lane = scene.x[b, ego], scene.lane[b, ego]
@@ -146,6 +165,17 @@ def _note(
             row.follower_speed = scene.speed[b, follower]
             row.follower_acceleration = scene.acceleration[b, follower]
             mask.follower_drives = not scene.crashed[b, follower]
+        for t in range(max(step - window, 1), 0 if scene.crashed[b, ego] else step):
+            has_changed = rows[b, t].lane != rows[b, t - 1].lane
+            new_follower = rows[b, t].follower
+            if has_changed and masks[b, t].has_follower and not scene.crashed[b, new_follower]:
+                least = scene.acceleration[b, new_follower]
+                if masks[b, t].new_follower_drives:
+                    least = min(least, rows[b, t].new_follower_acceleration)
+                masks[b, t].new_follower_drives = True
+                rows[b, t].new_follower_acceleration = least
+        mask.has_planar_ttc = np.isfinite(planar_ttc_s[s])
+        row.planar_ttc = planar_ttc_s[s]
         near = 0
         for i in range(scene.x.shape[1]):
             is_near = abs(scene.x[b, i] - x) <= INTERACTION_RANGE_M

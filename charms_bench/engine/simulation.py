@@ -1,6 +1,6 @@
 """B episodes at once: agents decide, an engine moves the vehicles, and each ending is noted."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from numbers import Real
 
 import numpy as np
@@ -82,6 +82,8 @@ class Simulation:
         self._holds_egos = settings.profile.ego_control_rate == "decision"
         self.phase = 0
         """Simulation steps of the current decision interval so far; all scenes share it."""
+        self.collision_watchers: list[Callable[[], None]] = []
+        """Called after a simulation step in which vehicles have collided."""
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         self._egos_end_episodes = "" not in traffic.agents
@@ -266,6 +268,8 @@ class Simulation:
         if are_noted(scene.crashed, self.collision):
             return
         note_collisions(scene, self.collision)
+        for watch in self.collision_watchers:
+            watch()
         if not self._egos_end_episodes:
             return
         of_egos = self.collision[self.ego_vehicles]

@@ -13,11 +13,7 @@ from charms_bench.engine.lane_changes import ATTEMPT_DECISIONS, TAKEN_RANGE_M
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.metrics.rows import (
-    DRIFT_MPS,
-    LANE_CHANGE_WINDOW_S,
-    join_rows,
-)
+from charms_bench.metrics.rows import DRIFT_MPS, join_rows
 
 
 @dataclass(frozen=True)
@@ -140,14 +136,10 @@ def _hard_braking(replay: Replay, since: int) -> str:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     imposed = rows.select(pl.when(pl.col("step") >= since).then("imposed_braking_mps2"))
     changed = int(imposed.to_series().arg_max() or 0)
-    window = round(LANE_CHANGE_WINDOW_S * replay.settings.decision_hz)
-    braking = rows.slice(changed, window).filter("driving")
-    strongest = braking.row(int(braking["follower_acceleration"].arg_min() or 0), named=True)
-    follower = ego_view(replay).follower[replay.frame_of(strongest["step"])]
     row, before = rows.row(changed, named=True), rows.row(changed - 1, named=True)
     return (
-        f"changed to the {_side(row['lane'] - before['lane'])} lane, where the follower, vehicle "
-        f"{follower}, braked at {row['imposed_braking_mps2']:.1f} m/s², "
+        f"changed to the {_side(row['lane'] - before['lane'])} lane, where the new follower, "
+        f"vehicle {row['follower']}, braked at {row['imposed_braking_mps2']:.1f} m/s², "
         f"{_at(replay, replay.frame_of(row['step']))}"
     )
 

@@ -6,6 +6,7 @@ from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDING = pl.first("ending")
 STRUCK = pl.first("struck")
+AT_FAULT = pl.first("at_fault")
 ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
 
 COLLISION_RATE = Metric(
@@ -21,6 +22,14 @@ CRASHED_EPISODES = per_episode(
     "",
     ENDED_BADLY,
     "share of episodes in which the ego collides or leaves the road",
+    interval="wilson",
+)
+CRASHED_AT_FAULT = per_episode(
+    "crashed_at_fault",
+    "",
+    AT_FAULT,
+    "share of episodes in which the ego crashes and is at fault: it leaves the road, strikes a "
+    "vehicle ahead, cuts in, or began last to move out of its lane",
     interval="wilson",
 )
 TRAFFIC_CRASHED = per_episode(

@@ -19,7 +19,7 @@ from charms_bench.world.scene import Floats, SceneSettings
 LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""
 LANE_CHANGE_WINDOW_S = 2.0
-"""For this long after a lane change, a follower's braking or a conflict is attributed to it."""
+"""For this long after a lane change, a conflict is attributed to it."""
 DRIFT_MPS = 0.1
 """A vehicle whose lateral speed is no larger than this keeps its place in the lane."""
 EGO, ANOTHER = 1, 2
@@ -49,8 +49,8 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     rear_ttc_s: Time to collision of the follower with the ego; null unless the follower closes in.
     lead_gap_m, lag_gap_m: In the step of a lane change, the gaps to the leader and to the follower
         on the new lane; 0 beside a vehicle.
-    imposed_braking_mps2: In the step of a lane change, the strongest braking of the follower on
-        the new lane within 2 s; 0 if it does not brake, null without a follower.
+    imposed_braking_mps2: In the step of a lane change, the strongest braking of the new follower
+        within 2 s; 0 if it does not brake, null without a new follower.
     movement_s: In the step in which a lateral movement with a lane change ends, its duration.
     movement_changes: The lane changes in that movement.
     """
@@ -114,11 +114,6 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     length = settings.profile.vehicle_length_m
     window = max(1, round(LANE_CHANGE_WINDOW_S * settings.decision_hz))
     changed, drifting = pl.col("lane_changed"), pl.col("drifting")
-    braking = _while_driving(pl.col("follower_acceleration"))
-    strongest = pl.min_horizontal(
-        pl.when(pl.col("episode") == pl.col("episode").shift(-k)).then(braking.shift(-k))
-        for k in range(window)
-    )
     changer = (
         pl.when(~IS_LATER)
         .then(0)  # an episode does not inherit from the one before
@@ -137,8 +132,8 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
         "changer": changer.forward_fill(window - 1).fill_null(0),
         "lead_gap_m": pl.when(changed).then((pl.col("leader_distance") - length).clip(0.0)),
         "lag_gap_m": pl.when(changed).then((pl.col("follower_distance") - length).clip(0.0)),
-        "imposed_braking_mps2": pl.when(changed & strongest.is_not_null()).then(
-            pl.max_horizontal(-strongest, 0.0)
+        "imposed_braking_mps2": pl.when(changed).then(
+            (-pl.col("new_follower_acceleration")).clip(0.0)
         ),
         "movement_s": pl.when(ended).then(pl.col("time_s") - began_s),
         "movement_changes": pl.when(ended).then(changes),

@@ -5,6 +5,8 @@ centre. `standard` follows traffic safety research: exposure in km, gaps from bu
 all steps between a warm-up and a collision.
 """
 
+from charms_bench.engine.planar_ttc import HORIZON_S
+from charms_bench.errors import InputError
 from charms_bench.metrics import (
     acceleration,
     collisions,
@@ -13,6 +15,7 @@ from charms_bench.metrics import (
     headway,
     interaction,
     lane_changes,
+    planar_conflicts,
     speed,
     steering,
 )
@@ -67,17 +70,26 @@ def standard(
     Args:
         warm_up_s: The first steps of an episode, up to this time, count only for collisions.
         ttc_s: A smaller TTC counts as exposure.
-        conflict_ttc_s: A smaller TTC is a conflict.
+        conflict_ttc_s: A smaller TTC is a conflict, and a smaller planar TTC a planar conflict.
         drac_mps2: If a larger DRAC is required, a driver cannot be relied on to brake hard enough.
         headway_s: A smaller time headway is short.
         imposed_mps2: A lane change that makes the new follower brake harder is not safe.
+
+    Raises:
+        InputError: `conflict_ttc_s` exceeds the horizon of the recorded planar TTC.
     """
+    if conflict_ttc_s > HORIZON_S:
+        raise InputError(
+            f"metric set 'standard': conflict_ttc_s is {conflict_ttc_s:g}; expected at most "
+            f"{HORIZON_S:g}, because longer planar TTCs are not recorded"
+        )
     driving = driving_after(warm_up_s)
     return MetricSet(
         name="standard",
-        version=2,
+        version=3,
         metrics=(
             collisions.CRASHED_EPISODES,
+            collisions.CRASHED_AT_FAULT,
             collisions.CRASHES_PER_1000KM,
             collisions.REAR_END_PER_1000KM,
             collisions.STRIKING_PER_1000KM,
@@ -88,6 +100,9 @@ def standard(
             conflicts.conflict_episodes(driving, conflict_ttc_s),
             conflicts.conflicts_per_1000km(driving, conflict_ttc_s),
             *conflicts.conflict_beginnings(driving, conflict_ttc_s),
+            planar_conflicts.planar_conflict_episodes(driving, conflict_ttc_s),
+            planar_conflicts.planar_conflicts_per_1000km(driving, conflict_ttc_s),
+            planar_conflicts.planar_ttc_min(driving),
             ttc.ttc_min(driving),
             ttc.ttc_below(driving, ttc_s),
             ttc.rear_ttc_below(driving, ttc_s),

@@ -25,8 +25,10 @@ LONG = {
 }
 MATRICES = {
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
+    "crashed_at_fault": ("Egos crashed at fault, % of episodes", 100.0),
     "speed_mean": ("Mean speed of egos, m/s", 1.0),
     "conflicts_per_1000km": ("Conflicts of egos per 1,000 km", 1.0),
+    "planar_conflicts_per_1000km": ("Planar conflicts of egos per 1,000 km", 1.0),
     "yaw_rate_rms": ("Yaw rate of egos, root mean square, mrad/s", 1000.0),
     "lane_changes_per_km": ("Lane changes of egos per km", 1.0),
     "traffic_crashed": ("Traffic crashed, % of vehicles per episode", 100.0),

@@ -31,7 +31,7 @@ from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import read_file, read_limited, write_bytes
 from charms_bench.world.scene import DECISIONS_LIMIT
 
-FORMAT = 3
+FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""
 MANIFEST = "manifest.json"
 KINDS = tuple(SCHEMAS)

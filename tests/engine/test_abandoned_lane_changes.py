@@ -95,6 +95,32 @@ def test_one_lane_change_imposes_hard_braking_once() -> None:
     assert first["hard_braking_by"] == follower["hard_braking_to"] == 1
 
 
+def test_hard_braking_is_that_of_the_new_follower_and_of_no_later_one() -> None:
+    # Vehicle 2 comes between the two at decision 2, and only one of them brakes at decision 3.
+    for braking, counts in (((0.0, -3.0, 0.0), 1), ((0.0, 0.0, -3.0), 0)):
+        first, follower, other = conduct(
+            x=[[100.0, 60.0, 80.0]] * 6,
+            y=[[1.0, 4.0, 8.0], [3.0, 4.0, 8.0]] + [[4.0, 4.0, 5.0]] * 4,
+            acceleration=[[0.0] * 3] * 3 + [list(braking)] + [[0.0] * 3] * 2,
+        )
+        assert first["hard_braking_by"] == counts
+        # It is the new follower of vehicle 2, too.
+        assert other["hard_braking_by"] == counts
+        assert follower["hard_braking_to"] == 2 * counts
+        assert other["hard_braking_to"] == 0
+
+
+def test_two_lane_changes_within_2_s_have_a_new_follower_each() -> None:
+    # Vehicle 0 reaches lane 1 at decision 1 and lane 2 at decision 3; both followers brake later.
+    first, *followers = conduct(
+        x=[[100.0, 60.0, 70.0]] * 6,
+        y=[[each, 4.0, 8.0] for each in (1.0, 3.0, 5.0, 7.0, 8.0, 8.0)],
+        acceleration=[[0.0] * 3] * 4 + [[0.0, -3.0, -3.0]] * 2,
+    )
+    assert first["lane_changes"] == first["hard_braking_by"] == 2
+    assert [each["hard_braking_to"] for each in followers] == [1, 1]
+
+
 def test_a_vehicle_counts_until_it_crashes() -> None:
     # Both drive 10 m per decision; they collide in the third.
     striking, struck, left = conduct(

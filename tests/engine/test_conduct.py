@@ -6,7 +6,8 @@ import numpy as np
 import polars as pl
 import pytest
 from charms_baselines.idm_mobil import IdmMobil
-from naive_conduct import NAMES, conduct
+from naive_conduct import NAMES, ahead, conduct
+from naive_fault import at_fault
 from scenes import scene_of
 
 from charms_bench import ACTIONS, Mixture, Policy
@@ -42,15 +43,14 @@ def simulated(
     agents = {"idm_mobil": IdmMobil(), "reckless": Reckless()}
     made = Simulation(settings, scenes, "idm_mobil", traffic, agents, engine)
     made.reset(np.arange(900_000_000, 900_000_000 + scenes, dtype=np.uint64))
-    recording, frames, running = Recording(made), [], []
+    recording, frames = Recording(made), [_frame(made)]
     while made.scene.active.any():
-        if not frames:
+        for _ in range(settings.steps_per_decision):
+            made.advance()
             frames.append(_frame(made))
-        running.append(made.scene.active.copy())
-        made.step()
+        made.finish_step()
         recording.note()
-        frames.append(_frame(made))
-    length = np.sum(running, axis=0) + 1
+    length = made.steps * settings.steps_per_decision + 1
     histories = [
         {name: np.stack([frame[name][b] for frame in frames[: length[b]]]) for name in NAMES}
         for b in range(scenes)
@@ -66,10 +66,13 @@ def test_sums_are_those_of_a_plain_count_over_trajectories(traffic: Traffic) -> 
     settings = SceneSettings(density=2.0, traffic_vehicles=14)
     made, recording, histories = simulated(settings, 24, traffic)
     rows, dt = recording.drivers(), 1 / settings.decision_hz
+    every = settings.steps_per_decision
     assert rows.schema == DRIVER_SCHEMA
     events: Counter[str] = Counter()
     for b, history in enumerate(histories):
-        vehicles = conduct(history, dt, settings.constants)
+        fault = at_fault(history, every, settings.constants)
+        decisions = {name: values[::every] for name, values in history.items()}
+        vehicles = conduct(decisions, dt, settings.constants, fault)
         for row in rows.filter(pl.col("episode") == made.seeds[b]).iter_rows(named=True):
             places = [
                 i
@@ -83,6 +86,7 @@ def test_sums_are_those_of_a_plain_count_over_trajectories(traffic: Traffic) -> 
                 events[name] += row[name]
     if traffic is MIXED:
         assert min(events.values()) > 0, events
+        assert events["at_fault"] < events["crashed"]
 
 
 def test_sums_over_drivers_are_those_of_the_episode() -> None:
@@ -126,6 +130,8 @@ def test_the_egos_crash_is_of_the_kind_that_ended_its_episode() -> None:
         made.step()
         recording.note()
     ego = recording.drivers().filter(pl.col("is_ego")).join(recording.episodes(), on="episode")
+    assert (ego["at_fault"] == ego["at_fault_right"].fill_null(False).cast(pl.Int32)).all()
+    assert set(ego["at_fault_right"]) >= {False, True}
     rear_end = ego["rear_end_striking"] + ego["rear_end_struck"]
     assert (ego["side"] == (ego["ending"] == "side").cast(pl.Int32)).all()
     assert (rear_end == (ego["ending"] == "rear_end").cast(pl.Int32)).all()
@@ -134,12 +140,39 @@ def test_the_egos_crash_is_of_the_kind_that_ended_its_episode() -> None:
 
 def test_both_engines_record_the_same_conduct() -> None:
     settings = SceneSettings(density=2.0, duration_s=10.0)
-    ours, theirs = (
-        simulated(settings, 2, MIXED, engine)[1].drivers() for engine in ("batched", "highway-env")
-    )
-    assert ours.select(~pl.selectors.float()).equals(theirs.select(~pl.selectors.float()))
-    for name in ours.select(pl.selectors.float()).columns:
-        np.testing.assert_allclose(ours[name], theirs[name], atol=1e-5, err_msg=name)
+    engines = (simulated(settings, 2, MIXED, name)[1] for name in ("batched", "highway-env"))
+    of_each = [(each.drivers(), each.steps(), each.episodes()) for each in engines]
+    for ours, theirs in zip(*of_each, strict=True):
+        assert ours.select(~pl.selectors.float()).equals(theirs.select(~pl.selectors.float()))
+        for name in ours.select(pl.selectors.float()).columns:
+            np.testing.assert_allclose(ours[name], theirs[name], atol=1e-5, err_msg=name)
+    assert of_each[0][1]["planar_ttc"].is_not_null().any()
+
+
+def test_the_new_follower_of_a_lane_change_is_watched_for_two_seconds() -> None:
+    settings = SceneSettings(traffic_vehicles=14)
+    agents = {"idm_mobil": IdmMobil(), "reckless": Reckless()}
+    made = Simulation(settings, 40, "reckless", MIXED, agents)
+    made.reset(np.arange(40, dtype=np.uint64))
+    recording, frames = Recording(made), []
+    while made.scene.active.any():
+        made.step()
+        recording.note()
+        frames.append(_frame(made))
+    checked = 0
+    for b, seed in enumerate(made.seeds):
+        steps, ego = recording.steps().filter(pl.col("episode") == seed), made.scene.ego[b]
+        h = {name: np.stack([f[name][b] for f in frames[: made.steps[b]]]) for name in NAMES}
+        for t, row in enumerate(steps.iter_rows(named=True)):
+            follower = ahead(h, t, ego, row["lane"], settings.constants, -1)
+            expected = None
+            if t > 0 and h["lane"][t, ego] != h["lane"][t - 1, ego] and follower >= 0:
+                drives = ~h["crashed"][t : t + 6, [ego, follower]].any(axis=1)
+                expected = min(h["acceleration"][t : t + 6, follower][drives], default=None)
+            found = row["new_follower_acceleration"]
+            assert found == (expected if expected is None else pytest.approx(expected, rel=1e-6))
+            checked += expected is not None
+    assert checked > 30
 
 
 def test_the_vehicle_behind_strikes_and_the_one_ahead_is_struck() -> None:

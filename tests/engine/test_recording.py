@@ -6,6 +6,7 @@ import pytest
 from charms_baselines.idm_mobil import IdmMobil
 
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.engine.planar_ttc import planar_ttc
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent
@@ -68,12 +69,31 @@ def test_leader_follower_and_vehicles_near_are_those_of_the_scene() -> None:
         assert row["vehicles_near"] == near.sum()
 
 
+def test_the_planar_ttc_is_that_of_the_scene() -> None:
+    made, found = simulation(SceneSettings(density=2.0), 20, ego=None), []
+    recording = Recording(made)
+    while made.scene.active.any():
+        made.step(np.full(20, FASTER))
+        recording.note()
+        times = planar_ttc(made.scene, np.arange(20))
+        found += [(made.seeds[b], made.steps[b], times[b]) for b in range(20)]
+    expected = pl.DataFrame(found, schema=["episode", "step", "time"], orient="row").unique(
+        ["episode", "step"], keep="first"
+    )
+    steps = recording.steps().join(expected.cast({"step": pl.Int32}), on=["episode", "step"])
+    assert len(steps) == len(recording.steps())
+    near = steps.filter(pl.col("time").is_finite())
+    assert steps["planar_ttc"].null_count() == len(steps) - len(near) > 0 < len(near)
+    np.testing.assert_allclose(near["planar_ttc"], near["time"], rtol=1e-6)
+
+
 def test_what_does_not_exist_is_null() -> None:
     steps = recorded(
         simulation(SceneSettings(duration_s=1.0, traffic_vehicles=0, ego_slots=1), 2)
     ).steps()
     assert steps.select(pl.col("^(leader|follower).*$")).null_count().row(0) == (6,) * 7
-    assert steps["action"].null_count() == 6
+    assert steps["action"].null_count() == steps["planar_ttc"].null_count() == 6
+    assert steps["new_follower_acceleration"].null_count() == 6
     assert steps["vehicles_near"].to_list() == [1] * 6
 
 

@@ -34,7 +34,7 @@ def test_each_measure_is_a_half_at_its_limit() -> None:
 
 
 def test_braking_imposed_by_a_lane_change_counts() -> None:
-    row = measured({}, {"lane": 2, "target_lane": 2, "follower_acceleration": -6.0})
+    row = measured({}, {"lane": 2, "target_lane": 2, "new_follower_acceleration": -6.0})
     assert row["imposed_braking_mps2"] == 6.0
     assert row["criticality"] == pytest.approx(6.0 / (6.0 + 2.0))
     assert row["kind"] == "hard-braking"
@@ -61,7 +61,7 @@ def test_a_lane_change_that_is_finished_is_not_given_up() -> None:
 def test_a_collision_is_worse_than_anything_without_one(ending: str) -> None:
     row = measured({}, ending=ending)
     assert (row["criticality"], row["kind"]) == (4.0, "collision")
-    worst = {"leader_distance": 5.01, "leader_speed": 0.0, "follower_acceleration": -9.0}
+    worst = {"leader_distance": 5.01, "leader_speed": 0.0, "new_follower_acceleration": -9.0}
     assert measured({}, TO_THE_LEFT, worst | {"lane": 2})["criticality"] < 4.0
 
 

@@ -80,10 +80,12 @@ def test_a_near_miss_names_the_leader_at_the_smallest_ttc() -> None:
 def test_hard_braking_names_the_follower_and_the_side() -> None:
     x = np.tile([100.0, 85.0, 91.0], (11, 1))
     y = np.tile([8.0, 8.0, 4.0], (11, 1))
-    changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
-    words = what_happened(replay_of("time", [{}, changed], x=x, y=y))
+    changed = {"lane": 2, "follower": 1, "new_follower_acceleration": -4.5}
+    later = {"lane": 2, "follower": 2, "follower_acceleration": -8.0}  # it has cut in between
+    words = what_happened(replay_of("time", [{}, changed, later], x=x, y=y))
     assert words == (
-        "changed to the right lane, where the follower, vehicle 1, braked at 4.5 m/s², at t = 0.7 s"
+        "changed to the right lane, where the new follower, vehicle 1, braked at 4.5 m/s², "
+        "at t = 0.7 s"
     )
 
 

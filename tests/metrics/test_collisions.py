@@ -5,6 +5,7 @@ from handmade_rows import measure
 
 from charms_bench.metrics.collisions import (
     COLLISION_RATE,
+    CRASHED_AT_FAULT,
     CRASHED_EPISODES,
     CRASHES_PER_1000KM,
     OFF_ROAD_PER_1000KM,
@@ -28,6 +29,13 @@ def test_the_collision_rate_counts_decision_steps() -> None:
 
 def test_leaving_the_road_is_a_crash_and_running_out_of_time_is_none() -> None:
     assert measure(CRASHED_EPISODES, QUIET, QUIET, OFF_ROAD) == pytest.approx(1 / 3)
+
+
+def test_an_episode_counts_as_at_fault_only_if_the_ego_crashed_and_was() -> None:
+    ours, theirs = (({"ending": "side", "at_fault": fault}, [{}]) for fault in (True, False))
+    run = (QUIET, QUIET, ours, theirs)
+    assert measure(CRASHED_EPISODES, *run) == pytest.approx(2 / 4)
+    assert measure(CRASHED_AT_FAULT, *run) == pytest.approx(1 / 4)
 
 
 def test_crashes_per_distance_are_those_of_their_kinds_together() -> None:

@@ -25,7 +25,7 @@ SUITE = Suite.model_validate(
 
 def table(*rows: tuple[str, str, str, float | None]) -> Table:
     made = [
-        (agent, traffic, "standard-2", metric, value, value and 0.9 * value, value and 1.1 * value)
+        (agent, traffic, "standard-3", metric, value, value and 0.9 * value, value and 1.1 * value)
         for agent, traffic, metric, value in rows
     ]
     schema = long_schema(KEYS, LONG)
@@ -66,6 +66,20 @@ def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:
     svg = (tmp_path / "t.svg").read_text()
     assert "<!-- calm -->" in svg
     assert "<!-- busy -->" in svg
+
+
+def test_crashes_at_fault_are_hollow_points_below_all_crashes() -> None:
+    rows = [
+        ("A", "calm", metric, value)
+        for metric, value in (
+            ("speed_mean", 25.0),
+            ("crashed_episodes", 0.3),
+            ("crashed_at_fault", 0.1),
+        )
+    ]
+    (axes,) = draw_tradeoff(table(*rows), OF_EGOS).axes
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert [tuple(*line.get_xydata()) for line in hollow] == [(25.0, 0.1)]
 
 
 def test_drivers_at_the_same_place_keep_their_names_apart(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
 
 def test_units_are_those_of_the_set_whatever_its_thresholds() -> None:
     shown = lines(drawn(TABLE))
-    place = shown.index("standard-2(ttc_s=2)")
+    place = shown.index("standard-3(ttc_s=2)")
     assert shown[place + 1].split()[:2] == ["speed_mean", "m/s"]
 
 

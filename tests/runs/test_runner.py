@@ -189,7 +189,7 @@ def test_a_folder_of_another_format_is_refused_and_left_alone(
 ) -> None:
     manifest = tmp_path / "manifest.json"
     manifest.write_text(json.dumps({**change, "charms_bench": "0.1.0", "suite": {}}))
-    expected = rf"manifest\.json: {found}, expected format 3; run the suite again into another"
+    expected = rf"manifest\.json: {found}, expected format 4; run the suite again into another"
     for use in (open_finished, lambda path: run(suite(), path, workers=1)):
         with pytest.raises(RunFolderError, match=expected):
             use(tmp_path)
@@ -198,7 +198,7 @@ def test_a_folder_of_another_format_is_refused_and_left_alone(
 
 def test_the_manifest_begins_with_its_format(tmp_path: Path) -> None:
     folder = run(suite(episodes=2), tmp_path, workers=1).folder
-    assert next(iter(folder.manifest().items())) == ("format", 3)
+    assert next(iter(folder.manifest().items())) == ("format", 4)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -29,9 +29,18 @@ class Tradeoff(NamedTuple):
     share_label: str
     named: int
     """The label that points carry: 0 for the agent, 1 for the traffic; the other one colours."""
+    part: str = ""
+    """A part of the share, drawn as a hollow point below it."""
 
 
-OF_EGOS = Tradeoff("speed_mean", "mean speed, m/s", "crashed_episodes", "episodes crashed", 0)
+OF_EGOS = Tradeoff(
+    "speed_mean",
+    "mean speed, m/s",
+    "crashed_episodes",
+    "episodes crashed; hollow: at fault",
+    0,
+    "crashed_at_fault",
+)
 OF_TRAFFICS = Tradeoff(
     "interaction_density",
     "vehicles within 30 m and a lane of the ego",
@@ -55,17 +64,23 @@ def draw_tradeoff(
     """
     groups: dict[str, list[tuple[str, Number, Number]]] = {}
     places = table.places(tradeoff.across, tradeoff.share)
+    part = table.places(tradeoff.part) or []
+    parts: dict[str, list[tuple[float, float]]] = {}
     for row in table.rows if places else ():
         x, y = (row.numbers[i] for i in places or ())
         if x.value is not None and y.value is not None:
             name, group = row.labels[tradeoff.named], row.labels[1 - tradeoff.named]
             groups.setdefault(group, []).append((name, x, y))
+            found_parts = [row.numbers[i].value for i in part]
+            parts.setdefault(group, []).extend((x.value, v) for v in found_parts if v is not None)
     names = list(dict.fromkeys(row.labels[tradeoff.named] for row in table.rows))
     figure, (axes,) = panels(1, width, height)
     texts: list[Annotation] = []
     for index, (group, found) in enumerate(groups.items()):
         across, up = ([numbers[i] for _, *numbers in found] for i in (0, 1))
         crosses(axes, across, up, elinewidth=0.8, label=group, **points(index))
+        hollow = np.reshape(parts[group], (-1, 2))
+        axes.plot(*hollow.T, linestyle="", markerfacecolor="none", **points(index))
         for name, x, y in found:
             label = name if len(groups) == 1 else str(names.index(name) + 1)
             texts.append(axes.annotate(label, (x.value, y.value), fontsize=8, bbox=BACKGROUND))

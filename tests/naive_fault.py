@@ -1,0 +1,91 @@
+"""A plain version of `engine.fault`: it reads whole trajectories and keeps no state."""
+
+from typing import NamedTuple
+
+import numpy as np
+from naive_conduct import History, ahead
+
+from charms_bench.world.profile import Constants
+
+
+class Sample(NamedTuple):
+    """A moment at which movements are noted: a frame, and the number of its decision interval."""
+
+    frame: int
+    interval: int
+
+
+def at_fault(h: History, steps_per_decision: int, c: Constants) -> list[bool]:
+    """Whether each vehicle collides and is at fault; `h` has a frame for every simulation step."""
+    samples = [
+        Sample(t, -(-t // steps_per_decision))
+        for t in range(1, len(h["x"]))
+        if t % steps_per_decision == 0 or (h["collision"][t] != h["collision"][t - 1]).any()
+    ]
+    return [_is_at_fault(h, i, samples, steps_per_decision, c) for i in range(h["x"].shape[1])]
+
+
+def _is_at_fault(
+    h: History, i: int, samples: list[Sample], steps_per_decision: int, c: Constants
+) -> bool:
+    frames = np.nonzero(h["collision"][:, i])[0]
+    if not frames.size:
+        return False
+    t, kind = frames[0], h["collision"][frames[0], i]
+    past = [each for each in samples if each.frame <= t]
+    j = other_of(h, t, i, c)
+    behind, front = sorted((i, j), key=lambda v: bool((kind == 1) == (v != i)))
+    if kind == 3 or h["speed"][t, behind] <= h["speed"][t, front]:
+        return moved_out(h, i, past, c) >= moved_out(h, j, past, c)
+    entrant, interval = last_entry(h, behind, past, c)
+    seconds = (past[-1].interval - interval) * steps_per_decision / 15
+    return (entrant == front and seconds <= 2) == (i == front)
+
+
+def other_of(h: History, t: int, i: int, c: Constants) -> int:
+    """The vehicle that overlaps i most."""
+    depth = np.minimum(
+        c.length - abs(h["x"][t] - h["x"][t, i]), c.width - abs(h["y"][t] - h["y"][t, i])
+    )
+    depth[i] = -np.inf
+    return int(depth.argmax())
+
+
+def moved_out(h: History, i: int, past: list[Sample], c: Constants) -> int:
+    """The first interval of the last run of intervals in which i moves out of its lane."""
+    beside = h["y"][:, i] - h["lane"][:, i] * c.lane_width
+    aside = h["speed"][:, i] * h["direction_y"][:, i]
+    out = {
+        each.interval
+        for each in past
+        if abs(beside[each.frame]) > 0.25 and aside[each.frame] * np.sign(beside[each.frame]) > 0.1
+    }
+    first = max(out, default=-(10**6))
+    while first - 1 in out:
+        first -= 1
+    return first
+
+
+def last_entry(h: History, behind: int, past: list[Sample], c: Constants) -> tuple[int, int]:
+    """The last vehicle that entered the lane ahead of another one too closely, and when."""
+    found, known = (-1, -(10**6)), {}
+    for frame, interval in past:
+        for i in range(h["x"].shape[1]):
+            lane = int(h["lane"][frame, i])
+            beside = h["y"][frame, i] - lane * c.lane_width
+            if abs(beside) + c.width / 2 <= c.lane_width / 2:
+                continue
+            entered = lane + (1 if beside > 0 else -1)
+            both = {lane, entered}
+            before, seen = known.get(i, (None, -(10**6)))
+            known[i] = (both, interval)
+            if (before == both and seen >= interval - 1) or not 0 <= entered < c.lanes:
+                continue
+            j = ahead(h, frame, i, entered, c, -1)
+            if j != behind or h["lane"][frame, j] != entered:
+                continue
+            closing = h["speed"][frame, j] - h["speed"][frame, i]
+            gap = h["x"][frame, i] - h["x"][frame, j] - c.length
+            if closing > 0 and (gap <= 0 or closing**2 / (2 * gap) > 3.35):
+                found = (i, interval)
+    return found
