@@ -1,10 +1,11 @@
 """How often the intervals of `charms-bench rare` hold a probability that is known.
 
-    python tools/rare_coverage.py [PROBLEM ...]
+    python tools/rare_coverage.py
 
-Each of 2,000 repetitions is an estimate as the command makes it: 10 independent runs with 1,000
-samples per level. It takes about an hour on one core, and prints the table of
-docs/rare-events.md.
+Each of 1,000 repetitions is a pilot and 500 independent runs; the intervals of fewer runs are those
+of the first of them. The moves treat all directions alike and the events depend on at most two
+components, so two components stand for any number of them. It takes about half an hour on one core,
+and writes docs/results/rare-coverage.md.
 """
 
 import sys
@@ -14,45 +15,50 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "statistics"))
 
-from known_probabilities import DIMENSION, PROBLEMS
+from known_probabilities import PROBLEMS
 
-from charms_bench.statistics.intervals import wilson
-from charms_bench.statistics.subset_simulation import interval, subset_simulation
+from charms_bench.statistics.subset_simulation import interval, pilot_run, subset_simulation
 
-REPETITIONS = 2000
-RUNS, SAMPLES = 10, 1000
+RESULT = Path(__file__).parents[1] / "docs" / "results" / "rare-coverage.md"
+REPETITIONS = 1000
+RUNS = (5, 10, 50, 100, 500)
+EVENTS = (
+    *(("linear", probability) for probability in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)),
+    *((name, 1e-4) for name in ("two_sided", "stepped", "jump")),
+)
 
 
 def main() -> None:
-    """Prints one line per problem and probability."""
-    print("| problem | probability | holds it | below | above | mean / probability | episodes |")
-    print("|---|---:|---:|---:|---:|---:|---:|", flush=True)
-    for name in sys.argv[1:] or PROBLEMS:
-        for probability in (1e-3, 1e-5, 1e-7):
-            print(line(name, probability), flush=True)
+    """Writes one row per event, probability and number of samples."""
+    counts = " | ".join(f"{count} runs" for count in RUNS)
+    lines = [f"| event | probability | samples | mean / probability | {counts} |"]
+    lines.append("|---|---:|---:|---:|" + "---:|" * len(RUNS))
+    for name, probability in EVENTS:
+        for samples in (100, 400):
+            lines.append(line(name, probability, samples))
+            print(lines[-1], flush=True)
+    RESULT.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def line(name: str, probability: float) -> str:
-    """Returns the line of a problem."""
-    level, means, evaluations = PROBLEMS[name](probability), [], 0
-    bounds = np.empty((REPETITIONS, 2))
+def line(name: str, probability: float, samples: int) -> str:
+    """Returns the row of an event."""
+    level, means = PROBLEMS[name](probability), []
+    held = np.zeros(len(RUNS))
     for repetition in range(REPETITIONS):
-        rng = np.random.default_rng([repetition, round(-np.log10(probability))])
-        runs = subset_simulation(level, DIMENSION, SAMPLES, RUNS, rng)
-        bounds[repetition] = interval(runs, SAMPLES)
+        rng = np.random.default_rng([repetition, round(-np.log10(probability)), samples])
+        pilot = pilot_run(level, 2, samples, rng)
+        runs = subset_simulation(level, 2, samples, max(RUNS), pilot, rng)
         means.append(np.mean([run.probability for run in runs]) / probability)
-        evaluations += sum(run.evaluations for run in runs)
-    below, above = bounds[:, 1] < probability, bounds[:, 0] > probability
-    holds = REPETITIONS - below.sum() - above.sum()
-    low, high = wilson(holds, REPETITIONS)
+        for place, count in enumerate(RUNS):
+            low, high = interval(runs[:count], samples)
+            held[place] += low <= probability <= high
+    error = np.std(means, ddof=1) / REPETITIONS**0.5
     cells = (
-        name.replace("_", " "),
+        name.replace("_", "-"),
         f"{probability:.0e}",
-        f"{holds / REPETITIONS:.1%} [{low:.1%}, {high:.1%}]",
-        f"{below.mean():.1%}",
-        f"{above.mean():.1%}",
-        f"{np.mean(means):.3f}",
-        f"{evaluations / REPETITIONS:,.0f}",
+        f"{samples}",
+        f"{np.mean(means):.3f} ± {error:.3f}",
+        *(f"{each / REPETITIONS:.1%}".replace("%", " %") for each in held),
     )
     return f"| {' | '.join(cells)} |"
 

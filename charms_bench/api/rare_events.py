@@ -28,7 +28,7 @@ class Rare:
     """The probability of every cell with its interval, and the number of simulated episodes."""
     runs: pl.DataFrame
     """One row per independent run: `agent`, `traffic`, `run`, `probability`, `episodes`, and the
-    lists `thresholds`, `shares` and `acceptance` of its levels."""
+    lists `thresholds`, `shares` and `acceptance` of its levels. A pilot has no row."""
 
     @property
     def files(self) -> list[Path]:
@@ -49,14 +49,15 @@ def rare(
 ) -> Rare:
     """Estimates the probability of a rare event in an episode, or continues; see `Rare`.
 
-    The estimate is subset simulation over an episode's random draws, in independent runs.
+    The estimate is subset simulation over an episode's random draws: a pilot, whose episodes are
+    not in the estimate, and independent runs.
 
     Args:
         suite: The YAML file. Its number of episodes does not matter.
         event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
         output: The folder; by default `runs/NAME-rare-EVENT`.
         runs: Independent runs per cell, 5 to 1,000; more runs give a narrower interval.
-        samples: Episodes per level of a run, a multiple of 10, at least 100.
+        samples: Episodes per level of a run and of the pilot, a multiple of 5, at least 100.
         seed: Seed of all random draws, instead of the suite's.
         workers: Processes; by default one per core.
         notice: Called with messages about problems that were solved, such as a worker that died.
@@ -83,7 +84,7 @@ def rare(
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
     folder = Path(output or Path("runs") / name)
     try:
-        with progress("runs", runs * len(loaded.cells)) as tell:
+        with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
             cells = run_rare(
                 loaded,
                 folder,

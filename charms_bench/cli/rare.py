@@ -34,7 +34,7 @@ def rare(
         ),
     ] = 10,
     samples: Annotated[
-        int, typer.Option(help="Episodes per level of a run, a multiple of 10, at least 100.")
+        int, typer.Option(help="Episodes per level of a run, a multiple of 5, at least 100.")
     ] = 1000,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed of all random draws; overrides the suite.")

@@ -8,13 +8,13 @@ import polars as pl
 from charms_bench.report.table import Column, Number, Table
 from charms_bench.runs.rare import RareCell
 from charms_bench.runs.suite import Suite
-from charms_bench.statistics.subset_simulation import MOST_LEVELS, SHARE, interval
+from charms_bench.statistics.subset_simulation import interval
 
 Z = 1.959964
 """The normal quantile of a 95 % interval."""
 INTERVAL = (
-    "interval of a lognormal mean (Cox's method with Student's t) over the independent runs; "
-    "Wilson's if every run ends at its first level"
+    "Student's t on the logarithm of the mean of the independent runs, with the larger of its "
+    "variance and that of a lognormal mean (Cox's method); Wilson's if the pilot has one level"
 )
 
 
@@ -28,15 +28,15 @@ def rare_table(
     columns = (
         Column(
             "probability",
-            definition=f"probability that {definition} in an episode, by subset simulation: mean "
-            "of the independent runs",
+            definition=f"probability that {definition} in an episode, by subset simulation "
+            "with thresholds from a pilot: mean of the independent runs",
             counted="episodes simulated",
             interval=INTERVAL,
             form=".2e",
         ),
         Column("runs", definition="independent runs of subset simulation", form=",.0f"),
-        Column("levels", definition="mean number of levels of a run", form=".1f"),
-        Column("episodes", definition="episodes simulated in all runs", form=",.0f"),
+        Column("levels", definition="levels of a run, by the pilot", form=",.0f"),
+        Column("episodes", definition="episodes simulated in the pilot and all runs", form=",.0f"),
         Column(
             "plain_episodes",
             definition="episodes that plain simulation would need for an interval as narrow, "
@@ -53,7 +53,7 @@ def rare_table(
                 "traffic": each.cell.traffic.title,
                 "probability": number,
                 "runs": len(each.runs),
-                "levels": sum(len(run.shares) for run in each.runs) / len(each.runs),
+                "levels": len(each.pilot.thresholds),
                 "episodes": number.n,
                 "plain_episodes": _plain_episodes(number),
             }
@@ -77,7 +77,7 @@ def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
                 "acceptance": run.acceptance,
             }
             for each in cells
-            for number, run in enumerate(each.runs)
+            for number, run in enumerate(each.runs, start=1)
         ]
     )
 
@@ -85,7 +85,7 @@ def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
 def _probability(cell: RareCell, samples: int) -> Number:
     low, high = interval(cell.runs, samples)
     value = sum(run.probability for run in cell.runs) / len(cell.runs)
-    episodes = sum(run.evaluations for run in cell.runs)
+    episodes = sum(run.evaluations for run in (cell.pilot, *cell.runs))
     if math.isnan(low):
         return Number(value, n=episodes)
     return Number(value, low, high, episodes)
@@ -103,8 +103,8 @@ def _plain_episodes(number: Number) -> float | None:
 def _note(cells: Sequence[RareCell]) -> str:
     """How to read the table, and what to know of runs that have not reached the event."""
     meaning = (
-        "probability: in one episode, with its 95 % interval. episodes: simulated in all runs. "
-        "plain episodes: what plain simulation would need for an interval as narrow."
+        "probability: in one episode, with its 95 % interval. episodes: simulated in the pilot and "
+        "all runs. plain episodes: what plain simulation would need for an interval as narrow."
     )
     lost = [each for each in cells if any(run.probability == 0 for run in each.runs)]
     if not lost:
@@ -114,7 +114,6 @@ def _note(cells: Sequence[RareCell]) -> str:
         for each in lost
     )
     return (
-        f"{meaning} Runs that did not reach the event within {MOST_LEVELS} levels count as 0 "
-        f"({which}). Either its probability is below about {SHARE**MOST_LEVELS:.0e}, or the level "
-        "is the same for too many episodes."
+        f"{meaning} Runs that did not reach the event count as 0 ({which}). If these are many, use "
+        "more samples per level, unless the ego never has the event."
     )

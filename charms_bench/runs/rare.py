@@ -1,7 +1,7 @@
 """Estimates the probability of a rare event in every cell of a suite, in a folder of its own.
 
-The folder has a manifest and one file per finished run of subset simulation. A file is written
-whole or not at all, so an interrupted estimation continues with the runs that are missing.
+The folder has a manifest and one file per finished pilot or run of subset simulation. A file is
+written whole or not at all, so an interrupted estimation continues with the runs that are missing.
 """
 
 import hashlib
@@ -9,7 +9,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from charms_bench.engine.exact_maths import worker_environment
@@ -24,7 +24,7 @@ from charms_bench.runs.workers import in_processes
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 from charms_bench.world.files import read_limited, write_bytes
 
-FORMAT = 1
+FORMAT = 2
 """Version of the format of these folders."""
 MANIFEST = "rare.json"
 RUNS = 10
@@ -32,18 +32,24 @@ LEAST_RUNS = 5
 """With fewer, the interval says nothing."""
 MOST_RUNS = 1000
 SAMPLES = 1000
+LEAST_SAMPLES = 100
+"""With fewer, a level often has no episode below its threshold."""
 DRAWS_LIMIT = 2**27
 """Most random draws of a level, which are kept in memory."""
 RUN_LIMIT_S = 4 * 3600.0
 """Far longer than a run takes whose agents answer."""
 FILE_LIMIT_BYTES = 2**26
 
+Place = tuple[int, int]
+"""The index of a cell and the number of a run; 0 is the pilot."""
+
 
 @dataclass(frozen=True)
 class RareCell:
-    """The independent runs of one ego in one traffic."""
+    """The independent runs of one ego in one traffic, after one pilot."""
 
     cell: Cell
+    pilot: SubsetRun
     runs: tuple[SubsetRun, ...]
 
 
@@ -64,7 +70,7 @@ def run_rare(
         output: The folder.
         event: See `rare_task.event_of`.
         runs: Independent runs per cell.
-        samples: Episodes of each level.
+        samples: Episodes of each level of a run and of the pilot.
         workers: Number of processes; by default one per core.
         progress: Called for every finished run, first for those already in the folder.
         notice: Called with a message about what went wrong and was put right.
@@ -75,39 +81,51 @@ def run_rare(
     most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
     if not LEAST_RUNS <= runs <= MOST_RUNS:
         raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
-    if not 10 / SHARE <= samples <= most or samples % round(1 / SHARE):
+    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
         raise InputError(
-            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {10 / SHARE:g} to "
+            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
             f"{most:,}"
         )
     event_of(event)
-    with _opened(output, suite, event, samples):
-        tasks = _plan(suite, event, runs, samples)
-        found: dict[tuple[int, int], SubsetRun] = {}
-        missing: dict[RareTask, tuple[int, int]] = {}
+    count = workers or os.cpu_count() or 1
+
+    def finished(tasks: Mapping[Place, RareTask]) -> dict[Place, SubsetRun]:
+        """The runs or pilots of some tasks, from the folder if they are there."""
+        found: dict[Place, SubsetRun] = {}
+        missing: dict[RareTask, Place] = {}
         for place, task in tasks.items():
             if (made := _read(_file(output, place, task))) is None:
                 missing[task] = place
             else:
                 found[place] = made
                 progress(suite.cells[place[0]], 1)
-        count = min(workers or os.cpu_count() or 1, len(missing))
-        environment = worker_environment("batched")
         running = in_processes(
-            estimate, missing, count, lambda task: task.title, RUN_LIMIT_S, notice, environment
+            estimate,
+            missing,
+            min(count, len(missing)),
+            lambda task: task.title,
+            RUN_LIMIT_S,
+            notice,
+            worker_environment("batched"),
         )
         with closing(running):
-            try:
-                for task, made in running:
-                    place = missing[task]
-                    _write(_file(output, place, task), made)
-                    found[place] = made
-                    progress(suite.cells[place[0]], 1)
-            except CharmsBenchError as error:
-                error.add_note(f"finished runs are in {output}; the same command continues there")
-                raise
+            for task, made in running:
+                place = missing[task]
+                _write(_file(output, place, task), made)
+                found[place] = made
+                progress(suite.cells[place[0]], 1)
+        return found
+
+    with _opened(output, suite, event, samples):
+        tasks = _pilots(suite, event, samples)
+        try:
+            pilots = finished(tasks)
+            made = finished(_runs(tasks, pilots, runs))
+        except CharmsBenchError as error:
+            error.add_note(f"finished runs are in {output}; the same command continues there")
+            raise
     return [
-        RareCell(cell, tuple(found[index, run] for run in range(runs)))
+        RareCell(cell, pilots[index, 0], tuple(made[index, run] for run in range(1, runs + 1)))
         for index, cell in enumerate(suite.cells)
     ]
 
@@ -117,20 +135,31 @@ def damaged_files(folder: Path) -> list[Path]:
     return [path for path in sorted((folder / "runs").glob("*.json")) if _read(path) is None]
 
 
-def _plan(suite: Suite, event: str, runs: int, samples: int) -> dict[tuple[int, int], RareTask]:
-    """Returns the runs to make by the index of their cell and their number."""
+def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
+    """Returns the pilot of each cell."""
     forget_agents()
     tasks = {}
     for index, cell in enumerate(suite.cells):
         ego, traffic = cell.ego.agent, cell.traffic.traffic
         networks = networks_of(ego, traffic.make(), suite.folder)
         software = software_of(ego, traffic, networks, event)
-        for run in range(runs):
-            title = f"{cell.title}, run {run + 1}"
-            tasks[index, run] = RareTask(
-                title, suite.scene, ego, traffic, networks, event, samples, suite.seed, run,
-                software,
-            )  # fmt: skip
+        tasks[index, 0] = RareTask(
+            f"{cell.title}, pilot", suite.scene, ego, traffic, networks, event, samples, suite.seed,
+            0, None, software,
+        )  # fmt: skip
+    return tasks
+
+
+def _runs(
+    pilot_tasks: Mapping[Place, RareTask], pilots: Mapping[Place, SubsetRun], runs: int
+) -> dict[Place, RareTask]:
+    """Returns the runs of each cell, which start from 1."""
+    tasks = {}
+    for (index, _), task in pilot_tasks.items():
+        of_cell = task.title.removesuffix("pilot")
+        for run in range(1, runs + 1):
+            title, pilot = f"{of_cell}run {run}", pilots[index, 0]
+            tasks[index, run] = replace(task, title=title, run=run, pilot=pilot)
     return tasks
 
 
@@ -150,7 +179,7 @@ def _opened(folder: Path, suite: Suite, event: str, samples: int) -> Iterator[No
         yield
 
 
-def _file(folder: Path, place: tuple[int, int], task: RareTask) -> Path:
+def _file(folder: Path, place: Place, task: RareTask) -> Path:
     return folder / "runs" / f"{place[0]:03d}-{place[1]:03d}-{task.key[:16]}.json"
 
 
@@ -158,6 +187,9 @@ def _write(path: Path, run: SubsetRun) -> None:
     text = json.dumps(asdict(run))
     checked = {"sha256": hashlib.sha256(text.encode()).hexdigest(), "run": text}
     write_bytes(path, json.dumps(checked).encode())
+
+
+LISTS = ("thresholds", "sizes", "shares", "acceptance")
 
 
 def _read(path: Path) -> SubsetRun | None:
@@ -168,7 +200,7 @@ def _read(path: Path) -> SubsetRun | None:
         if hashlib.sha256(text.encode()).hexdigest() != checked["sha256"]:
             return None
         fields: Mapping[str, Sequence[float]] = json.loads(text)
-        tuples = {name: tuple(fields[name]) for name in ("thresholds", "shares", "acceptance")}
+        tuples = {name: tuple(fields[name]) for name in LISTS}
         return SubsetRun(**{**fields, **tuples})  # type: ignore[arg-type]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

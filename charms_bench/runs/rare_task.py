@@ -1,4 +1,4 @@
-"""One run of subset simulation over the random draws of a cell's episodes; workers do this.
+"""A run of subset simulation over the random draws of a cell's episodes; workers do this.
 
 A run depends on this module and on what it imports, and its key is a hash of all that code.
 """
@@ -21,7 +21,12 @@ from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.options import name_and_options
 from charms_bench.runs.shard import HeldDrivers, Software, installed, key_of, origin_of
-from charms_bench.statistics.subset_simulation import Seeds, SubsetRun, subset_simulation
+from charms_bench.statistics.subset_simulation import (
+    Seeds,
+    SubsetRun,
+    pilot_run,
+    subset_simulation,
+)
 from charms_bench.world.scene import Floats, SceneSettings
 
 EPISODES_AT_ONCE = 200
@@ -30,7 +35,7 @@ EPISODES_AT_ONCE = 200
 
 @dataclass(frozen=True, eq=False)
 class RareTask:
-    """A run to make: all that decides its estimate."""
+    """A run or a pilot to make: all that decides it."""
 
     title: str
     """What messages call it; the only field that decides nothing."""
@@ -45,7 +50,9 @@ class RareTask:
     """Episodes of each level."""
     seed: int
     run: int
-    """Runs with the same seed and different numbers are independent."""
+    """From 1; runs with the same seed and different numbers are independent. 0 is the pilot."""
+    pilot: SubsetRun | None
+    """None if this is the pilot."""
     software: Software
     """What was installed when the first run began."""
 
@@ -60,6 +67,7 @@ class RareTask:
             "samples": self.samples,
             "seed": self.seed,
             "run": self.run,
+            "pilot": self.pilot and asdict(self.pilot),
             "software": asdict(self.software),
         }
         return key_of(inputs, self.software, self.networks)
@@ -86,7 +94,7 @@ def software_of(
 
 
 def estimate(task: RareTask) -> SubsetRun:
-    """Makes a run.
+    """Makes a run or a pilot.
 
     Raises:
         RunFolderError: The installed software is no longer that of the task.
@@ -110,7 +118,11 @@ def estimate(task: RareTask) -> SubsetRun:
         return np.concatenate(levels)
 
     rng = np.random.default_rng([task.seed, task.run])
-    (made,) = subset_simulation(level, 4 * task.scene.vehicles + 1, task.samples, 1, rng)
+    space = level, 4 * task.scene.vehicles + 1, task.samples
+    if task.pilot is None:
+        made = pilot_run(*space, rng)
+    else:
+        (made,) = subset_simulation(*space, 1, task.pilot, rng)
     simulations.held.finish(task.title)
     event.finish(f"event '{task.event}', {task.title}")
     if problem := problem_of(names):

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import integrate, optimize, stats
 
-from charms_bench.statistics.subset_simulation import Level
+from charms_bench.statistics.subset_simulation import Level, Seeds
 from charms_bench.world.scene import Floats
 
 DIMENSION = 24
@@ -63,10 +63,21 @@ def seeded(probability: float) -> Level:
     return lambda normal, seeds: beta - _along(normal) + (seeds >= 2**63 // 10)
 
 
+def jump(probability: float) -> Level:
+    """The level stays the same below a half-space, and a tenth of the half-space has the event."""
+    edge, last = stats.norm.isf(probability * 10), stats.norm.isf(0.1)
+
+    def level(normal: Floats, seeds: Seeds) -> Floats:
+        happens = (normal[:, 0] >= edge) & (normal[:, 1] >= last)
+        return np.where(happens, 0.0, np.maximum(edge - normal[:, 0], 0.0) + 0.5)
+
+    return level
+
+
 def _along(normal: Floats) -> Floats:
     return np.asarray(normal.sum(axis=1) / np.sqrt(normal.shape[1]))
 
 
 PROBLEMS: dict[str, Callable[[float], Level]] = {
-    each.__name__: each for each in (linear, parabolic, two_sided, sphere, stepped, seeded)
+    each.__name__: each for each in (linear, parabolic, two_sided, sphere, stepped, seeded, jump)
 }
