@@ -6,7 +6,8 @@ from pathlib import Path
 
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
-from charms_bench.runs.folder import RunFolder, Shard
+from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite
 
 PART_ROWS = 2**18
@@ -83,7 +84,7 @@ def open_finished(path: Path) -> FinishedRun:
     """
     folder = RunFolder(path)
     suite = folder.suite()
-    shards = folder.shards()
+    shards = folder.shards(suite)
     for index, cell in enumerate(suite.cells):
         present = sum(shard.episodes for shard in shards if shard.cell == index)
         if present != suite.episodes:

@@ -8,6 +8,8 @@ from filelock import FileLock, Timeout
 
 from charms_bench.errors import RunFolderError
 
+LOCK = ".lock"
+
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
@@ -19,7 +21,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         RunFolderError: Another process uses the folder, or it cannot be written to.
     """
-    lock = FileLock(folder / ".lock", timeout=0)
+    lock = FileLock(folder / LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
