@@ -89,11 +89,9 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
 
 
 def _has_other_code(run: FinishedRun) -> bool:
-    recorded, blobs = run.folder.manifest().get("modules"), module_blobs()
+    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
     deciding = row_modules(entry=run_files.__name__)
-    return not isinstance(recorded, dict) or any(
-        recorded.get(name) != blobs[name] for name in deciding
-    )
+    return any(recorded.get(name) != blobs[name] for name in deciding)
 
 
 def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:
@@ -165,10 +163,10 @@ def _difference(path: Path, expected: bytes) -> str:
     lines = found.decode(errors="replace").splitlines()
     wanted = expected.decode().splitlines()
     pairs = zip([*lines, ""], [*wanted, ""], strict=False)
-    number, (is_now, should_be) = next(
-        (k, pair) for k, pair in enumerate(pairs, start=1) if pair[0] != pair[1]
-    )
-    return f"line {number} is '{is_now[:200]}'; computed again, '{should_be[:200]}'"
+    for number, (is_now, should_be) in enumerate(pairs, start=1):
+        if is_now != should_be:
+            return f"line {number} is '{is_now[:200]}'; computed again, '{should_be[:200]}'"
+    return "has other line endings, or other bytes that are not text"
 
 
 def _both_tables(found: bytes, expected: bytes) -> tuple[pl.DataFrame, pl.DataFrame] | None:
@@ -193,10 +191,8 @@ def _differing_number(found: bytes, expected: bytes) -> str:
         for column in stored.columns:
             if one[column] != other[column]:
                 labels = ", ".join(str(other[name]) for name in keys)
-                return (
-                    f"{labels}: {column} is {one[column] or 'empty'}; computed again, "
-                    f"{other[column] or 'empty'}"
-                )
+                is_now, should_be = (str(each[column] or "empty")[:200] for each in (one, other))
+                return f"{labels}: {column} is {is_now}; computed again, {should_be}"
     return ""
 
 

@@ -4,9 +4,13 @@ import hashlib
 import os
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
+from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.audit_software import names_installed_code
@@ -65,6 +69,8 @@ def _shards(
     folder: RunFolder, suite: Suite, names: Collection[str], cells: Sequence[Planned]
 ) -> Iterator[Finding]:
     """Whether every shard of the suite is there once, with the right key and with its episodes."""
+    manifest = folder.manifest()
+    is_own = names_installed_code(manifest) or any(cell.own for cell in cells)
     places, hashes = places_of(suite, folder.engine()), folder.network_hashes()
     by_place: dict[tuple[int, int], str] = {}
     for name in sorted(names):
@@ -80,7 +86,7 @@ def _shards(
             yield Finding("files", where, "false", "is missing or does not match its checksum")
         ego = suite.egos[shard.cell // len(suite.traffics)].agent
         agent = f"{hashes.get(ego.name)}.onnx" if is_network(ego.name) else ego.key
-        yield from _rows(folder, shard, agent)
+        yield from _rows(folder, shard, agent, is_own)
     for (index, first), episodes in places.items():
         if (index, first) not in by_place:
             what = (
@@ -88,16 +94,24 @@ def _shards(
                 f"{first + episodes - 1} are missing"
             )
             yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "false", what)
-    yield from _keys(folder.manifest(), by_place, cells)
+    if is_own:
+        yield from _keys(manifest, by_place, cells)
 
 
-def _rows(folder: RunFolder, shard: Shard, ego: str) -> Iterator[Finding]:
-    """What is wrong with the rows of a shard that can be seen without simulating it."""
+def _rows(folder: RunFolder, shard: Shard, ego: str, is_own: bool) -> Iterator[Finding]:
+    """What is wrong with the rows of a shard that can be seen without simulating it.
+
+    `is_own` is whether the installed code has written them.
+    """
     rows = {}
     for kind in KINDS:
         where = f"{kind}/{shard.name}.parquet"
         try:
             rows[kind] = folder.read_unchecked(kind, shard)
+            columns = pl.read_parquet_schema(BytesIO(folder.content(kind, shard)))
+            if is_own and (more := columns.keys() - SCHEMAS[kind].names()):
+                what = f"the code of the run does not write the columns {', '.join(sorted(more))}"
+                yield Finding("files", where, "false", what)
         except RunFolderError as error:
             what = str(error).removeprefix(f"{folder.path / where}: ")
             yield Finding("files", where, "false", what)
@@ -108,14 +122,12 @@ def _rows(folder: RunFolder, shard: Shard, ego: str) -> Iterator[Finding]:
 def _keys(
     manifest: Mapping[str, Any], by_place: Mapping[tuple[int, int], str], cells: Sequence[Planned]
 ) -> Iterator[Finding]:
-    """Where a shard does not have the key of the software that the run has used."""
-    agents = manifest.get("agents")
-    recorded = agents if isinstance(agents, dict) else {}
-    is_installed = names_installed_code(manifest) or any(cell.own for cell in cells)
+    """Where a shard does not have the key of its agents and of the installed code."""
+    recorded = manifest.get("agents", {})
     for cell in cells:
         is_same = all(recorded.get(name) == each for name, each in cell.agents.items())
-        if not is_installed or not (is_same or cell.own):
-            continue  # `audit_software` says that the run has used other software
+        if not is_same and not cell.own:
+            continue  # `audit_software` says that the run has used other agents
         for name, (shard, _) in cell.tasks.items():
             found = by_place.get((shard.cell, shard.first_seed), name)
             if found != name:

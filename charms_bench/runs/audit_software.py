@@ -56,15 +56,10 @@ def suite_sha256_of(manifest: Mapping[str, Any]) -> str:
 
 def names_installed_code(manifest: Mapping[str, Any]) -> bool:
     """Returns whether the manifest says that the installed code and libraries made the rows."""
-    recorded, blobs = texts(manifest.get("modules")), module_blobs()
-    return texts(manifest.get("versions")) == library_versions() and all(
+    recorded, blobs = manifest.get("modules", {}), module_blobs()
+    return manifest.get("versions") == library_versions() and all(
         recorded.get(name) == blobs[name] for name in row_modules()
     )
-
-
-def texts(value: object) -> dict[str, str]:
-    """Returns a JSON value as names and texts; empty if it is not an object."""
-    return {str(k): str(v) for k, v in value.items()} if isinstance(value, dict) else {}
 
 
 def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
@@ -72,7 +67,7 @@ def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
 
     `is_own` is whether shards have the keys of the installed software.
     """
-    recorded, blobs = texts(manifest.get("modules")), module_blobs()
+    recorded, blobs = manifest.get("modules", {}), module_blobs()
     release, made_from = f"charms-bench {manifest.get('charms_bench')}", manifest.get("commit")
     verdict: Verdict = "false" if is_own else "unknown"
     if not recorded:
@@ -94,15 +89,14 @@ def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
             f"its rows, install {found}"
         )
         yield Finding("software", "modules", verdict, what)
-    if changed := differences(library_versions(), texts(manifest.get("versions"))):
+    if changed := differences(library_versions(), manifest.get("versions", {})):
         what = f"{changed}; {_KEYS if is_own else 'install these versions'}"
         yield Finding("software", "libraries", verdict, what)
 
 
 def _agents(manifest: Mapping[str, Any], cells: Sequence[Planned]) -> Iterator[Finding]:
     """Where the agents of the cells are not those in the manifest, or cannot be made."""
-    agents = manifest.get("agents")
-    recorded = agents if isinstance(agents, dict) else {}
+    recorded = manifest.get("agents", {})
     for cell in cells:
         if cell.problem:
             yield Finding("software", cell.cell.title, "unknown", cell.problem)
@@ -111,7 +105,7 @@ def _agents(manifest: Mapping[str, Any], cells: Sequence[Planned]) -> Iterator[F
     for name, identity in installed.items():
         if identity == recorded.get(name):
             continue
-        how = differences(identity, texts(recorded.get(name))) or "the manifest does not name it"
+        how = differences(identity, recorded.get(name, {})) or "the manifest does not name it"
         if name in own:
             what = f"{how} in the manifest, but shards have the key of the installed agent"
             yield Finding("software", name, "false", what)

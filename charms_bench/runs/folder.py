@@ -24,9 +24,9 @@ from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
-from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
+from charms_bench.runs.manifest import check_fields, read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.shard import ShardFiles
-from charms_bench.runs.shard_rows import rows_in
+from charms_bench.runs.shard_rows import problem_between, rows_in
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import read_file, read_limited, write_bytes
@@ -37,6 +37,8 @@ MANIFEST = "manifest.json"
 KINDS = tuple(SCHEMAS)
 """The kinds of rows of a shard; each has a folder of its own."""
 FILE_LIMIT_BYTES = 2**30
+MANIFEST_LIMIT_BYTES = 2**24
+"""Twenty times the largest manifest; JSON takes fifty times its size in memory."""
 CHECKSUMS = "checksums"
 NETWORKS = "networks"
 """The folder of networks that the suite gives by path; each file is named by its hash."""
@@ -118,7 +120,7 @@ class RunFolder:
             RunFolderError: The manifest is missing, damaged or of another format.
         """
         path = self.path / MANIFEST
-        manifest = read_manifest(path, FILE_LIMIT_BYTES)
+        manifest = read_manifest(path, MANIFEST_LIMIT_BYTES)
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
         if manifest.get("format") != FORMAT:
@@ -127,6 +129,7 @@ class RunFolder:
                 f"{path}: {has}, expected format {FORMAT}; run the suite again into another "
                 "folder, or read this one with the release of charms-bench that wrote it"
             )
+        check_fields(path, manifest)
         return manifest
 
     def suite(self) -> Suite:
@@ -284,8 +287,12 @@ class RunFolder:
             written = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
             if written != _checksums(name, files):
                 return None
-            for kind, data in files.items():
-                rows_in(data, kind, shard, self._file(kind, name))
+            rows = {
+                kind: rows_in(data, kind, shard, self._file(kind, name))
+                for kind, data in files.items()
+            }
+            if problem_between(rows):
+                return None
         except (OSError, RunFolderError):
             return None
         return files
@@ -297,19 +304,22 @@ class RunFolder:
             RunFolderError: The network no longer has this hash, or the folder cannot be written.
         """
         copy = self._network(sha256)
-        data = network.read_bytes()
+        data = read_file(network, FILE_LIMIT_BYTES)
         if hashlib.sha256(data).hexdigest() != sha256:
             raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
-        if not copy.exists() or copy.read_bytes() != data:
+        try:
+            is_whole = read_limited(copy, FILE_LIMIT_BYTES) == data
+        except OSError:
+            is_whole = False
+        if not is_whole:
             write_bytes(copy, data)
 
     def network_hashes(self) -> dict[str, str]:
         """Returns the SHA-256 of each network that the suite gives by path, by its name there."""
-        agents = self.manifest().get("agents")
         found = {
-            name: str(identity.get("weights_sha256"))
-            for name, identity in (agents.items() if isinstance(agents, dict) else ())
-            if is_network(name) and isinstance(identity, dict)
+            name: identity.get("weights_sha256", "")
+            for name, identity in self.manifest().get("agents", {}).items()
+            if is_network(name)
         }
         return {name: each for name, each in found.items() if re.fullmatch("[0-9a-f]{64}", each)}
 

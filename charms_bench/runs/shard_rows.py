@@ -38,7 +38,13 @@ _WITHOUT_NULL = {
     "drivers": SCHEMAS["drivers"].names(),
     "episodes": ("episode", "ending", "steps", "duration_s", "distance_m"),
 }  # fmt: skip
-_NEVER_NEGATIVE = ("step", "lane", "target_lane", "vehicles_near", "steps", "bin", "count")
+_PARTS = {
+    "episodes": (("traffic_crashed", "traffic_vehicles"),),
+    "drivers": (
+        ("crashed", "vehicles"), ("pet_below_2s_by", "pet_by"), ("pet_below_2s_to", "pet_to"),
+    ),
+}  # fmt: skip
+"""Columns that count some of what another column counts."""
 
 
 def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
@@ -79,18 +85,22 @@ def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) ->
         episodes: The number of its episodes; the next episodes have the next seeds.
     """
     last = first_seed + episodes - 1
-    keys, signed = _KEYS[kind], [name for name in _NEVER_NEGATIVE if name in rows.columns]
+    keys = rows.select(_KEYS[kind])
     wrong = {
         f"an episode is not one of {first_seed} to {last}": ~pl.col("episode").is_between(
             first_seed, last
         ),
         "a value is missing": pl.any_horizontal(pl.col(_WITHOUT_NULL[kind]).is_null()),
         "a number is not finite": ~pl.all_horizontal(cs.float().is_finite()),
-        "a number is negative": pl.any_horizontal(pl.col(signed) < 0) if signed else pl.lit(False),
-        f"two rows have the same {', '.join(keys)}": pl.struct(keys).is_duplicated(),
+        "a number is negative": pl.any_horizontal(cs.signed_integer() < 0),
     }
+    for part, whole in _PARTS.get(kind, ()):
+        wrong[f"{part} is larger than {whole}"] = pl.col(part) > pl.col(whole)
     if kind == "episodes":
         wrong[f"an ending is not one of {', '.join(ENDINGS)}"] = ~pl.col("ending").is_in(ENDINGS)
+    if kind == "drivers":
+        wrong["a time is negative"] = pl.any_horizontal(cs.ends_with("_s") & cs.float() < 0)
+        wrong["an agent has control characters"] = pl.col("agent").str.contains(r"\p{Cc}")
     if kind == "counts":
         wrong[f"a quantity is not one of {', '.join(QUANTITIES)}"] = ~pl.col("quantity").is_in(
             QUANTITIES
@@ -101,25 +111,34 @@ def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) ->
         return what
     if kind == "episodes" and len(rows) != episodes:
         return f"it has {len(rows)} of the {episodes} episodes {first_seed} to {last}"
+    if not keys.equals(keys.unique().sort(keys.columns)):
+        return f"its rows are not in order of {', '.join(keys.columns)}, or two have the same"
     return ""
 
 
-def problem_between(rows: Mapping[str, pl.DataFrame], ego: str) -> str:
+def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
     """Returns what is wrong between the kinds of rows of a shard; empty if nothing is.
 
     Args:
         rows: The rows of every kind, in which `problem_of` finds nothing.
-        ego: The agent of the ego, as driver rows name it.
+        ego: The agent of the ego, as driver rows name it; None for any.
     """
-    episodes = rows["episodes"].select("episode", "steps")
-    steps = rows["steps"].group_by("episode").agg(found=pl.len(), last=pl.col("step").max())
-    both = episodes.join(steps, on="episode", how="left").sort("episode")
+    if what := problem_of_steps(rows["episodes"], rows["steps"]):
+        return what
+    egos = rows["drivers"].filter("is_ego")
+    if not np.array_equal(egos["episode"], rows["episodes"]["episode"]):
+        return "not every episode has one driver row of its ego"
+    others = set(egos["agent"]) - {ego}
+    if ego is not None and others:
+        return f"the ego is {min(others)}, expected {ego}"
+    return ""
+
+
+def problem_of_steps(episodes: pl.DataFrame, steps: pl.DataFrame) -> str:
+    """Returns where step rows are not those of their episode rows; empty if nowhere."""
+    counted = steps.group_by("episode").agg(found=pl.len(), last=pl.col("step").max())
+    both = episodes.select("episode", "steps").join(counted, on="episode", how="left")
     is_same = (pl.col("steps") == pl.col("found")) & (pl.col("steps") == pl.col("last"))
     for episode, said, found, _ in both.filter(~is_same.fill_null(False)).iter_rows():
-        return f"episode {episode} has {said} steps; there are {found or 0} step rows"
-    egos = rows["drivers"].filter("is_ego").sort("episode")
-    if not np.array_equal(egos["episode"], both["episode"]):
-        return "not every episode has one driver row of its ego"
-    if others := set(egos["agent"]) - {ego}:
-        return f"the ego is {min(others)}, expected {ego}"
+        return f"episode {episode} has {said} steps, but there are {found or 0} step rows"
     return ""

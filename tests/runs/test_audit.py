@@ -231,15 +231,14 @@ def test_a_row_changed_is_named(folder: Path, is_signed: bool) -> None:
 def test_rows_and_tables_that_were_both_changed_are_named(folder: Path) -> None:
     path = shard(folder, "episodes")
     rows = pl.read_parquet(path)
-    rows.with_columns(
-        pl.lit("time").alias("ending"), pl.lit(1).alias("steps").cast(rows.schema["steps"])
-    ).write_parquet(path)
+    rows.with_columns(duration_s=1.0).write_parquet(path)
     sign(folder, path)
     assert charms_bench("rescore", "run", cwd=folder).returncode == 0
     answer = audited(folder)
     assert answer.returncode == 1
     assert (
-        f"episodes/{path.name}: row 1 (episode 0): steps is 1; simulated again, 6" in answer.stdout
+        f"episodes/{path.name}: row 1 (episode 0): duration_s is 1.0; simulated again, 2.0"
+        in answer.stdout
     )
 
 
