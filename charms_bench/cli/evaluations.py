@@ -315,10 +315,21 @@ def audit(
             suite_folder=suite_folder,
         )
     if as_json:
-        print_json({"verdict": found.verdict, "findings": found.table.records()})
+        print_json(
+            {
+                "verdict": found.verdict,
+                "undrawn": found.undrawn,
+                "findings": found.table.records(),
+            }
+        )
     else:
         for each in found.findings:
             where = f"{each.where}: " if each.where else ""
             say(f"{each.verdict:<9}{each.check:<10}{where}{each.what}")
-        say(f"{run}: {VERDICTS[found.verdict]}")
+        missed = (
+            f"; if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
+            if 0 < found.undrawn < 1 and found.verdict != "false"
+            else ""
+        )
+        say(f"{run}: {VERDICTS[found.verdict]}{missed}")
     raise typer.Exit(EXIT_CODES[found.verdict])

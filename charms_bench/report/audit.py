@@ -1,29 +1,38 @@
 """What an audit has found; and the tables of a run, computed again from its rows."""
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 
 import polars as pl
 
-from charms_bench.errors import CharmsBenchError, RunFolderError
-from charms_bench.metrics import MetricSet
+from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
+from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
 from charms_bench.report.stored import read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
-from charms_bench.runs.audit import VERDICTS, Finding, Verdict
 from charms_bench.runs.code_hashes import module_blobs, row_modules
+from charms_bench.runs.finding import VERDICTS, Finding, Verdict
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
 from charms_bench.world.files import read_file
 
+NUMBER = re.compile(r"[0-9][0-9,.]*")
+ROUNDING = 1e-9
+"""Largest relative difference of a value that was summed in another order."""
+
 
 def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     """Yields where the files in `tables` differ from what the rows in the folder give.
+
+    The table of a run with other code may differ for that reason, which is `unknown`. It is `false`
+    where that is no explanation; see `_is_false`.
 
     Args:
         folder: The run folder.
@@ -34,14 +43,20 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     except RunFolderError as error:
         yield Finding("tables", "", "unknown", f"cannot be computed again: {error}")
         return
-    wrong: Verdict = "unknown" if _has_other_code(run) else "false"
+    is_own = not _has_other_code(run)
     try:
         references = read_references(suite.references, suite.folder)
     except CharmsBenchError as error:
         references = []
         yield Finding("tables", f"tables/{suite.suite}-realism.csv", "unknown", str(error))
     try:
-        sets = _stored_sets(folder / "tables" / f"{suite.suite}.csv")
+        try:
+            sets, unknown = _stored_sets(folder / "tables" / f"{suite.suite}.csv"), set[str]()
+        except RegistryError as error:  # metrics of a plugin that is not installed
+            sets, unknown = METRIC_SETS, {f"{suite.suite}.csv", f"{suite.suite}.md"}
+            yield Finding("tables", f"tables/{suite.suite}.csv", "unknown", str(error))
+        except RunFolderError:  # it is compared as a file
+            sets, unknown = METRIC_SETS, set()
         following = run.following() if references else []
         cells = [run_files.measure(suite, rows, sets) for rows in run.cells()]
         made = run_files.run_tables(suite, cells, following, references, sets)
@@ -54,28 +69,73 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     if matrix := matrices(made[0][0]):
         expected[f"{suite.suite}-matrix.md"] = run_files.matrix_page(matrix)
     count = 0
+    wrong: Verdict
     for name, data in expected.items():
-        if what := _difference(folder / "tables" / name, data):
+        if name not in unknown and (what := _difference(folder / "tables" / name, data)):
             count += 1
+            wrong = "false" if is_own or _is_false(folder / "tables", name, expected) else "unknown"
             yield Finding("tables", f"tables/{name}", wrong, what)
-    unknown = (
-        {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")} if suite.references else {}
-    )
+    if suite.references:
+        unknown |= {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")}
     for path in sorted((folder / "tables").glob("*")):
         if path.name not in expected and path.name not in unknown:
             count += 1
-            yield Finding("tables", f"tables/{path.name}", "false", "is not a table of this suite")
+            is_suites = re.fullmatch(rf"{suite.suite}(-[a-z]+)?\.(csv|md)", path.name)
+            wrong = "unknown" if is_suites and not is_own else "false"
+            yield Finding("tables", f"tables/{path.name}", wrong, "is not a table of this suite")
     if not count:
         what = f"{len(expected)} files, computed again from the rows in the folder, are the same"
         yield Finding("tables", "", "true", what)
 
 
 def _has_other_code(run: FinishedRun) -> bool:
-    recorded, blobs = run.folder.manifest().get("modules"), module_blobs()
+    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
     deciding = row_modules(entry=run_files.__name__)
-    return not isinstance(recorded, dict) or any(
-        recorded.get(name) != blobs[name] for name in deciding
+    return any(recorded.get(name) != blobs[name] for name in deciding)
+
+
+def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:
+    """Whether a table that differs is false even if other code has computed it.
+
+    The version of a metric set is part of its label. It changes with the definitions, so the same
+    version gives the same values of the same rows. And a page has the numbers of its CSV file.
+    """
+    csv = re.sub(r"(-matrix)?\.md$", ".csv", name)
+    try:
+        page, table = (read_file(tables / each, FILE_LIMIT_BYTES) for each in (name, csv))
+    except RunFolderError:
+        return False
+    if name == csv:
+        return _has_other_value(table, expected[csv])
+    (words, numbers), (right_words, right_numbers) = (
+        (NUMBER.sub("#", text), NUMBER.findall(text))
+        for text in (each.decode(errors="replace") for each in (page, expected[name]))
     )
+    return table == expected[csv] and words == right_words and numbers != right_numbers
+
+
+def _has_other_value(found: bytes, expected: bytes) -> bool:
+    """Whether a metric has another value than rounding explains in the table of metrics."""
+    both = _both_tables(found, expected)
+    if both is None or "metric_set" not in both[0].columns:
+        return False
+    keys = ("agent", "traffic", "metric_set", "metric")
+    values = [
+        {tuple(row[each] for each in keys): row["value"] for row in table.iter_rows(named=True)}
+        for table in both
+    ]
+    return any(
+        values[0][key] != value and not _is_rounded(values[0][key], value)
+        for key, value in values[1].items()
+        if key in values[0]
+    )
+
+
+def _is_rounded(one: str | None, other: str | None) -> bool:
+    try:
+        return isclose(float(one or "nan"), float(other or "nan"), rel_tol=ROUNDING)
+    except ValueError:
+        return False
 
 
 def _stored_sets(path: Path) -> Sequence[MetricSet]:
@@ -103,31 +163,36 @@ def _difference(path: Path, expected: bytes) -> str:
     lines = found.decode(errors="replace").splitlines()
     wanted = expected.decode().splitlines()
     pairs = zip([*lines, ""], [*wanted, ""], strict=False)
-    number, (is_now, should_be) = next(
-        (k, pair) for k, pair in enumerate(pairs, start=1) if pair[0] != pair[1]
-    )
-    return f"line {number} is '{is_now[:200]}'; computed again, '{should_be[:200]}'"
+    for number, (is_now, should_be) in enumerate(pairs, start=1):
+        if is_now != should_be:
+            return f"line {number} is '{is_now[:200]}'; computed again, '{should_be[:200]}'"
+    return "has other line endings, or other bytes that are not text"
+
+
+def _both_tables(found: bytes, expected: bytes) -> tuple[pl.DataFrame, pl.DataFrame] | None:
+    """Two CSV files as text; None if they do not have the same columns and number of rows."""
+    try:
+        stored, again = (pl.read_csv(each, infer_schema=False) for each in (found, expected))
+    except pl.exceptions.PolarsError:
+        return None
+    same = stored.columns == again.columns and len(stored) == len(again)
+    return (stored, again) if same else None
 
 
 def _differing_number(found: bytes, expected: bytes) -> str:
     """Says which number of a CSV file first differs; empty if its rows are others."""
-    try:
-        tables = [pl.read_csv(each, infer_schema=False) for each in (found, expected)]
-    except pl.exceptions.PolarsError:
+    both = _both_tables(found, expected)
+    if both is None:
         return ""
-    stored, again = tables
-    if stored.columns != again.columns or len(stored) != len(again):
-        return ""
+    stored, again = both
     # The columns before the numbers say what a row is about.
     keys = again.columns[: again.columns.index("value")] if "value" in again.columns else []
     for one, other in zip(stored.iter_rows(named=True), again.iter_rows(named=True), strict=True):
         for column in stored.columns:
             if one[column] != other[column]:
                 labels = ", ".join(str(other[name]) for name in keys)
-                return (
-                    f"{labels}: {column} is {one[column] or 'empty'}; computed again, "
-                    f"{other[column] or 'empty'}"
-                )
+                is_now, should_be = (str(each[column] or "empty")[:200] for each in (one, other))
+                return f"{labels}: {column} is {is_now}; computed again, {should_be}"
     return ""
 
 
@@ -144,6 +209,11 @@ class Audit:
     def verdict(self) -> Verdict:
         """The worst verdict of a finding."""
         return max((each.verdict for each in self.findings), key=VERDICTS.index, default="unknown")
+
+    @property
+    def undrawn(self) -> float:
+        """Probability that none of the shards simulated again is false, if one shard is false."""
+        return max((each.undrawn for each in self.findings), default=0.0)
 
     @property
     def table(self) -> Table:

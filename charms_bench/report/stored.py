@@ -65,17 +65,17 @@ def stored_tables(folder: Path, suite: Suite) -> RunTables:
     """
     start = folder / "tables" / suite.suite
     kinds = (
-        ("", suite_table),
-        ("-realism", realism_table),
-        ("-pairs", pairs_table),
-        ("-preventable", preventable_table),
-        ("-drivers", drivers_table),
+        ("", suite_table, True),
+        ("-realism", realism_table, bool(suite.references)),
+        ("-pairs", pairs_table, suite.pairs),
+        ("-preventable", preventable_table, suite.preventable_by is not None),
+        ("-drivers", drivers_table, True),
     )
     metrics, realism, pairs, preventable, drivers = (
         kind.from_frame(read_table(path, long_schema(kind.KEYS, kind.LONG)), suite)
-        if (path := Path(f"{start}{ending}.csv")).exists()
+        if (path := Path(f"{start}{ending}.csv")).exists() and is_asked
         else None
-        for ending, kind in kinds
+        for ending, kind, is_asked in kinds
     )
     if metrics is None:
         raise RunFolderError(

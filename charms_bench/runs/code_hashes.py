@@ -108,7 +108,8 @@ def module_blobs(sources: Path = SOURCES) -> dict[str, str]:
 def commit() -> str:
     """Returns the commit that this package was installed from, or "" if it is not known.
 
-    pip notes it when it installs from a repository; a checkout has it, too.
+    pip notes it when it installs from a repository; a checkout has it, too. A checkout whose
+    modules have been edited is not that of a commit.
     """
     try:
         noted = json.loads(distribution("charms-bench").read_text("direct_url.json") or "{}")
@@ -116,10 +117,15 @@ def commit() -> str:
             return str(noted["vcs_info"]["commit_id"])
         if not (SOURCES / ".git").exists():
             return ""
-        asked = ["git", "-C", str(SOURCES), "rev-parse", "HEAD"]
-        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        edited = _git("status", "--porcelain", "--", "charms_bench/*.py")
+        return "" if edited else _git("rev-parse", "HEAD")
     except (OSError, ValueError, KeyError, PackageNotFoundError, subprocess.SubprocessError):
         return ""
+
+
+def _git(*words: str) -> str:
+    command = ["git", "--no-optional-locks", "-C", str(SOURCES), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def _sha256(files: Mapping[str, Path]) -> str:

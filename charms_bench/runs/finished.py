@@ -6,7 +6,9 @@ from pathlib import Path
 
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
-from charms_bench.runs.folder import RunFolder, Shard
+from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.shard_rows import problem_of_steps
+from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite
 
 PART_ROWS = 2**18
@@ -72,7 +74,10 @@ class _Parts:
         count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
         for start in range(0, len(self.shards), count):
             shards = self.shards[start : start + count]
-            yield tuple(self.folder.read(kind, shards) for kind in self.kinds)
+            rows = tuple(self.folder.read(kind, shards) for kind in self.kinds)
+            if self.kinds == ("episodes", "steps") and (what := problem_of_steps(*rows)):
+                raise RunFolderError(f"{self.folder.path}: {what}; run the suite again")
+            yield rows
 
 
 def open_finished(path: Path) -> FinishedRun:
@@ -83,7 +88,7 @@ def open_finished(path: Path) -> FinishedRun:
     """
     folder = RunFolder(path)
     suite = folder.suite()
-    shards = folder.shards()
+    shards = folder.shards(suite)
     for index, cell in enumerate(suite.cells):
         present = sum(shard.episodes for shard in shards if shard.cell == index)
         if present != suite.episodes:

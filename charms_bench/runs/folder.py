@@ -11,25 +11,25 @@ import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
 from charms_bench import __version__
+from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
-from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
+from charms_bench.runs.manifest import check_fields, read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.shard import ShardFiles
+from charms_bench.runs.shard_rows import problem_between, rows_in
+from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import read_file, read_limited, write_bytes
-from charms_bench.world.scene import DECISIONS_LIMIT
 
 FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""
@@ -37,30 +37,19 @@ MANIFEST = "manifest.json"
 KINDS = tuple(SCHEMAS)
 """The kinds of rows of a shard; each has a folder of its own."""
 FILE_LIMIT_BYTES = 2**30
-ROWS_LIMIT = 150 * DECISIONS_LIMIT
-"""Most rows of a shard; a Parquet file of a few bytes can repeat a row without end."""
+MANIFEST_LIMIT_BYTES = 2**24
+"""Twenty times the largest manifest; JSON takes fifty times its size in memory."""
 CHECKSUMS = "checksums"
 NETWORKS = "networks"
 """The folder of networks that the suite gives by path; each file is named by its hash."""
+_WRITTEN = {
+    CHECKSUMS: rf"{NAME}\.sha256",
+    **dict.fromkeys(KINDS, rf"{NAME}\.parquet"),
+    NETWORKS: r"[0-9a-f]{64}\.onnx",
+}
+"""The names of the files that a run writes into these folders."""
 _UNDECIDING = ("episodes", *PRESENTATION)
 """Fields of a suite that decide no row."""
-
-
-@dataclass(frozen=True)
-class Shard:
-    """A fixed number of episodes of a cell."""
-
-    cell: int
-    """Index into `Suite.cells`."""
-    first_seed: int
-    episodes: int
-    key: str
-    """Hash of everything that its rows depend on."""
-
-    @property
-    def name(self) -> str:
-        """Name of its files, without the ending."""
-        return f"{self.cell:03d}-{self.first_seed:09d}-{self.key[:16]}"
 
 
 class RunFolder:
@@ -97,7 +86,14 @@ class RunFolder:
             engine: The engine's name.
             agents: See `shard.identify_agents`; of all cells.
         """
-        manifest = {
+        manifest = self.manifest_of(suite, engine, agents)
+        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
+        write_bytes(self.path / MANIFEST, text.encode())
+
+    @staticmethod
+    def manifest_of(suite: Suite, engine: str, agents: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns what `write_manifest` writes."""
+        return {
             "format": FORMAT,
             "charms_bench": __version__,
             **json.loads(suite.model_dump_json(include=set(_UNDECIDING))),
@@ -116,8 +112,6 @@ class RunFolder:
                 "cpus": os.cpu_count(),
             },
         }
-        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-        write_bytes(self.path / MANIFEST, text.encode())
 
     def manifest(self) -> dict[str, Any]:
         """Returns what `write_manifest` wrote.
@@ -126,7 +120,7 @@ class RunFolder:
             RunFolderError: The manifest is missing, damaged or of another format.
         """
         path = self.path / MANIFEST
-        manifest = read_manifest(path, FILE_LIMIT_BYTES)
+        manifest = read_manifest(path, MANIFEST_LIMIT_BYTES)
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")
         if manifest.get("format") != FORMAT:
@@ -135,6 +129,7 @@ class RunFolder:
                 f"{path}: {has}, expected format {FORMAT}; run the suite again into another "
                 "folder, or read this one with the release of charms-bench that wrote it"
             )
+        check_fields(path, manifest)
         return manifest
 
     def suite(self) -> Suite:
@@ -151,29 +146,54 @@ class RunFolder:
             reason = str(error).replace("\n", " ")
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
 
-    def shards(self) -> tuple[Shard, ...]:
+    def engine(self) -> EngineName:
+        """Returns the engine of the run.
+
+        Raises:
+            RunFolderError: The manifest cannot be read, or names no engine.
+        """
+        found = self.manifest().get("engine")
+        for engine in ENGINES:
+            if found == engine:
+                return engine
+        raise RunFolderError(
+            f"{self.path / MANIFEST}: engine is {found!r}; expected one of {', '.join(ENGINES)}"
+        )
+
+    def finished(self) -> list[str]:
+        """Returns the names for which there are checksums."""
+        return sorted(path.stem for path in (self.path / CHECKSUMS).glob("*.sha256"))
+
+    def shards(self, suite: Suite) -> tuple[Shard, ...]:
         """Returns the finished shards, by cell and seed, with only the beginning of their keys.
 
         Raises:
-            RunFolderError: A file is not named like those of shards, or is damaged.
+            RunFolderError: A file is not of a shard of the suite, or two are of the same shard.
         """
-        found = []
-        for path in sorted((self.path / CHECKSUMS).glob("*.sha256")):
-            match = re.fullmatch(r"(\d{3,})-(\d{9,})-([0-9a-f]{16})", path.stem)
-            if match is None:
-                raise RunFolderError(f"{path}: is not a shard of a run; delete the file")
-            cell, first_seed, key = match.groups()
-            rows = self._read("episodes", path.stem)
-            found.append(Shard(int(cell), int(first_seed), len(rows), key))
-        return tuple(found)
+        places = places_of(suite, self.engine())
+        found: dict[tuple[int, int], Shard] = {}
+        for name in self.finished():
+            shard, path = shard_named(name, places), self._checksums(name)
+            if shard is None:
+                raise RunFolderError(
+                    f"{path}: is not of a shard of the suite in {MANIFEST}; run the suite again, "
+                    "or delete the file"
+                )
+            other = found.setdefault((shard.cell, shard.first_seed), shard)
+            if other != shard:
+                raise RunFolderError(
+                    f"{path}: has the episodes of {other.name}; run the suite again, which deletes "
+                    "one of the two"
+                )
+        return tuple(found.values())
 
     def has(self, shard: Shard) -> bool:
         """Returns whether the shard was finished; its files may have changed since."""
         return self._checksums(shard.name).exists()
 
     def is_whole(self, shard: Shard) -> bool:
-        """Returns whether the shard was finished and no byte of it has changed since."""
-        return self._files(shard.name) is not None
+        """Returns whether the shard was finished, is unchanged, and has rows of its episodes."""
+        return self._files(shard.name, shard) is not None
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
         """Writes a finished shard.
@@ -195,7 +215,7 @@ class RunFolder:
         for shard in shards:
             seed_and_key = shard.name.partition("-")[2]
             for path in (other / CHECKSUMS).glob(f"*-{seed_and_key}.sha256"):
-                files = RunFolder(other)._files(path.stem)
+                files = RunFolder(other)._files(path.stem, shard)
                 has_some = has_some or files is not None
                 if files is not None and not self.is_whole(shard):
                     self.write(shard, files)
@@ -209,53 +229,73 @@ class RunFolder:
         """Returns the rows of one of `KINDS`, of some shards; networks have the suite's names.
 
         Raises:
-            RunFolderError: A file is missing or has changed since it was written.
+            RunFolderError: A file is missing, has changed since it was written, or has rows of
+                other episodes.
         """
-        rows = pl.concat([self._read(kind, shard.name) for shard in shards])
+        rows = pl.concat([self._read(kind, shard) for shard in shards])
         if "agent" not in rows.columns:
             return rows
         names = {f"{sha256}.onnx": name for name, sha256 in self.network_hashes().items()}
         return rows.with_columns(pl.col("agent").replace(names))
 
-    def _read(self, kind: str, name: str) -> pl.DataFrame:
-        path, checksums = self._file(kind, name), self._checksums(name)
+    def _read(self, kind: str, shard: Shard) -> pl.DataFrame:
+        path, checksums = self._file(kind, shard.name), self._checksums(shard.name)
         data, lines = _content(path), _content(checksums).splitlines()
-        if _checksum(kind, name, data) not in lines:
+        if _checksum(kind, shard.name, data) not in lines:
             raise RunFolderError(
                 f"{path}: does not match its checksum in {checksums}; run the suite again"
             )
-        return _rows(kind, path, data)
+        return rows_in(data, kind, shard, path)
+
+    def content(self, kind: str, shard: Shard) -> bytes:
+        """Returns the file of a shard, whether or not it matches its checksum.
+
+        Raises:
+            RunFolderError: The file cannot be read.
+        """
+        return _content(self._file(kind, shard.name))
 
     def read_unchecked(self, kind: str, shard: Shard) -> pl.DataFrame:
         """Returns the rows of a shard, whose networks are named by their hashes.
 
         Raises:
-            RunFolderError: The file cannot be read, or holds something else than such rows.
+            RunFolderError: The file cannot be read, or has no rows of this shard.
         """
-        path = self._file(kind, shard.name)
-        return _rows(kind, path, _content(path))
+        return rows_in(self.content(kind, shard), kind, shard, self._file(kind, shard.name))
 
-    def damaged_files(self, name: str) -> list[Path]:
+    def damaged_files(self, shard: Shard) -> list[Path]:
         """Returns the files of a shard that are missing or do not match their checksums."""
-        lines = _content(self._checksums(name)).splitlines()
-        found = []
+        damaged, lines = [], []
+        try:
+            written = _content(self._checksums(shard.name)).split(b"\n")
+        except RunFolderError:
+            return [self._checksums(shard.name)]
         for kind in KINDS:
             try:
-                is_whole = _checksum(kind, name, _content(self._file(kind, name))) in lines
+                line = _checksum(kind, shard.name, self.content(kind, shard))
             except RunFolderError:
-                is_whole = False
-            if not is_whole:
-                found.append(self._file(kind, name))
-        return found
+                line = b""
+            if line not in written:
+                damaged.append(self._file(kind, shard.name))
+            lines.append(line)
+        return damaged or [self._checksums(shard.name)] * (written != [*lines, b""])
 
-    def _files(self, name: str) -> ShardFiles | None:
-        """Returns the files of a shard, or None if one has changed since it was written."""
+    def _files(self, name: str, shard: Shard) -> ShardFiles | None:
+        """Returns the files of this name if they are whole and have the rows of the shard."""
         try:
             files = {kind: read_limited(self._file(kind, name), FILE_LIMIT_BYTES) for kind in KINDS}
             written = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
-        except OSError:
+            if written != _checksums(name, files):
+                return None
+            rows = {
+                kind: rows_in(data, kind, shard, self._file(kind, name))
+                for kind, data in files.items()
+            }
+            if problem_between(rows):
+                return None
+        except (OSError, RunFolderError):
             return None
-        return files if written == _checksums(name, files) else None
+        return files
 
     def keep_network(self, network: Path, sha256: str) -> None:
         """Copies a network that the suite gives by path, so that the folder is complete.
@@ -264,19 +304,22 @@ class RunFolder:
             RunFolderError: The network no longer has this hash, or the folder cannot be written.
         """
         copy = self._network(sha256)
-        data = network.read_bytes()
+        data = read_file(network, FILE_LIMIT_BYTES)
         if hashlib.sha256(data).hexdigest() != sha256:
             raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
-        if not copy.exists() or copy.read_bytes() != data:
+        try:
+            is_whole = read_limited(copy, FILE_LIMIT_BYTES) == data
+        except OSError:
+            is_whole = False
+        if not is_whole:
             write_bytes(copy, data)
 
     def network_hashes(self) -> dict[str, str]:
         """Returns the SHA-256 of each network that the suite gives by path, by its name there."""
-        agents = self.manifest().get("agents")
         found = {
-            name: str(identity.get("weights_sha256"))
-            for name, identity in (agents.items() if isinstance(agents, dict) else ())
-            if is_network(name) and isinstance(identity, dict)
+            name: identity.get("weights_sha256", "")
+            for name, identity in self.manifest().get("agents", {}).items()
+            if is_network(name)
         }
         return {name: each for name, each in found.items() if re.fullmatch("[0-9a-f]{64}", each)}
 
@@ -295,11 +338,11 @@ class RunFolder:
         return copy
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
-        """Deletes every shard that is not one of these."""
-        names = {shard.name for shard in shards}
-        for folder in (CHECKSUMS, *KINDS):
+        """Deletes every shard that is not one of these, and every network of another run."""
+        names = {shard.name for shard in shards} | set(self.network_hashes().values())
+        for folder, pattern in _WRITTEN.items():
             for path in sorted((self.path / folder).glob("*.*")):
-                if path.stem not in names:
+                if path.stem not in names and re.fullmatch(pattern, path.name):
                     path.unlink()
 
     def _network(self, sha256: str) -> Path:
@@ -319,28 +362,6 @@ def _content(path: Path) -> bytes:
         raise RunFolderError(
             f"{error.filename or path}: cannot be read: {error.strerror}; run the suite again"
         ) from error
-
-
-def _rows(kind: str, path: Path, data: bytes) -> pl.DataFrame:
-    """Returns the rows in a Parquet file."""
-    schema = SCHEMAS[kind]
-    try:
-        rows = pl.scan_parquet(BytesIO(data))
-        found = rows.collect_schema()
-        wrong = [name for name in schema if found.get(name) != schema[name]]
-        if not wrong:
-            # Later versions may add columns.
-            read = rows.select(schema.names()).head(ROWS_LIMIT + 1).collect()
-            if len(read) <= ROWS_LIMIT:
-                return read
-    except pl.exceptions.PolarsError as error:
-        raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
-    problem = (
-        f"the columns {', '.join(wrong)} are missing or have other types"
-        if wrong
-        else f"holds more than {ROWS_LIMIT:,} rows"
-    )
-    raise RunFolderError(f"{path}: {problem}; run the suite again")
 
 
 def _checksums(name: str, files: ShardFiles) -> bytes:

@@ -2,6 +2,8 @@
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from importlib import import_module
 from types import ModuleType
 
 import numpy as np
@@ -16,10 +18,20 @@ def harness_names() -> Names:
     """What every name in the modules of this package that are imported stands for."""
     return [
         (where, names, dict(names))
-        for name, module in list(sys.modules.items())
-        if name.partition(".")[0] == "charms_bench"
+        for name, module in _whole_modules()
         for where, names in _namespaces(name, module)
     ]
+
+
+def _whole_modules() -> Iterator[tuple[str, ModuleType]]:
+    """The imported modules of this package, by name.
+
+    Another thread may still be importing one, which would change its names afterwards.
+    `import_module` waits for the end of that import.
+    """
+    for name in [each for each in list(sys.modules) if each.partition(".")[0] == "charms_bench"]:
+        with suppress(ImportError):  # one that cannot be imported changes nothing
+            yield name, import_module(name)
 
 
 def _namespaces(name: str, module: ModuleType) -> Iterator[tuple[str, Mapping[str, object]]]:

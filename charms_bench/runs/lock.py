@@ -8,6 +8,8 @@ from filelock import FileLock, Timeout
 
 from charms_bench.errors import RunFolderError
 
+LOCK = ".lock"
+
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
@@ -17,11 +19,16 @@ def locked(folder: Path) -> Iterator[None]:
     file stays.
 
     Raises:
-        RunFolderError: Another process uses the folder, or it cannot be written to.
+        RunFolderError: Another process uses the folder, it cannot be written to, or it holds links,
+            behind which a file outside could be written or deleted.
     """
-    lock = FileLock(folder / ".lock", timeout=0)
+    lock = FileLock(folder / LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if links := sorted(path for path in folder.iterdir() if path.is_symlink()):
+            raise RunFolderError(
+                f"{links[0]}: is a link; expected a file or a folder; copy what it leads to"
+            )
         lock.acquire()
     except Timeout as error:
         raise RunFolderError(

@@ -5,20 +5,60 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from charms_bench.errors import RunFolderError
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from charms_bench.errors import RunFolderError, first_problem
 from charms_bench.world.files import read_file
+
+
+class RunFields(BaseModel):
+    """The types of the fields of a run's manifest; its suite is validated as a suite."""
+
+    model_config = ConfigDict(strict=True, extra="allow")
+
+    charms_bench: str = ""
+    suite_sha256: str = ""
+    engine: str = ""
+    agents: dict[str, dict[str, str]] = {}
+    metric_sets: dict[str, int] = {}
+    versions: dict[str, str] = {}
+    commit: str = ""
+    modules: dict[str, str] = {}
+    machine: dict[str, str | int | None] = {}
+
+
+def check_fields(path: Path, manifest: dict[str, Any]) -> None:
+    """Checks the types of the fields of a run's manifest.
+
+    Raises:
+        RunFolderError: One is wrong; names the first.
+    """
+    try:
+        RunFields.model_validate(manifest)
+    except ValidationError as error:
+        place, what = first_problem(error)
+        raise RunFolderError(f"{path}: {'.'.join(map(str, place))}: {what}") from error
 
 
 def read_manifest(path: Path, limit: int) -> Any:
     """Returns the content of a JSON file of at most `limit` bytes.
 
     Raises:
-        RunFolderError: It cannot be read, or is not JSON.
+        RunFolderError: It cannot be read, is not JSON, or gives a field twice.
     """
     try:
-        return json.loads(read_file(path, limit))
+        return json.loads(read_file(path, limit), object_pairs_hook=_given_once)
     except (ValueError, RecursionError) as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from error
+
+
+def _given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"the field {name!a} is given twice")
+        found[name] = value
+    return found
 
 
 def refuse_foreign(folder: Path, manifest: str, kind: str) -> None:

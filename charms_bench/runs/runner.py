@@ -13,7 +13,7 @@ from charms_bench.errors import CharmsBenchError, SuiteError
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
-from charms_bench.runs.folder import RunFolder, Shard
+from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.shard import (
     ShardFiles,
     ShardTask,
@@ -21,12 +21,10 @@ from charms_bench.runs.shard import (
     installed,
     simulate,
 )
+from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.runs.workers import in_processes
 from charms_bench.world.scene import EVALUATION_SEEDS
-
-SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}
-"""Enough scenes for the compiled engine to be fast; few enough that a killed run loses little."""
 
 SHARD_LIMIT_S = 1800.0
 """Far longer than a shard takes if its agents answer."""
@@ -155,11 +153,9 @@ def plan_cell(
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks)
     tasks = {}
-    for start in range(0, suite.episodes, SHARD_EPISODES[engine]):
-        episodes = min(SHARD_EPISODES[engine], suite.episodes - start)
-        first, last = suite.seed + start, suite.seed + start + episodes - 1
+    for first, episodes in blocks(suite, engine):
         task = ShardTask(
-            title=f"{cell.title}, episodes {first} to {last}",
+            title=f"{cell.title}, episodes {first} to {first + episodes - 1}",
             engine=engine,
             scene=cell.scene,
             ego=ego,

@@ -13,7 +13,7 @@ import pytest
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.runs import finished as finished_runs
-from charms_bench.runs import runner
+from charms_bench.runs import runner, shards
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import KINDS
@@ -37,7 +37,7 @@ def suite(**changes: object) -> Suite:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(runner.SHARD_EPISODES, "batched", 10)
+    monkeypatch.setitem(shards.SHARD_EPISODES, "batched", 10)
     return
 
 

@@ -18,9 +18,10 @@ import yaml
 from plugin_folder import installed
 
 from charms_bench.errors import RunFolderError
-from charms_bench.runs.folder import CHECKSUMS, KINDS, RunFolder, Shard
+from charms_bench.runs.folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import run
+from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite, load_suite
 from charms_bench.world.files import write_bytes
 
@@ -40,10 +41,10 @@ traffics: [{traffic: idm_mobil}]
 """
 SMALL_SHARDS = """\
 import signal
-from charms_bench.runs import runner
+from charms_bench.runs import shards
 from charms_bench.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever who starts this has ignored
-runner.SHARD_EPISODES["batched"] = 5
+shards.SHARD_EPISODES["batched"] = 5
 main()
 """
 
@@ -148,7 +149,7 @@ def assert_noticed(folder: RunFolder, shard: Shard, path: Path, position: int, m
 
 def test_a_byte_that_flips_in_a_shard_is_noticed(folder: RunFolder) -> None:
     rng = random.Random(0)
-    (shard,) = folder.shards()
+    (shard,) = folder.shards(folder.suite())
     for path in shard_files(folder):
         for _ in range(40):
             position = rng.randrange(path.stat().st_size)
@@ -157,7 +158,7 @@ def test_a_byte_that_flips_in_a_shard_is_noticed(folder: RunFolder) -> None:
 
 @pytest.mark.slow
 def test_every_byte_that_flips_in_a_shard_is_noticed(folder: RunFolder) -> None:
-    (shard,) = folder.shards()
+    (shard,) = folder.shards(folder.suite())
     for path in shard_files(folder):
         for position in range(path.stat().st_size):
             for bit in range(8):

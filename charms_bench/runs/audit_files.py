@@ -1,0 +1,174 @@
+"""Checks that a run folder holds the files of its run, and names every other file."""
+
+import hashlib
+import os
+import stat
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from charms_bench.engine.columns import SCHEMAS
+from charms_bench.errors import RunFolderError
+from charms_bench.plugins.registry import is_network
+from charms_bench.runs.audit_software import names_installed_code
+from charms_bench.runs.finding import Finding
+from charms_bench.runs.folder import (
+    CHECKSUMS,
+    FILE_LIMIT_BYTES,
+    KINDS,
+    MANIFEST,
+    NETWORKS,
+    RunFolder,
+)
+from charms_bench.runs.lock import LOCK
+from charms_bench.runs.planned import Planned
+from charms_bench.runs.shard_rows import problem_between
+from charms_bench.runs.shards import Shard, places_of, shard_named
+from charms_bench.runs.suite import Suite
+from charms_bench.world.files import read_limited
+
+UNCHECKED = ("figures", "replays", "datasets")
+"""Folders that commands write for readers; their contents are not checked."""
+TABLES = "tables"
+
+
+def audit_networks(folder: RunFolder) -> Iterator[Finding]:
+    """Yields whether the networks in the folder have the hashes in the manifest."""
+    wrong, hashes = False, folder.network_hashes()
+    for name, sha256 in hashes.items():
+        path, what = folder.path / NETWORKS / f"{sha256}.onnx", ""
+        try:
+            found = hashlib.sha256(read_limited(path, FILE_LIMIT_BYTES)).hexdigest()
+        except OSError as error:
+            what = f"cannot be read, which is {name}: {error.strerror}"
+        else:
+            if found != sha256:
+                what = f"has the hash {found}, not the one in its name, which is {name}"
+        if what:
+            wrong = True
+            yield Finding("networks", f"{NETWORKS}/{path.name}", "false", what)
+    if not wrong and hashes:
+        what = f"{len(hashes)} of {len(hashes)} have the hash in the manifest"
+        yield Finding("networks", "", "true", what)
+
+
+def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> Iterator[Finding]:
+    """Yields whether the folder holds the shards of its suite, intact, and nothing else."""
+    names = folder.finished()
+    found = [*_shards(folder, suite, names, cells), *_unexpected(folder, names)]
+    yield from found
+    if all(each.verdict == "unknown" for each in found):
+        what = f"the files of {len(names)} shards match their checksums and have their episodes"
+        yield Finding("files", "", "true", what)
+
+
+def _shards(
+    folder: RunFolder, suite: Suite, names: Collection[str], cells: Sequence[Planned]
+) -> Iterator[Finding]:
+    """Whether every shard of the suite is there once, with the right key and with its episodes."""
+    manifest = folder.manifest()
+    is_own = names_installed_code(manifest) or any(cell.own for cell in cells)
+    places, hashes = places_of(suite, folder.engine()), folder.network_hashes()
+    by_place: dict[tuple[int, int], str] = {}
+    for name in sorted(names):
+        where, shard = f"{CHECKSUMS}/{name}.sha256", shard_named(name, places)
+        if shard is None:
+            yield Finding("files", where, "false", "is not of a shard of the suite")
+            continue
+        other = by_place.setdefault((shard.cell, shard.first_seed), name)
+        if other != name:
+            yield Finding("files", where, "false", f"has the episodes of {other}")
+        for path in folder.damaged_files(shard):
+            where = path.relative_to(folder.path).as_posix()
+            yield Finding("files", where, "false", "is missing or does not match its checksum")
+        ego = suite.egos[shard.cell // len(suite.traffics)].agent
+        agent = f"{hashes.get(ego.name)}.onnx" if is_network(ego.name) else ego.key
+        yield from _rows(folder, shard, agent, is_own)
+    for (index, first), episodes in places.items():
+        if (index, first) not in by_place:
+            what = (
+                f"the rows of {cells[index].cell.title}, episodes {first} to "
+                f"{first + episodes - 1} are missing"
+            )
+            yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "false", what)
+    if is_own:
+        yield from _keys(manifest, by_place, cells)
+
+
+def _rows(folder: RunFolder, shard: Shard, ego: str, is_own: bool) -> Iterator[Finding]:
+    """What is wrong with the rows of a shard that can be seen without simulating it.
+
+    `is_own` is whether the installed code has written them.
+    """
+    rows = {}
+    for kind in KINDS:
+        where = f"{kind}/{shard.name}.parquet"
+        try:
+            rows[kind] = folder.read_unchecked(kind, shard)
+            columns = pl.read_parquet_schema(BytesIO(folder.content(kind, shard)))
+            if is_own and (more := columns.keys() - SCHEMAS[kind].names()):
+                what = f"the code of the run does not write the columns {', '.join(sorted(more))}"
+                yield Finding("files", where, "false", what)
+        except RunFolderError as error:
+            what = str(error).removeprefix(f"{folder.path / where}: ")
+            yield Finding("files", where, "false", what)
+    if len(rows) == len(KINDS) and (what := problem_between(rows, ego)):
+        yield Finding("files", f"{CHECKSUMS}/{shard.name}.sha256", "false", what)
+
+
+def _keys(
+    manifest: Mapping[str, Any], by_place: Mapping[tuple[int, int], str], cells: Sequence[Planned]
+) -> Iterator[Finding]:
+    """Where a shard does not have the key of its agents and of the installed code."""
+    recorded = manifest.get("agents", {})
+    for cell in cells:
+        is_same = all(recorded.get(name) == each for name, each in cell.agents.items())
+        if not is_same and not cell.own:
+            continue  # `audit_software` says that the run has used other agents
+        for name, (shard, _) in cell.tasks.items():
+            found = by_place.get((shard.cell, shard.first_seed), name)
+            if found != name:
+                what = (
+                    "has a key of other software, agents or settings than the manifest says; "
+                    f"expected {name}"
+                )
+                yield Finding("files", f"{CHECKSUMS}/{found}.sha256", "false", what)
+
+
+def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
+    """What is in the folder beside the files of the run, the tables and `UNCHECKED`.
+
+    A file that no command reads is not false, but nobody has checked it.
+    """
+    expected = {MANIFEST, LOCK}
+    expected |= {f"{NETWORKS}/{sha256}.onnx" for sha256 in folder.network_hashes().values()}
+    for name in names:
+        expected |= {f"{CHECKSUMS}/{name}.sha256", *(f"{kind}/{name}.parquet" for kind in KINDS)}
+    for path, kind in entries(folder.path):
+        where = path.relative_to(folder.path).as_posix()
+        top = where.partition("/")[0]
+        if not stat.S_ISREG(kind):
+            what = "is a link" if stat.S_ISLNK(kind) else "is a pipe or a device"
+            yield Finding("files", where, "false", f"{what}, not a file")
+        elif where in expected or top in UNCHECKED or (top == TABLES and where.count("/") == 1):
+            continue
+        elif top in KINDS:
+            yield Finding("files", where, "false", "is not of a finished shard")
+        elif top in (CHECKSUMS, NETWORKS, TABLES):
+            yield Finding("files", where, "false", "is not a file of this run")
+        else:
+            what = "is not a file of a run, and is not checked"
+            yield Finding("files", where, "unknown", what)
+
+
+def entries(folder: Path) -> Iterator[tuple[Path, int]]:
+    """Yields what a folder and its subfolders hold, with its `st_mode`; links are not followed."""
+    for path, folders, files in os.walk(folder):
+        folders.sort()
+        for name in sorted([*folders, *files]):
+            kind = Path(path, name).lstat().st_mode
+            if not stat.S_ISDIR(kind):
+                yield Path(path, name), kind

@@ -1,0 +1,23 @@
+"""What the checks of an audit find."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["true", "false", "unknown"]
+VERDICTS: tuple[Verdict, ...] = ("true", "unknown", "false")
+"""From the best to the worst."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check has found."""
+
+    check: str
+    """`software`, `files`, `networks`, `rows` or `tables`."""
+    where: str
+    """The file or the place in it; empty for the check as a whole."""
+    verdict: Verdict
+    what: str
+    """In words."""
+    undrawn: float = 0.0
+    """Probability that the sample of this check does not contain a single false shard."""
