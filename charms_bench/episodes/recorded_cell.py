@@ -15,7 +15,7 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished import EPISODES_AND_STEPS, FinishedRun, read_rows
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import SceneSettings
@@ -99,7 +99,8 @@ class RecordedCell:
             if shard.cell == self.index
             and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
         ]
-        return run.folder.read("steps", shards).filter(pl.col("episode").is_in(list(episodes)))
+        _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
+        return steps.filter(pl.col("episode").is_in(list(episodes)))
 
     def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
         """Checks that the rows of episodes that were simulated `again` are those of `steps`.

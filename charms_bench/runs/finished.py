@@ -1,6 +1,6 @@
 """Finished runs, opened from their folders: the rows of every cell."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from charms_bench.runs.shard_rows import problem_of_steps
 from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite
 
+EPISODES_AND_STEPS = ("episodes", "steps")
 PART_ROWS = 2**18
 """About how many step rows are in memory at once."""
 
@@ -37,7 +38,7 @@ class FinishedRun:
             agent=cell.ego.title,
             traffic=cell.traffic.title,
             size=self.suite.episodes,
-            parts=self._parts(index, "episodes", "steps"),
+            parts=self._parts(index, *EPISODES_AND_STEPS),
             drivers=self._parts(index, "drivers"),
             paper=cell.paper,
         )
@@ -74,10 +75,19 @@ class _Parts:
         count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
         for start in range(0, len(self.shards), count):
             shards = self.shards[start : start + count]
-            rows = tuple(self.folder.read(kind, shards) for kind in self.kinds)
-            if self.kinds == ("episodes", "steps") and (what := problem_of_steps(*rows)):
-                raise RunFolderError(f"{self.folder.path}: {what}; run the suite again")
-            yield rows
+            yield read_rows(self.folder, self.kinds, shards)
+
+
+def read_rows(folder: RunFolder, kinds: tuple[str, ...], shards: Sequence[Shard]) -> Rows:
+    """Returns rows of some kinds of some shards; step rows come with their episode rows.
+
+    Raises:
+        RunFolderError: A file cannot be used, or step rows are not those of the episode rows.
+    """
+    rows = tuple(folder.read(kind, shards) for kind in kinds)
+    if kinds == EPISODES_AND_STEPS and (what := problem_of_steps(*rows)):
+        raise RunFolderError(f"{folder.path}: {what}; run the suite again")
+    return rows
 
 
 def open_finished(path: Path) -> FinishedRun:

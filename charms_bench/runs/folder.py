@@ -9,7 +9,7 @@ import json
 import os
 import platform
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.shard_rows import problem_between, rows_in
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
-from charms_bench.world.files import read_file, read_limited, write_bytes
+from charms_bench.world.files import PARTIAL, read_file, read_limited, write_bytes
 
 FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""
@@ -74,8 +74,7 @@ class RunFolder:
                 manifest = self.manifest()
                 refuse_another(self.path, "run", {key: manifest.get(key) for key in ours}, ours)
             for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
-                for partial in (self.path / folder).glob(".*.partial"):
-                    partial.unlink()
+                _delete(self.path / folder, PARTIAL)
             yield
 
     def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
@@ -341,9 +340,7 @@ class RunFolder:
         """Deletes every shard that is not one of these, and every network of another run."""
         names = {shard.name for shard in shards} | set(self.network_hashes().values())
         for folder, pattern in _WRITTEN.items():
-            for path in sorted((self.path / folder).glob("*.*")):
-                if path.stem not in names and re.fullmatch(pattern, path.name):
-                    path.unlink()
+            _delete(self.path / folder, pattern, names)
 
     def _network(self, sha256: str) -> Path:
         return self.path / NETWORKS / f"{sha256}.onnx"
@@ -353,6 +350,21 @@ class RunFolder:
 
     def _checksums(self, name: str) -> Path:
         return self.path / CHECKSUMS / f"{name}.sha256"
+
+
+def _delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
+    """Deletes the files of a folder whose names match, except those whose stems are kept.
+
+    Raises:
+        RunFolderError: A file cannot be deleted.
+    """
+    try:
+        for path in sorted(folder.glob("*")):
+            is_file = path.is_file() and not path.is_symlink()
+            if is_file and re.fullmatch(pattern, path.name) and path.stem not in kept:
+                path.unlink()
+    except OSError as error:
+        raise RunFolderError(f"{error.filename}: cannot be deleted: {error.strerror}") from error
 
 
 def _content(path: Path) -> bytes:

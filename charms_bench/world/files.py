@@ -8,6 +8,9 @@ from pathlib import Path
 
 from charms_bench.errors import RunFolderError
 
+PARTIAL = r"\..+\.[0-9]+\.partial"
+"""The name of a file that is being written; see `write_atomically`."""
+
 
 def size_of(path: Path) -> int:
     """The size of a regular file, bytes.

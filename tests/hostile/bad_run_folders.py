@@ -1,5 +1,6 @@
 """Run folders that somebody has altered, and bad arguments for intact ones."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -62,6 +63,45 @@ def _many_rows(path: Path) -> None:
     pl.DataFrame({"episode": pl.repeat(0, 10_000_000, eager=True)}).write_parquet(path)
 
 
+def sign(run: Path, name: str) -> None:
+    """Writes the checksums of a shard that was changed."""
+    lines = [
+        f"{hashlib.sha256((run / kind / f'{name}.parquet').read_bytes()).hexdigest()}  "
+        f"{kind}/{name}.parquet\n"
+        for kind in ("steps", "counts", "drivers", "episodes")
+    ]
+    (run / "checksums" / f"{name}.sha256").write_text("".join(lines))
+
+
+def signed(kind: str, change: Callable[[pl.DataFrame], pl.DataFrame]) -> Callable[[Path], object]:
+    """Changes rows of a shard, and its checksums with them."""
+
+    def make(run: Path) -> None:
+        path = _shard(kind)(run)
+        change(pl.read_parquet(path)).write_parquet(path)
+        sign(run, path.stem)
+
+    return make
+
+
+def forged(name: str) -> Callable[[Path], object]:
+    """Adds a shard of this name with step rows and without episodes."""
+
+    def make(run: Path) -> None:
+        for kind in ("steps", "counts", "drivers", "episodes"):
+            rows = pl.read_parquet(_shard(kind)(run))
+            rows = rows.clear() if kind == "episodes" else rows
+            rows.write_parquet(run / kind / f"{name}.parquet")
+        sign(run, name)
+
+    return make
+
+
+def _twice(run: Path) -> None:
+    path = run / "manifest.json"
+    path.write_text(path.read_text().replace('"episodes": 2', '"episodes": 1, "episodes": 2', 1))
+
+
 def _instead_of_manifest(make_file: Callable[[Path], object]) -> Callable[[Path], object]:
     def make(run: Path) -> None:
         (run / "manifest.json").unlink()
@@ -94,6 +134,23 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "10^7 episodes announced": _manifest(lambda manifest: manifest.update(episodes=10**7)),
     "no episodes announced": _manifest(lambda manifest: manifest.update(episodes=0)),
     "episodes that are a text": _manifest(lambda manifest: manifest.update(episodes="2")),
+    "a manifest with a field twice": _twice,
+    "agents that are a list": _manifest(lambda manifest: manifest.update(agents=[1])),
+    "an agent that is a number": _manifest(lambda manifest: manifest["agents"].update(idm_mobil=1)),
+    "modules that are a list": _manifest(lambda manifest: manifest.update(modules=[1])),
+    "versions that are a text": _manifest(lambda manifest: manifest.update(versions="1")),
+    "an engine that is a list": _manifest(lambda manifest: manifest.update(engine=["batched"])),
+    "a forged shard of later episodes": forged(f"000-000000150-{'0' * 16}"),
+    "a forged shard of another cell": forged(f"001-000000000-{'0' * 16}"),
+    "a forged shard of the same episodes": forged(f"000-000000000-{'0' * 16}"),
+    "a speed that is not a number": signed(
+        "steps", lambda rows: rows.with_columns(speed=pl.lit(float("nan"), pl.Float32))
+    ),
+    "steps of other episodes": signed(
+        "steps", lambda rows: rows.with_columns(pl.col("episode") + 2)
+    ),
+    "a step twice": signed("steps", lambda rows: pl.concat([rows, rows.tail(1)])),
+    "steps in another order": signed("steps", pl.DataFrame.reverse),
     "rows cut short": lambda run: os.truncate(_shard("steps")(run), 100),
     "rows that are a text": _instead("episodes", lambda path: path.write_text("hello")),
     "rows of another kind": _instead("steps", _many_rows),

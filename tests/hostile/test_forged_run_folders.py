@@ -1,0 +1,150 @@
+"""Run folders that somebody has edited to deceive: `audit` names the edit, `run` undoes it."""
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+import pytest
+from bad_arguments import SUITE
+from bad_run_folders import forged, signed
+from command_line import charms_bench
+
+import charms_bench as harness
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a suite and its finished run."""
+    made = tmp_path_factory.mktemp("whole")
+    (made / "suite.yaml").write_text(SUITE)
+    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=made)
+    assert answer.returncode == 0, answer.stderr
+    return made
+
+
+@pytest.fixture
+def folder(whole: Path, tmp_path: Path) -> Path:
+    made = Path(shutil.copytree(whole, tmp_path / "copy"))
+    (made / "outside").mkdir()
+    (made / "outside" / "mine.txt").write_text("mine")
+    return made
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != ".lock" and path.suffix != ".png"
+    }
+
+
+def continued(folder: Path) -> int:
+    return charms_bench(
+        "run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder
+    ).returncode
+
+
+def _where(column: str, value: object) -> Callable[[pl.DataFrame], pl.DataFrame]:
+    def change(rows: pl.DataFrame) -> pl.DataFrame:
+        first = pl.int_range(pl.len()) == 0
+        changed = pl.when(first).then(pl.lit(value)).otherwise(column)
+        return rows.with_columns(changed.cast(rows.schema[column]).alias(column))
+
+    return change
+
+
+def _checksums(run: Path) -> Path:
+    return next((run / "checksums").iterdir())
+
+
+FORGED: dict[str, Callable[[Path], object]] = {
+    "a shard of later episodes": forged(f"000-000000150-{'0' * 16}"),
+    "a shard of another cell": forged(f"001-000000000-{'0' * 16}"),
+    "a shard of the same episodes": forged(f"000-000000000-{'0' * 16}"),
+    "a speed that is not a number": signed("steps", _where("speed", float("nan"))),
+    "a step twice": signed("steps", lambda rows: pl.concat([rows, rows.tail(1)])),
+    "steps in another order": signed("steps", pl.DataFrame.reverse),
+    "an episode without steps": signed("steps", lambda rows: rows.filter(pl.col("episode") > 0)),
+    "an episode of a million steps": signed("episodes", _where("steps", 10**6)),
+    "an ending that there is not": signed("episodes", _where("ending", "victory")),
+    "more crashes than vehicles": signed("episodes", _where("traffic_crashed", 99)),
+    "a bin that there is not": signed("counts", _where("bin", 30_000)),
+    "a quantity that there is not": signed("counts", _where("quantity", "x")),
+    "a count below 0": signed("counts", _where("count", -7)),
+    "a driver with escape codes": signed("drivers", _where("agent", "\x1b[2J")),
+    "a driver with crashes below 0": signed("drivers", _where("crashed", -3)),
+    "a driver with times below 0": signed("drivers", _where("rss_by_s", -3.0)),
+    "an ego without a driver row": signed("drivers", lambda rows: rows.filter(~pl.col("is_ego"))),
+    "checksums of a file elsewhere": lambda run: _checksums(run).write_text(
+        f"{_checksums(run).read_text()}{'0' * 64}  ../outside/mine.txt\n"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("title", FORGED)
+def test_an_audit_names_what_was_forged_without_a_simulation(title: str, folder: Path) -> None:
+    FORGED[title](folder / "run")
+    findings = harness.audit(folder / "run", shards=1, workers=1).findings
+    assert any(each.check == "files" and each.verdict == "false" for each in findings)
+
+
+@pytest.mark.parametrize("title", FORGED)
+def test_the_next_run_undoes_what_was_forged(title: str, folder: Path) -> None:
+    before = contents(folder)
+    FORGED[title](folder / "run")
+    assert contents(folder) != before
+    assert continued(folder) == 0
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("name", ["steps", "checksums", "tables", "networks", "manifest.json"])
+def test_nothing_behind_a_link_is_written_or_deleted(name: str, folder: Path) -> None:
+    path, target = folder / "run" / name, folder / "outside" / name
+    path.rename(target) if path.exists() else target.mkdir()
+    path.symlink_to(target)
+    for words in (("rescore", "run"), ("run", "suite.yaml", "--output", "run", "--episodes", 1)):
+        before = contents(folder / "outside")
+        answer = charms_bench(*words, cwd=folder)
+        assert answer.returncode == 2, answer
+        assert f"run/{name}: is a link; expected a file or a folder" in answer.stderr
+        assert contents(folder / "outside") == before
+
+
+def test_files_that_no_run_wrote_stay(folder: Path) -> None:
+    mine = ["steps/notes.txt", ".draft.partial", "checksums/todo.sha256.old", "notes.txt"]
+    for name in mine:
+        (folder / "run" / name).write_text("mine")
+    assert continued(folder) == 0
+    assert [(folder / "run" / name).read_text() for name in mine] == ["mine"] * len(mine)
+
+
+def test_a_pipe_in_place_of_a_network_does_not_hang(
+    network_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    network_file()
+    text = SUITE.replace("{agent: idm_mobil}", "{agent: policy.onnx}")
+    (tmp_path / "suite.yaml").write_text(text)
+    assert continued(tmp_path) == 0
+    before = contents(tmp_path)
+    (copy,) = (tmp_path / "run" / "networks").iterdir()
+    copy.unlink()
+    os.mkfifo(copy)
+    assert continued(tmp_path) == 0
+    assert contents(tmp_path) == before
+
+
+def test_a_table_with_other_line_endings_is_named(folder: Path) -> None:
+    table = folder / "run" / "tables" / "small.csv"
+    table.write_bytes(table.read_bytes().replace(b"\n", b"\r\n"))
+    answer = charms_bench("audit", "run", "--workers", 1, cwd=folder)
+    assert answer.returncode == 1, answer
+    assert "tables/small.csv: has other line endings" in answer.stdout
+
+
+def test_a_table_that_the_suite_does_not_ask_for_is_not_read(folder: Path) -> None:
+    (folder / "run" / "tables" / "small-pairs.csv").write_text("We win.")
+    assert charms_bench("show", "run", cwd=folder).returncode == 0
+    assert charms_bench("audit", "run", "--workers", 1, cwd=folder).returncode == 1
