@@ -103,8 +103,8 @@ def test_only_events_since_a_decision_are_told() -> None:
 
 
 def test_a_lane_change_before_the_decision_is_not_told() -> None:
-    changed = {"lane": 2, "follower_distance": 15.0, "follower_acceleration": -4.5}
-    replay = replay_of("time", [{}, changed, changed], x=np.tile([100.0, 85.0], (16, 1)), y=8.0)
+    changed = {"lane": 2, "follower": 1, "new_follower_acceleration": -4.5}
+    replay = replay_of("time", [{}, changed, {"lane": 2}], x=np.tile([100.0, 85.0], (16, 1)), y=8.0)
     assert "braked at 4.5 m/s²" in what_happened(replay, since=2)
     assert what_happened(replay, since=3) == "never closed in on a vehicle"
     abandoned = given_up(18.0, 0, 2)
