@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -50,6 +52,8 @@ SuiteFolder = Annotated[
     Path,
     typer.Option(help="Folder that relative paths in the suite refer to."),
 ]
+END_S = 2.0
+"""Seconds after a second signal that a command has to end by itself."""
 FigurePath = Annotated[
     Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
 ]
@@ -116,6 +120,30 @@ def interruptible() -> Iterator[None]:
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@cache
+def end_at_second_signal() -> None:
+    """Ends this process soon after a second Ctrl-C or SIGTERM, whatever it is doing.
+
+    While a library computes, Python's own handlers wait for it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    arrived, wakeup = os.pipe()
+    os.set_blocking(wakeup, False)
+    signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
+
+    def watch() -> None:
+        signals = 0
+        while signals < 2:
+            numbers = os.read(arrived, 64)
+            signals += sum(number in (signal.SIGINT, signal.SIGTERM) for number in numbers)
+        time.sleep(END_S)
+        os.write(2, b"interrupted again; ended at once\n")
+        os._exit(128 + numbers[-1])  # its workers notice
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def print_table(table: "Table", stacked: bool = False) -> None:

@@ -22,7 +22,7 @@ from charms_bench.runs.shard import (
     simulate,
 )
 from charms_bench.runs.suite import Cell, Suite
-from charms_bench.runs.workers import in_processes
+from charms_bench.workers import in_processes
 from charms_bench.world.scene import EVALUATION_SEEDS
 
 SHARD_EPISODES: dict[EngineName, int] = {"batched": 150, "highway-env": 10}

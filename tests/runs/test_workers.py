@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from charms_bench.errors import AgentError, WorkerError
-from charms_bench.runs.workers import in_processes, started_early, starting
+from charms_bench.workers import _starting, in_processes, started_early
 from charms_bench.world.threads import ONE_THREAD
 
 
@@ -96,7 +96,7 @@ def test_variables_of_a_worker_are_taken_back_and_all_others_are_left(
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "8")
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
-    with starting({"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}):
+    with _starting({"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}):
         assert os.environ["OMP_NUM_THREADS"] == os.environ["NUMBA_NUM_THREADS"] == "1"
         monkeypatch.setenv("SET_BY_ANOTHER_THREAD", "yes")
     assert os.environ["OMP_NUM_THREADS"] == "8"
