@@ -34,10 +34,11 @@ class OnnxPolicy(Policy):
     """Chooses the meta-action with the highest value, or the continuous action that is the output.
 
     The network can only do arithmetic, in bounded memory and on one thread; see
-    `onnx_file.OPERATORS` and `onnx_session`. The file has one input, `(batch, rows, columns)` of the observation or
-    `(batch, rows * columns)`, and one output, both float32. The output is `(batch, 5)`, or
-    `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
-    The metadata also name the observation; the default is `neighbours`.
+    `onnx_file.OPERATORS`. A worker tries it before this process opens it; see `onnx_session`. The
+    file has one input, `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
+    and one output, both float32. The output is `(batch, 5)`, or `(batch, 2)` if the file's metadata
+    say `actions: continuous`; it is then clipped to [-1, 1]. The metadata also name the
+    observation; the default is `neighbours`.
 
     Args:
         path: The `.onnx` file.

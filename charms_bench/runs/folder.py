@@ -173,14 +173,18 @@ class RunFolder:
 
     def is_whole(self, shard: Shard) -> bool:
         """Returns whether the shard was finished and no byte of it has changed since."""
-        return self._files(shard.name) is not None
+        return self._files(shard.name, shard) is not None
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
         """Writes a finished shard.
 
         Raises:
-            RunFolderError: The folder cannot be written to.
+            RunFolderError: The folder cannot be written to, or the rows are those of other
+                episodes.
         """
+        for kind in KINDS:
+            path = self._file(kind, shard.name)
+            _check_seeds(path, _rows(kind, path, files[kind]), shard)
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
@@ -195,7 +199,7 @@ class RunFolder:
         for shard in shards:
             seed_and_key = shard.name.partition("-")[2]
             for path in (other / CHECKSUMS).glob(f"*-{seed_and_key}.sha256"):
-                files = RunFolder(other)._files(path.stem)
+                files = RunFolder(other)._files(path.stem, shard)
                 has_some = has_some or files is not None
                 if files is not None and not self.is_whole(shard):
                     self.write(shard, files)
@@ -211,11 +215,16 @@ class RunFolder:
         Raises:
             RunFolderError: A file is missing or has changed since it was written.
         """
-        rows = pl.concat([self._read(kind, shard.name) for shard in shards])
+        rows = pl.concat([self._read_of(kind, shard) for shard in shards])
         if "agent" not in rows.columns:
             return rows
         names = {f"{sha256}.onnx": name for name, sha256 in self.network_hashes().items()}
         return rows.with_columns(pl.col("agent").replace(names))
+
+    def _read_of(self, kind: str, shard: Shard) -> pl.DataFrame:
+        rows = self._read(kind, shard.name)
+        _check_seeds(self._file(kind, shard.name), rows, shard)
+        return rows
 
     def _read(self, kind: str, name: str) -> pl.DataFrame:
         path, checksums = self._file(kind, name), self._checksums(name)
@@ -248,14 +257,21 @@ class RunFolder:
                 found.append(self._file(kind, name))
         return found
 
-    def _files(self, name: str) -> ShardFiles | None:
-        """Returns the files of a shard, or None if one has changed since it was written."""
+    def _files(self, name: str, shard: Shard) -> ShardFiles | None:
+        """Returns the files of that name, or None if they are not those that the shard wrote."""
         try:
             files = {kind: read_limited(self._file(kind, name), FILE_LIMIT_BYTES) for kind in KINDS}
             written = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
         except OSError:
             return None
-        return files if written == _checksums(name, files) else None
+        if written != _checksums(name, files):
+            return None
+        path = self._file("episodes", name)
+        try:
+            _check_seeds(path, _rows("episodes", path, files["episodes"]), shard)
+        except RunFolderError:
+            return None
+        return files
 
     def keep_network(self, network: Path, sha256: str) -> None:
         """Copies a network that the suite gives by path, so that the folder is complete.
@@ -341,6 +357,24 @@ def _rows(kind: str, path: Path, data: bytes) -> pl.DataFrame:
         else f"holds more than {ROWS_LIMIT:,} rows"
     )
     raise RunFolderError(f"{path}: {problem}; run the suite again")
+
+
+def _check_seeds(path: Path, rows: pl.DataFrame, shard: Shard) -> None:
+    """Checks that rows belong to the episodes of a shard; each file has the column `episode`.
+
+    Raises:
+        RunFolderError: They belong to other episodes, or an episode has several rows in
+            `episodes` or none.
+    """
+    seeds = rows["episode"]
+    last = shard.first_seed + shard.episodes - 1
+    is_whole = path.parent.name != "episodes" or len(seeds) == shard.episodes == seeds.n_unique()
+    if not is_whole or not seeds.is_between(shard.first_seed, last).all():
+        found = f"{len(rows):,} rows of episodes {seeds.min()!r} to {seeds.max()!r}"
+        raise RunFolderError(
+            f"{path}: holds {found}; expected those of episodes {shard.first_seed} to {last}; run "
+            "the suite again"
+        )
 
 
 def _checksums(name: str, files: ShardFiles) -> bytes:
