@@ -223,7 +223,7 @@ def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
     """
     until = time.monotonic() + limit_s
     with _asking:
-        workers = _early or _asked
+        workers = _asked or _early or _asked
         if not workers:
             workers.append(_start(ONE_THREAD))
         worker, number = workers.pop(), next(_numbers)

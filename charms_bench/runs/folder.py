@@ -184,7 +184,7 @@ class RunFolder:
         """
         for kind in KINDS:
             path = self._file(kind, shard.name)
-            _check_seeds(path, _rows(kind, path, files[kind]), shard)
+            _check_seeds(path, _seeds(path, files[kind]), shard)
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
@@ -223,7 +223,7 @@ class RunFolder:
 
     def _read_of(self, kind: str, shard: Shard) -> pl.DataFrame:
         rows = self._read(kind, shard.name)
-        _check_seeds(self._file(kind, shard.name), rows, shard)
+        _check_seeds(self._file(kind, shard.name), rows["episode"], shard)
         return rows
 
     def _read(self, kind: str, name: str) -> pl.DataFrame:
@@ -268,7 +268,7 @@ class RunFolder:
             return None
         path = self._file("episodes", name)
         try:
-            _check_seeds(path, _rows("episodes", path, files["episodes"]), shard)
+            _check_seeds(path, _seeds(path, files["episodes"]), shard)
         except RunFolderError:
             return None
         return files
@@ -359,18 +359,25 @@ def _rows(kind: str, path: Path, data: bytes) -> pl.DataFrame:
     raise RunFolderError(f"{path}: {problem}; run the suite again")
 
 
-def _check_seeds(path: Path, rows: pl.DataFrame, shard: Shard) -> None:
-    """Checks that rows belong to the episodes of a shard; each file has the column `episode`.
+def _seeds(path: Path, data: bytes) -> pl.Series:
+    """Returns the seed of the episode of each row in a Parquet file."""
+    try:
+        return pl.read_parquet(BytesIO(data), columns=["episode"])["episode"]
+    except pl.exceptions.PolarsError as error:
+        raise RunFolderError(f"{path}: has no episodes; run the suite again") from error
+
+
+def _check_seeds(path: Path, seeds: pl.Series, shard: Shard) -> None:
+    """Checks that the rows with these seeds belong to the episodes of a shard.
 
     Raises:
         RunFolderError: They belong to other episodes, or an episode has several rows in
             `episodes` or none.
     """
-    seeds = rows["episode"]
     last = shard.first_seed + shard.episodes - 1
     is_whole = path.parent.name != "episodes" or len(seeds) == shard.episodes == seeds.n_unique()
     if not is_whole or not seeds.is_between(shard.first_seed, last).all():
-        found = f"{len(rows):,} rows of episodes {seeds.min()!r} to {seeds.max()!r}"
+        found = f"{len(seeds):,} rows of episodes {seeds.min()!r} to {seeds.max()!r}"
         raise RunFolderError(
             f"{path}: holds {found}; expected those of episodes {shard.first_seed} to {last}; run "
             "the suite again"

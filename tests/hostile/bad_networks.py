@@ -215,7 +215,7 @@ MODELS: dict[str, Callable[[], Any]] = {
     "100,000 nodes": lambda: network(
         [HIDDEN, *chain(100_000), helper.make_node("Identity", ["link100000"], ["values"])]
     ),
-    "two million empty nodes": lambda: b"\x3a\x80\x89\x7a" + b"\x7a\x00" * 1_000_000,
+    "a million empty fields": lambda: b"\x3a\xc8\x8a\x7a" + b"\x6a\x00" * 1_000_100,
     "a wrong type of node": lambda: one_node("Conv"),
     "five inputs": lambda: network(tensors=[], nodes=[LINEAR]),
     "30 numbers in": lambda: network(seen=("batch", 30)),
