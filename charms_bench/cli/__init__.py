@@ -7,7 +7,7 @@ import gc
 import os
 import sys
 
-from charms_bench.cli.terminal import app, end_at_second_signal, err, say
+from charms_bench.cli.terminal import app, ended_by_second_signal, err, say
 from charms_bench.errors import CharmsBenchError
 from charms_bench.streams import write_reliably
 
@@ -22,10 +22,10 @@ def main() -> None:
     """Runs the command line; a mistake of the user is a message and exit code 2."""
     gc.set_threshold(100_000)  # most objects live until the end of a command
     write_reliably()
-    end_at_second_signal()
     try:
         try:
-            app()
+            with ended_by_second_signal():
+                app()
         finally:
             sys.stdout.flush()  # not when Python exits, where an error would be lost
     except CharmsBenchError as error:
