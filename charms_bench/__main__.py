@@ -1,6 +1,11 @@
 """`python -m charms_bench`, the same as `charms-bench`."""
 
-from charms_bench.cli import main
+import sys
 
 if __name__ == "__main__":
+    if not sys.flags.safe_path:
+        del sys.path[0]  # the current folder, whose files are not modules of ours
+
+    from charms_bench.cli import main
+
     main()

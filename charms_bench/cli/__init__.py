@@ -4,12 +4,12 @@ Commands import what they need when they run, so that `--help` is quick.
 """
 
 import gc
-import io
 import os
 import sys
 
-from charms_bench.cli.terminal import app, err, say
+from charms_bench.cli.terminal import app, ended_by_second_signal, err, say
 from charms_bench.errors import CharmsBenchError
+from charms_bench.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
 from charms_bench.cli import evaluations, rare, episodes, plugins, engines, data, dataset  # isort: skip # noqa: F401
@@ -21,11 +21,13 @@ MESSAGE_LIMIT = 1000
 def main() -> None:
     """Runs the command line; a mistake of the user is a message and exit code 2."""
     gc.set_threshold(100_000)  # most objects live until the end of a command
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a log in ASCII gets question marks
+    write_reliably()
     try:
-        app()
+        try:
+            with ended_by_second_signal():
+                app()
+        finally:
+            sys.stdout.flush()  # not when Python exits, where an error would be lost
     except CharmsBenchError as error:
         what = "; ".join([str(error), *getattr(error, "__notes__", ())])
         if len(what) > MESSAGE_LIMIT:

@@ -3,10 +3,13 @@
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from select import select
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,6 +53,8 @@ SuiteFolder = Annotated[
     Path,
     typer.Option(help="Folder that relative paths in the suite refer to."),
 ]
+END_S = 2.0
+"""Seconds after a second signal that a command has to end by itself."""
 FigurePath = Annotated[
     Path | None, typer.Option("--figure", help="Draw a figure into this .png, .pdf or .svg file.")
 ]
@@ -116,6 +121,42 @@ def interruptible() -> Iterator[None]:
         raise typer.Exit(128 + arrived) from None
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def ended_by_second_signal() -> Iterator[None]:
+    """Ends this process soon after a second Ctrl-C or SIGTERM, whatever it is doing within.
+
+    While a library computes, Python's own handlers wait for it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    arrived, wakeup = os.pipe()
+    os.set_blocking(wakeup, False)
+    before = signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
+    threading.Thread(target=_end_at_second, args=(arrived,), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(wakeup)
+
+
+def _end_at_second(arrived: int) -> None:
+    """Ends this process when two signals have arrived, unless the pipe is closed soon."""
+    signals: list[int] = []
+    until: float | None = None
+    while select([arrived], [], [], until and max(0.0, until - time.monotonic()))[0]:
+        numbers = os.read(arrived, 64)
+        if not numbers:
+            os.close(arrived)
+            return
+        signals += (each for each in numbers if each in (signal.SIGINT, signal.SIGTERM))
+        if len(signals) > 1 and until is None:
+            until = time.monotonic() + END_S
+    os.write(2, b"interrupted again; ended at once\n")
+    os._exit(128 + signals[-1])  # its workers notice
 
 
 def print_table(table: "Table", stacked: bool = False) -> None:

@@ -1,11 +1,18 @@
 """Checks what an ONNX file contains before onnxruntime loads it.
 
-The format is Protocol Buffers: a message is a sequence of fields; each has a number, a kind and a
-value, and a value can be a message itself. Only the fields that matter here are read, by their
-numbers in `onnx.proto`. https://protobuf.dev/programming-guides/encoding/
+Only the fields that matter here are read, by their numbers in `onnx.proto`.
 """
 
 from collections.abc import Iterator
+
+from charms_bench.plugins.onnx_types import divides_integers
+from charms_bench.plugins.protobuf import (
+    FIELDS_LIMIT,
+    Fields,
+    TooManyFieldsError,
+    message_of,
+    text_of,
+)
 
 _ARITHMETIC = (
     "Abs Add And ArgMax ArgMin AveragePool BatchNormalization Cast Ceil Celu Clip Concat Constant "
@@ -22,6 +29,9 @@ _ARITHMETIC = (
 OPERATORS = frozenset(_ARITHMETIC.split())
 """The operators that a policy may have: no loops, random numbers, texts or custom code."""
 
+NODES_LIMIT = 10_000
+"""onnxruntime takes about a second to load so many."""
+
 _GRAPH, _FUNCTIONS = 7, 25  # of a model
 _NODE, _INITIALIZER, _SPARSE_INITIALIZER = 1, 5, 15  # of a graph
 _OPERATOR, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # of a node
@@ -34,39 +44,48 @@ _STRING = 8
 def problem_of(data: bytes) -> str:
     """Why a file must not be loaded; empty if the file passes all checks."""
     try:
-        return next(_problems(memoryview(data)), "")
+        problem = next(_problems(memoryview(data), Fields()), "")
+        if not problem and divides_integers(memoryview(data)):
+            problem = "divides integers (Div or Mod), which can end the process; divide floats"
+        return problem
+    except TooManyFieldsError:
+        return f"has more than {FIELDS_LIMIT:,} fields; a policy is far smaller"
     except (IndexError, ValueError):
         return "is not an ONNX file, or is damaged"
 
 
-def _problems(model: memoryview) -> Iterator[str]:
-    for number, graph in _fields(model):
+def _problems(model: memoryview, fields: Fields) -> Iterator[str]:
+    nodes = 0
+    for number, graph in fields.of(model):
         if number == _FUNCTIONS:
             yield "has functions; save it with all functions inlined"
         if number != _GRAPH:
             continue
-        for kind, value in _fields(_message(graph)):
+        for kind, value in fields.of(message_of(graph)):
             if kind == _NODE:
-                yield from _problems_of_node(_message(value))
+                nodes += 1
+                if nodes > NODES_LIMIT:
+                    yield f"has more than {NODES_LIMIT:,} nodes; a policy is far smaller"
+                yield from _problems_of_node(message_of(value), fields)
             elif kind == _INITIALIZER:
-                yield from _problems_of_tensor(_message(value))
+                yield from _problems_of_tensor(message_of(value), fields)
             elif kind == _SPARSE_INITIALIZER:
                 yield "has sparse tensors; save it with dense ones"
 
 
-def _problems_of_node(node: memoryview) -> Iterator[str]:
-    parts = list(_fields(node))
-    domains = [_text(value) for number, value in parts if number == _DOMAIN]
-    for name in (_text(value) for number, value in parts if number == _OPERATOR):
+def _problems_of_node(node: memoryview, fields: Fields) -> Iterator[str]:
+    parts = list(fields.of(node))
+    domains = [text_of(value) for number, value in parts if number == _DOMAIN]
+    for name in (text_of(value) for number, value in parts if number == _OPERATOR):
         if name not in OPERATORS or any(domain not in ("", "ai.onnx") for domain in domains):
             full = ".".join(filter(None, (*domains, name)))
             yield f"has the operator '{full[:80]}'; a policy may only have ONNX's arithmetic"
     for number, attribute in parts:
         if number != _ATTRIBUTE:
             continue
-        for kind, value in _fields(_message(attribute)):
+        for kind, value in fields.of(message_of(attribute)):
             if kind in (_TENSOR, _TENSORS):
-                yield from _problems_of_tensor(_message(value))
+                yield from _problems_of_tensor(message_of(value), fields)
             elif kind in (_SUBGRAPH, _SUBGRAPHS):
                 yield "has graphs within its graph"
             elif kind in _SPARSE:
@@ -75,58 +94,9 @@ def _problems_of_node(node: memoryview) -> Iterator[str]:
                 yield "has texts among its tensors"
 
 
-def _problems_of_tensor(tensor: memoryview) -> Iterator[str]:
-    for number, value in _fields(tensor):
+def _problems_of_tensor(tensor: memoryview, fields: Fields) -> Iterator[str]:
+    for number, value in fields.of(tensor):
         if number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value):
             yield "keeps tensors in other files; save it as a single file"
         if number == _DATA_TYPE and value == _STRING:
             yield "has texts among its tensors"
-
-
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """The number and value of each field.
-
-    Raises:
-        ValueError, IndexError: It is not a message.
-    """
-    at = 0
-    while at < len(message):
-        tag, at = _varint(message, at)
-        number, kind = tag >> 3, tag & 7
-        value: int | memoryview
-        if kind == 0:
-            value, at = _varint(message, at)
-        elif kind in (1, 5):
-            size = 8 if kind == 1 else 4
-            value, at = message[at : at + size], at + size
-        elif kind == 2:
-            size, at = _varint(message, at)
-            value, at = message[at : at + size], at + size
-        else:
-            raise ValueError(f"field {number} is of the kind {kind}")
-        if at > len(message) or not 0 < number < 2**29:
-            raise ValueError(f"field {number} is cut short")
-        yield number, value
-
-
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """A number with seven bits per byte, and where it ends."""
-    value = 0
-    for shift in range(0, 70, 7):
-        byte = message[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value & (2**64 - 1), at
-    raise ValueError("a number without end")
-
-
-def _message(value: int | memoryview) -> memoryview:
-    """The value of a field that must be a message."""
-    if isinstance(value, int):
-        raise ValueError("a number, expected a message")
-    return value
-
-
-def _text(value: int | memoryview) -> str:
-    return bytes(_message(value)).decode(errors="replace")

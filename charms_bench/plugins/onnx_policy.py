@@ -1,6 +1,5 @@
 """A policy that is a network in an ONNX file."""
 
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,21 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
+from charms_bench.plugins.onnx_session import (
+    Ports,
+    Signature,
+    compute,
+    open_session,
+    signature_of,
+    tried,
+)
+from charms_bench.workers import is_child
 from charms_bench.world.actions import Actions, outputs_of
 from charms_bench.world.files import read_limited
 from charms_bench.world.observations import observation_described
 from charms_bench.world.scene import Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
-MEMORY_LIMIT_BYTES = 2 * 2**30
-"""Memory of all networks of a process, including their intermediate results."""
 ROWS_AT_ONCE = 512
 """Observations in one call of onnxruntime. A layer of 256 units then takes 512 KiB, so intermediate
 results stay in the cache of one core; a call costs as much as about ten observations."""
@@ -28,10 +34,11 @@ class OnnxPolicy(Policy):
     """Chooses the meta-action with the highest value, or the continuous action that is the output.
 
     The network can only do arithmetic, in bounded memory and on one thread; see
-    `onnx_file.OPERATORS`. The file has one input, `(batch, rows, columns)` of the observation or
-    `(batch, rows * columns)`, and one output, both float32. The output is `(batch, 5)`, or
-    `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
-    The metadata also name the observation; the default is `neighbours`.
+    `onnx_file.OPERATORS`. A worker tries it before this process opens it; see `onnx_session`. The
+    file has one input, `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
+    and one output, both float32. The output is `(batch, 5)`, or `(batch, 2)` if the file's metadata
+    say `actions: continuous`; it is then clipped to [-1, 1]. The metadata also name the
+    observation; the default is `neighbours`.
 
     Args:
         path: The `.onnx` file.
@@ -39,7 +46,7 @@ class OnnxPolicy(Policy):
 
     Raises:
         ModelError: The file is missing, too large or broken, its inputs or outputs have other
-            shapes, or it has operators that are not arithmetic.
+            shapes, it has operators that are not arithmetic, or it takes too long.
     """
 
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
@@ -53,21 +60,37 @@ class OnnxPolicy(Policy):
         if problem := problem_of(data):
             raise ModelError(f"{self.path}: {problem}")
         self._sha256 = sha256(data).hexdigest()
-        self._session = _session(self.path, data)
-        metadata = self._session.get_modelmeta().custom_metadata_map
+        self._data: bytes | None = data
+        self._opened: Any = None
         try:
-            self.observation = observation_described(metadata.get("observation", "neighbours"))
+            found = signature_of(self._session) if is_child() else tried(data)
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
+        try:
+            self.observation = observation_described(
+                found.metadata.get("observation", "neighbours")
+            )
         except InputError as error:
             raise ModelError(f"{self.path}: metadata: {error}") from error
-        if metadata.get("actions") == "continuous":
+        if found.metadata.get("actions") == "continuous":
             self.actions = "continuous"
         self._outputs = outputs_of(self.actions)
         shape = self.observation.shape
-        self._input, self._shape = _input(self.path, self._session, shape, self._outputs)
+        self._input, self._shape = _input(self.path, found, shape, self._outputs)
         if decision_hz is None:
-            decision_hz = _decision_hz(self.path, metadata.get("decision_hz", "3"))
+            decision_hz = _decision_hz(self.path, found.metadata.get("decision_hz", "3"))
         self.decision_hz = decision_hz
-        self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
+        if is_child():
+            self.values(np.zeros((2, *shape), dtype=np.float32))
+        elif found.problem:
+            raise ModelError(f"{self.path}: {found.problem}")
+
+    @property
+    def _session(self) -> Any:
+        """The open network; it is opened when it is first needed."""
+        if self._data is not None:
+            self._opened, self._data = open_session(self._data), None
+        return self._opened
 
     @property
     def weights_sha256(self) -> str:
@@ -94,19 +117,10 @@ class OnnxPolicy(Policy):
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _values(self, inputs: Observations) -> NDArray[np.float32]:
-        values: NDArray[np.float32]
         try:
-            (values,) = self._session.run(None, {self._input: inputs})
-        except Exception as error:  # onnxruntime's errors share no public base
-            raise ModelError(f"{self.path}: cannot be computed: {_reason(error)}") from error
-        expected = (len(inputs), self._outputs)
-        if values.shape != expected:
-            raise ModelError(
-                f"{self.path}: returns values of shape {values.shape}; expected {expected}"
-            )
-        if np.isnan(values).any():
-            raise ModelError(f"{self.path}: returns values that are NaN")
-        return values
+            return compute(self._session, self._input, inputs, self._outputs)
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self.decision_hz)
@@ -116,40 +130,6 @@ def _made_by(path: Path) -> str:
     """How to make a network from its checkpoint."""
     command = f"charms-bench export {path.stem}.zip --to {path.parent}"
     return f"`{command}` makes it from a checkpoint of Stable-Baselines3"
-
-
-def _session(path: Path, data: bytes) -> Any:
-    import onnxruntime
-
-    _bound_memory()
-    options = onnxruntime.SessionOptions()
-    options.add_session_config_entry("session.use_env_allocators", "1")
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # the exception says what is wrong
-    try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's errors share no public base
-        raise ModelError(f"{path}: cannot be loaded by onnxruntime: {_reason(error)}") from error
-
-
-@cache
-def _bound_memory() -> None:
-    """Makes all networks of this process share one memory arena of limited size."""
-    import onnxruntime
-
-    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
-    memory = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
-    arena = onnxruntime.OrtArenaCfg({"max_mem": MEMORY_LIMIT_BYTES})
-    onnxruntime.create_and_register_allocator(memory, arena)
-
-
-def _reason(error: Exception) -> str:
-    """The message of onnxruntime's error, without its source location."""
-    text = str(error).splitlines()[0]
-    if "BFCArena" in text:
-        return f"it needs more than {MEMORY_LIMIT_BYTES:,} bytes of memory"
-    return text.rpartition("Status Message: ")[2][:300]
 
 
 def _decision_hz(path: Path, said: str) -> float:
@@ -163,13 +143,11 @@ def _decision_hz(path: Path, said: str) -> float:
 
 
 def _input(
-    path: Path, session: Any, shape: tuple[int, int], count: int
+    path: Path, found: Signature, shape: tuple[int, int], count: int
 ) -> tuple[str, tuple[int, ...]]:
     """The input's name and its shape after the batch."""
     rows, columns = shape
-    inputs = [(node.name, node.type, node.shape) for node in session.get_inputs()]
-    outputs = [(node.name, node.type, node.shape) for node in session.get_outputs()]
-    found = f"inputs {inputs}, outputs {outputs}"
+    inputs, outputs = found.inputs, found.outputs
     other = ", or (batch, 2) with the metadata 'actions: continuous'"
     wanted = (
         f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
@@ -179,10 +157,15 @@ def _input(
     fits = (
         len(inputs) == len(outputs) == 1
         and inputs[0][1] == outputs[0][1] == "tensor(float)"
-        and inputs[0][2][1:] in ([rows * columns], [rows, columns])
+        and inputs[0][2][1:] in ((rows * columns,), (rows, columns))
         and not isinstance(inputs[0][2][0], int)
-        and outputs[0][2][1:] == [count]
+        and outputs[0][2][1:] == (count,)
     )
     if not fits:
-        raise ModelError(f"{path}: has {found}; expected {wanted}")
-    return inputs[0][0], tuple(inputs[0][2][1:])
+        has = f"inputs {_listed(inputs)}, outputs {_listed(outputs)}"
+        raise ModelError(f"{path}: has {has}; expected {wanted}")
+    return inputs[0][0], inputs[0][2][1:]
+
+
+def _listed(ports: Ports) -> str:
+    return str([(name, kind, list(shape)) for name, kind, shape in ports])

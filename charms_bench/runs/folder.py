@@ -198,8 +198,11 @@ class RunFolder:
         """Writes a finished shard.
 
         Raises:
-            RunFolderError: The folder cannot be written to.
+            RunFolderError: The folder cannot be written to, or the rows are those of other
+                episodes.
         """
+        for kind in KINDS:
+            rows_in(files[kind], kind, shard, self._file(kind, shard.name))
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))

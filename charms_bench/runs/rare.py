@@ -20,8 +20,8 @@ from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_for
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
 from charms_bench.runs.shard import forget_agents
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
-from charms_bench.runs.workers import in_processes
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
+from charms_bench.workers import in_processes
 from charms_bench.world.files import read_limited, write_bytes
 
 FORMAT = 2

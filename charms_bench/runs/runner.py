@@ -23,7 +23,7 @@ from charms_bench.runs.shard import (
 )
 from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
-from charms_bench.runs.workers import in_processes
+from charms_bench.workers import in_processes
 from charms_bench.world.scene import EVALUATION_SEEDS
 
 SHARD_LIMIT_S = 1800.0
@@ -179,6 +179,10 @@ def on_this_machine(
     """Simulates shards in processes on this machine; see `SimulateAll`."""
     count = min(workers or os.cpu_count() or 1, len(tasks))
     environment = worker_environment(engine)
-    return in_processes(
-        simulate, tasks, count, lambda task: task.title, limit_s, notice, environment
-    )
+    return in_processes(simulate, tasks, count, _title, limit_s, notice, environment)
+
+
+def _title(task: ShardTask) -> str:
+    """What messages call a shard whose worker has died, perhaps because of a network."""
+    networks = ", ".join(task.networks)
+    return f"{task.title} ({networks})" if networks else task.title

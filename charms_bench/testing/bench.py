@@ -5,15 +5,13 @@ observation, and a new scene when the episode is over. All contestants are measu
 times, in one run. So their ratios hold even if the speed of the machine drifts.
 """
 
-import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib.util import find_spec
-from multiprocessing.connection import Connection
 from statistics import median
 from typing import Any
 
@@ -22,8 +20,8 @@ import numpy as np
 from charms_bench.engine import EngineName
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.plugins.registry import make_agent, make_traffic
-from charms_bench.runs.workers import starting
 from charms_bench.testing.bench_learners import highway_env_learners, our_learners
+from charms_bench.workers import Pool
 from charms_bench.world.actions import IDLE
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
@@ -225,35 +223,28 @@ def _stepping(step: Step) -> Stepping:
 @contextmanager
 def _processes(make: Callable[[], Step], count: int) -> Iterator[Stepping]:
     """Makes and repeats a step in each of several processes of one thread, as `run` does."""
-    context = multiprocessing.get_context("spawn")
-    processes, pipes = [], []
-    for _ in range(count):
-        ours, theirs = context.Pipe()
-        processes.append(context.Process(target=_serve, args=(theirs, make), daemon=True))
-        pipes.append(ours)
-    with starting(ONE_THREAD):
-        for process in processes:
-            process.start()
+    with Pool(_Repeated(make), count, environment=ONE_THREAD) as pool:
 
-    def run(seconds: float) -> tuple[int, float]:
-        for pipe in pipes:
-            pipe.send(seconds)
-        answers = [pipe.recv() for pipe in pipes]
-        return sum(steps for steps, _ in answers), max(took for _, took in answers)
+        def run(seconds: float) -> tuple[int, float]:
+            pool.add([seconds] * count)
+            answers = [answer for _, answer in pool.results()]
+            return sum(steps for steps, _ in answers), max(took for _, took in answers)
 
-    try:
         yield run
-    finally:
-        for process in processes:
-            process.kill()
-            process.join()
 
 
-def _serve(pipe: Connection, make: Callable[[], Step]) -> None:
-    run = _stepping(make())
-    with suppress(EOFError):  # the parent process is gone
-        while True:
-            pipe.send(run(pipe.recv()))
+class _Repeated:
+    """Repeats a step that is made once in each process."""
+
+    def __init__(self, make: Callable[[], Step]) -> None:
+        self.make = make
+
+    def __call__(self, seconds: float) -> tuple[int, float]:
+        return self._stepping(seconds)
+
+    @cached_property
+    def _stepping(self) -> Stepping:
+        return _stepping(self.make())
 
 
 def _ours(

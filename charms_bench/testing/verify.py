@@ -15,7 +15,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, drivers_of, networks_of
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
-from charms_bench.runs.workers import in_processes
+from charms_bench.workers import in_processes
 from charms_bench.world.actions import ActionKind
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.scene import Floats, SceneSettings

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,25 @@ def endless() -> Any:
     return network([HIDDEN, loop], tensors)
 
 
+def long_product(is_constant: bool) -> Any:
+    """200 products of matrices of 256 MB, of constants or of what is seen, in a file of 6 KB."""
+    nodes = [helper.make_node("ConstantOfShape", ["size"], ["zeros"])]
+    total = helper.make_node("ReduceSum", ["observations"], ["seen"], keepdims=0)
+    nodes += [] if is_constant else [total, helper.make_node("Add", ["zeros", "seen"], ["power0"])]
+    first = "zeros" if is_constant else "power0"
+    names = [first, *(f"power{k}" for k in range(1, 200)), "large"]
+    nodes += [
+        helper.make_node("MatMul", [before, first], [after]) for before, after in pairwise(names)
+    ]
+    return added(*nodes, tensors=[constant("size", np.array([8192, 8192]))])
+
+
+def chain(length: int) -> list[Any]:
+    """That many nodes after `hidden`."""
+    names = ["hidden", *(f"link{k}" for k in range(1, length + 1))]
+    return [helper.make_node("Neg", [before], [after]) for before, after in pairwise(names)]
+
+
 def nested(depth: int) -> bytes:
     """Attributes in nodes in graphs in attributes, far deeper than any parser should go."""
     data = b""
@@ -179,6 +199,23 @@ MODELS: dict[str, Callable[[], Any]] = {
     "texts": lambda: added(helper.make_node("Constant", [], ["large"], value_string="x" * 1000)),
     "a tensor of texts": lambda: added(tensors=[helper.make_tensor("large", 8, [1], [b"x" * 99])]),
     "functions": with_function,
+    "a product of hours when it is loaded": lambda: long_product(is_constant=True),
+    "a product of hours when it is computed": lambda: long_product(is_constant=False),
+    "the smallest integer divided by -1": lambda: added(
+        helper.make_node("Div", ["smallest", "minus_one"], ["quotient"]),
+        helper.make_node("Cast", ["quotient"], ["large"], to=FLOAT),
+        tensors=[constant("smallest", [np.iinfo(np.int64).min]), constant("minus_one", [-1])],
+    ),
+    "an integer divided by an observation": lambda: added(
+        helper.make_node("Cast", ["observations"], ["seen"], to=TensorProto.INT64),
+        helper.make_node("Mod", ["smallest", "seen"], ["rest"]),
+        helper.make_node("Cast", ["rest"], ["large"], to=FLOAT),
+        tensors=[constant("smallest", [np.iinfo(np.int64).min])],
+    ),
+    "100,000 nodes": lambda: network(
+        [HIDDEN, *chain(100_000), helper.make_node("Identity", ["link100000"], ["values"])]
+    ),
+    "a million empty fields": lambda: b"\x3a\xc8\x8a\x7a" + b"\x6a\x00" * 1_000_100,
     "a wrong type of node": lambda: one_node("Conv"),
     "five inputs": lambda: network(tensors=[], nodes=[LINEAR]),
     "30 numbers in": lambda: network(seen=("batch", 30)),

@@ -1,4 +1,4 @@
-"""The ten nastiest inputs, as docs/hostile-input.md describes them."""
+"""The twelve nastiest inputs, as docs/hostile-input.md describes them."""
 
 NASTIEST = {
     "suite: a billion laughs": "A suite of 59 lists, each with four copies of the previous list",
@@ -13,6 +13,10 @@ NASTIEST = {
     "GB, which `torch.load(weights_only=True)` would allocate",
     "recordings: 10^9 rows announced": "A recording whose metadata declares 10^9 rows",
     "network: a sparse tensor of 32 GiB": "A network of 200 bytes with a sparse tensor of 32 GiB",
+    "network: a product of hours when it is loaded": "A network of 6 KB with 200 products of "
+    "matrices of 256 MB",
+    "network: the smallest integer divided by -1": "A network that divides the smallest integer "
+    "by -1, which would end the process",
 }
 
 

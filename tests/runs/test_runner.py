@@ -229,6 +229,27 @@ def test_rows_with_more_columns_are_read_and_rows_with_fewer_are_refused(tmp_pat
         _ = finished.cells()[0].steps
 
 
+@pytest.mark.usefixtures("small_shards")
+def test_rows_of_other_episodes_are_neither_written_nor_read(tmp_path: Path) -> None:
+    finished = run(suite(episodes=20), tmp_path, workers=1)
+    folder, (first, second) = finished.folder, finished.shards[:2]
+    rows = {kind: folder.read(kind, [first]) for kind in KINDS}
+    wrong = {kind: in_parquet(each) for kind, each in rows.items()}
+    said = "episodes 0 to 9; expected those of episodes 10 to 19; run the suite again"
+    with pytest.raises(RunFolderError, match=said):
+        folder.write(second, wrong)
+    names = [f"{kind}/{second.name}.parquet" for kind in KINDS]
+    for name, data in zip(names, wrong.values(), strict=True):
+        (tmp_path / name).write_bytes(data)
+    lines = [
+        f"{hashlib.sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}\n" for name in names
+    ]
+    (tmp_path / "checksums" / f"{second.name}.sha256").write_text("".join(lines))
+    assert not folder.is_whole(second)
+    with pytest.raises(RunFolderError, match=said):
+        folder.read("steps", [second])
+
+
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
     finished = run(suite(episodes=2), tmp_path, workers=1)
     path = min((tmp_path / "steps").iterdir())  # of the first cell, by its name

@@ -1,25 +1,22 @@
 """Trains the stages of a suite in the order of their needs, side by side where possible."""
 
-import multiprocessing
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from functools import partial
 from graphlib import TopologicalSorter
-from queue import Empty
-from typing import Any
+from operator import attrgetter
 
 from charms_agents.training.job import Job
 from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
-from charms_bench.errors import RunFolderError
-from charms_bench.runs.workers import start_worker, starting
+from charms_bench.errors import WorkerError
+from charms_bench.workers import Pool, stop_requested
+from charms_bench.workers import tell as tell_parent
 
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""
 POLL_S = 0.2
-_told: Any = None
-_stopping: Any = None
 
 
 def run_stages(
@@ -80,36 +77,23 @@ def run_stages(
                 end(job)
         return finished
 
-    context = multiprocessing.get_context("spawn")
-    told, stopping = context.Queue(), context.Event()
-    executor = ProcessPoolExecutor(workers, context, _start_worker, (told, stopping))
-    running: dict[Future[None], Job] = {}
-    try:
-        while sorter.is_active():
-            for job in ready():
-                with starting({}):
-                    running[executor.submit(_train_in_worker, job, suite_sha256)] = job
-            done, _ = wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED)
-            _pass_on(told, tell)
-            if stop():
-                raise Interrupted
-            for future in done:
-                future.result()
-                end(running.pop(future))
-    except BrokenProcessPool as error:
-        if stop():  # a signal that reached all processes
-            raise Interrupted from error
-        raise RunFolderError(
-            f"a stage's process died; checkpoints are in {job.output}, "
-            "and the same command continues from there"
-        ) from error
-    finally:
-        stopping.set()
-        for future in running:
-            future.cancel()
-        while wait(running, timeout=POLL_S).not_done:
-            _pass_on(told, tell)  # a process ends only when its queue has been read
-        executor.shutdown()
+    work = partial(_train_in_worker, suite_sha256)
+    told = partial(_pass_on, tell)
+    with Pool(work, workers, attrgetter("title"), notice=say, told=told) as pool:
+        try:
+            while sorter.is_active():
+                pool.add(ready())
+                for job, _ in pool.results(POLL_S):
+                    end(job)
+                if stop():
+                    raise Interrupted
+        except Exception as error:
+            if isinstance(error, WorkerError):
+                error.add_note("the same command continues from the last checkpoints")
+            pool.stop()
+            for _ in pool.results():
+                pass
+            raise
     return finished
 
 
@@ -125,29 +109,18 @@ def _width(needs: Needs) -> int:
     return width
 
 
-def _pass_on(told: Any, tell: Tell) -> None:
-    """Tells everything that workers have told so far."""
-    while True:
-        try:
-            tell(*told.get_nowait())
-        except Empty:
-            return
+def _pass_on(tell: Tell, told: tuple[str, int, int, str]) -> None:
+    tell(*told)
 
 
-def _start_worker(told: Any, stopping: Any) -> None:
-    """Keeps the worker's connections to its parent."""
-    global _told, _stopping
-    _told, _stopping = told, stopping
-    start_worker()
-
-
-def _train_in_worker(job: Job, suite_sha256: str) -> None:
+def _train_in_worker(suite_sha256: str, job: Job) -> None:
     last = 0.0
 
     def tell(stage: str, done: int, total: int, words: str) -> None:
         nonlocal last
         if words or time.monotonic() - last > POLL_S:
             last = time.monotonic()
-            _told.put((stage, done, total, words))
+            tell_parent((stage, done, total, words))
 
-    train_stage(job, suite_sha256, tell, _stopping.is_set)
+    with suppress(Interrupted):  # the parent has asked for it
+        train_stage(job, suite_sha256, tell, stop_requested)

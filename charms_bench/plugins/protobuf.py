@@ -1,0 +1,74 @@
+"""Reads Protocol Buffers, the format of ONNX files.
+
+A message is a sequence of fields; each has a number, a kind and a value, and a value can be a
+message itself. https://protobuf.dev/programming-guides/encoding/
+"""
+
+from collections.abc import Iterator
+
+Value = int | memoryview
+"""The value of a field: a number, or the bytes of anything else."""
+FIELDS_LIMIT = 1_000_000
+"""Most fields of a file, in all messages together; a network of ten layers has about 300."""
+
+
+class TooManyFieldsError(ValueError):
+    """A file has more than `FIELDS_LIMIT` fields."""
+
+
+class Fields:
+    """The fields of messages, of which a file may have a limited number."""
+
+    def __init__(self) -> None:
+        self._left = FIELDS_LIMIT
+
+    def of(self, message: memoryview) -> Iterator[tuple[int, Value]]:
+        """The number and value of each field.
+
+        Raises:
+            ValueError, IndexError: It is not a message.
+        """
+        at = 0
+        while at < len(message):
+            tag, at = _varint(message, at)
+            number, kind = tag >> 3, tag & 7
+            value: Value
+            if kind == 0:
+                value, at = _varint(message, at)
+            elif kind in (1, 5):
+                size = 8 if kind == 1 else 4
+                value, at = message[at : at + size], at + size
+            elif kind == 2:
+                size, at = _varint(message, at)
+                value, at = message[at : at + size], at + size
+            else:
+                raise ValueError(f"field {number} is of the kind {kind}")
+            if at > len(message) or not 0 < number < 2**29:
+                raise ValueError(f"field {number} is cut short")
+            self._left -= 1
+            if self._left < 0:
+                raise TooManyFieldsError
+            yield number, value
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """A number with seven bits per byte, and where it ends."""
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value & (2**64 - 1), at
+    raise ValueError("a number without end")
+
+
+def message_of(value: Value) -> memoryview:
+    """The value of a field that must be a message."""
+    if isinstance(value, int):
+        raise ValueError("a number, expected a message")
+    return value
+
+
+def text_of(value: Value) -> str:
+    return bytes(message_of(value)).decode(errors="replace")

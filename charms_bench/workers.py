@@ -1,0 +1,450 @@
+"""Worker processes on this machine; a worker that dies or hangs costs only its task.
+
+Runs, trainings, `verify`, `rare` and `bench` use `Pool`, and networks are tried with `ask`. Each
+worker has a connection of its own, and each answer bears the number of its task. So a worker can be
+killed at any moment without a lock that it leaves behind, and no answer is taken for that of
+another task, even if a plugin copies its process with `fork`.
+"""
+
+import atexit
+import gc
+import itertools
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from types import MappingProxyType, ModuleType
+from typing import Any, Generic, Self, TypeVar
+
+from charms_bench.errors import AgentError, CharmsBenchError, WorkerError, raised
+from charms_bench.streams import write_to_stderr_only
+from charms_bench.world.threads import ONE_THREAD
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+TRIES = 3
+"""Workers that may die at one task before the task is given up."""
+LOOK_S = 1.0
+"""How often workers are looked at: a copy of a dead worker can keep its connection open."""
+_SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+"""Otherwise, a new Python process imports modules from the current folder first."""
+_numbers = itertools.count(1)
+"""The numbers of tasks; no two tasks of this process have the same number."""
+
+
+def in_processes(
+    work: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    count: int,
+    title: Callable[[Task], str] = str,
+    limit_s: float | None = None,
+    notice: Callable[[str], None] = lambda what: None,
+    environment: Mapping[str, str] = MappingProxyType({}),
+) -> Generator[tuple[Task, Result], None, None]:
+    """Yields each task with its result as soon as it is finished; see `Pool`.
+
+    Closing the generator ends the workers at once.
+    """
+    with Pool(work, count, title, limit_s, notice, environment) as pool:
+        pool.add(tasks)
+        yield from pool.results()
+
+
+class Pool(Generic[Task, Result]):
+    """Workers that answer tasks; leaving the context ends them at once.
+
+    A worker that dies is replaced, and its task is given to another worker.
+
+    Args:
+        work: A function of a task; it and the tasks are pickled. Each worker gets it once, so it
+            may keep something between tasks.
+        count: Number of processes.
+        title: Returns what messages call a task.
+        limit_s: Seconds that a task may take, including the start of its worker.
+        notice: Called with a message when a worker has died.
+        environment: Environment variables that the processes are started with, besides ours.
+        told: Called with what `tell` is given in a worker.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[Task], Result],
+        count: int,
+        title: Callable[[Task], str] = str,
+        limit_s: float | None = None,
+        notice: Callable[[str], None] = lambda what: None,
+        environment: Mapping[str, str] = MappingProxyType({}),
+        told: Callable[[Any], None] = lambda what: None,
+    ) -> None:
+        self._work, self._count, self._title, self._limit_s = work, count, title, limit_s
+        self._notice, self._environment, self._told = notice, environment, told
+        self._waiting: deque[tuple[Task, int]] = deque()
+        self._idle: list[_Worker] = []
+        self._busy: dict[Connection, _Busy[Task]] = {}
+        self._is_stopped = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in [*self._idle, *(each.worker for each in self._busy.values())]:
+            worker.kill()  # an idle worker would take a while to end on its own
+
+    def add(self, tasks: Iterable[Task]) -> None:
+        """Adds tasks, which `results` hands out; as many at once as there are processes."""
+        self._waiting += ((task, 1) for task in tasks)
+
+    def results(self, wait_s: float | None = None) -> Iterator[tuple[Task, Result]]:
+        """Yields tasks with their results, until none is left or `wait_s` seconds are over.
+
+        Raises:
+            WorkerError: `TRIES` workers died at a task, or it took longer than the limit.
+            CharmsBenchError: `work` raised it.
+        """
+        until = None if wait_s is None else time.monotonic() + wait_s
+        while self._waiting or self._busy:
+            self._hand_out()
+            for connection in self._ready(until):
+                if (answered := self._receive(connection)) is None:
+                    continue
+                task, result = answered
+                if isinstance(result, BaseException):
+                    if self._is_stopped:
+                        continue
+                    raise result
+                self._hand_out()  # the worker goes on while the caller uses the result
+                yield task, result
+            if until is not None and time.monotonic() >= until:
+                return
+
+    def stop(self) -> None:
+        """Drops the tasks that wait, and has `stop_requested` return True in busy workers.
+
+        From now on, `results` ignores errors.
+        """
+        self._is_stopped = True
+        self._waiting.clear()
+        for each in self._busy.values():
+            each.worker.send(None)
+
+    def _hand_out(self) -> None:
+        while self._waiting and len(self._busy) < self._count:
+            worker = self._idle.pop() if self._idle else _worker_for(self._work, self._environment)
+            task, tries = self._waiting.popleft()
+            number = next(_numbers)
+            self._busy[worker.connection] = _Busy(worker, task, tries, number, time.monotonic())
+            worker.send((number, task))
+
+    def _ready(self, until: float | None) -> list[Connection]:
+        """Waits until workers answer or die; returns their connections.
+
+        Raises:
+            WorkerError: The longest-running task has used up its time.
+        """
+        while True:
+            now = time.monotonic()
+            longest = min(self._busy.values(), key=lambda each: each.since_s)
+            left = LOOK_S if until is None else min(LOOK_S, until - now)
+            if self._limit_s is not None:
+                left = min(left, longest.since_s + self._limit_s - now)
+            ready = wait(self._busy, max(0.0, left))
+            if ready := ready or [c for c, each in self._busy.items() if each.worker.is_dead()]:
+                return ready  # type: ignore[return-value]  # `wait` takes other things, too
+            now = time.monotonic()
+            if self._limit_s is not None and now >= longest.since_s + self._limit_s:
+                raise WorkerError(
+                    f"{self._title(longest.task)} took longer than {self._limit_s:g} s"
+                )
+            if until is not None and now >= until:
+                return []
+
+    def _receive(self, connection: Connection) -> tuple[Task, Result | BaseException] | None:
+        """Receives an answer, or has a task done again whose worker has died."""
+        done = self._busy[connection]
+        try:
+            if not connection.poll():
+                raise EOFError
+            number, is_answer, result = connection.recv()
+        except Exception:  # what is cut off, or written by two processes at once, can raise any
+            del self._busy[connection]
+            if self._is_stopped:
+                done.worker.kill()
+                return None
+            what = f"a worker process {done.worker.death()} at {self._title(done.task)}"
+            if done.tries == TRIES:
+                raise WorkerError(f"{what}, and so did {TRIES - 1} before it") from None
+            self._notice(f"{what}; another worker takes its place")
+            self._waiting.appendleft((done.task, done.tries + 1))
+            return None
+        if number != done.number:
+            return None  # a copy of the worker's process has answered an earlier task again
+        if not is_answer:
+            self._told(result)
+            return None
+        del self._busy[connection]
+        self._idle.append(done.worker)
+        return done.task, result
+
+
+class Died(Exception):
+    """The worker that was asked has died, or was killed because it took too long.
+
+    `signal` is what killed it; None if it ended by itself or took too long.
+    """
+
+    def __init__(self, exit_code: int | None) -> None:
+        is_signal = exit_code is not None and exit_code < 0
+        self.signal = signal.Signals(-exit_code) if is_signal else None  # type: ignore[operator]
+        self.took_too_long = exit_code is None
+
+
+def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
+    """Has a worker do one task: one that was started early, or one that is kept for the next task.
+
+    Args:
+        work: A function of a task; it, the task and the result are pickled.
+        task: The task.
+        limit_s: Seconds that it may take, including the start of the worker.
+
+    Raises:
+        Died: The worker died, or took longer.
+        CharmsBenchError: `work` raised it.
+    """
+    until = time.monotonic() + limit_s
+    with _asking:
+        workers = _asked or _early or _asked
+        if not workers:
+            workers.append(_start(ONE_THREAD))
+        worker, number = workers.pop(), next(_numbers)
+        try:
+            worker.send(work)
+            worker.send((number, task))
+            while not worker.connection.poll(max(0.0, min(LOOK_S, until - time.monotonic()))):
+                if time.monotonic() >= until:
+                    raise Died(None)
+                if worker.is_dead():
+                    raise EOFError
+            answer: tuple[int, bool, Result | BaseException] = worker.connection.recv()
+        except (EOFError, OSError):
+            worker.death()
+            raise Died(worker.process.exitcode) from None
+        except BaseException:  # Ctrl-C, too
+            worker.kill()
+            raise
+        workers.append(worker)
+    if isinstance(answer[2], BaseException):
+        raise answer[2]
+    return answer[2]
+
+
+@dataclass(frozen=True)
+class _Worker:
+    process: BaseProcess
+    connection: Connection
+
+    def send(self, what: object) -> None:
+        """Sends the function to work with, a task with its number, or None: to stop."""
+        with suppress(OSError):  # a dead worker is noticed when its connection ends
+            self.connection.send(what)
+
+    def is_dead(self) -> bool:
+        """Whether the process has ended, and everything that it sent has been received."""
+        return self.process.exitcode is not None and not self.connection.poll()
+
+    def death(self) -> str:
+        """Ends the process, if it has not ended by itself, and returns in words how it did."""
+        self.process.join(LOOK_S)
+        self.kill()
+        code = self.process.exitcode or 0
+        if code == -signal.SIGKILL:
+            return "was killed (SIGKILL, as when memory runs out)"
+        if code < 0:
+            return f"was killed ({signal.Signals(-code).name})"
+        return f"ended with exit code {code}"
+
+    def kill(self) -> None:
+        """Kills the process and waits for its end."""
+        self.connection.close()
+        self.process.kill()
+        self.process.join()
+
+
+@dataclass(frozen=True)
+class _Busy(Generic[Task]):
+    worker: _Worker
+    task: Task
+    tries: int
+    number: int
+    since_s: float
+
+
+_early: list[_Worker] = []
+"""Workers that have been started early and have nothing to do yet."""
+_asked: list[_Worker] = []
+"""The worker of `ask`, if none was started early."""
+_asking = threading.Lock()
+
+
+def _forget() -> None:
+    """Leaves the workers of the process that this one is a copy of."""
+    _early.clear()
+    _asked.clear()
+
+
+def _end_idle() -> None:
+    while _early or _asked:
+        (_early or _asked).pop().kill()
+
+
+os.register_at_fork(after_in_child=_forget)
+atexit.register(_end_idle)  # before multiprocessing, which would wait for them
+
+
+@contextmanager
+def started_early(count: int, module: str) -> Iterator[None]:
+    """Starts workers that import a module while this process is busy with something else.
+
+    Within this context, `Pool` uses them if they have the environment that it asks for, and so does
+    `ask`.
+    """
+    _early[:] = [_start(ONE_THREAD, module) for _ in range(count)]
+    try:
+        yield
+    finally:
+        while _early:
+            _early.pop().kill()
+
+
+def _worker_for(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worker:
+    worker = _early.pop() if _early and environment == ONE_THREAD else _start(environment)
+    worker.send(work)
+    return worker
+
+
+def _start(environment: Mapping[str, str], module: str = __name__) -> _Worker:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, module))
+    with _starting({**environment, **_SAFE_PATH}):
+        process.start()
+    theirs.close()  # so that our end reports the death of the worker
+    return _Worker(process, ours)
+
+
+@contextmanager
+def _starting(environment: Mapping[str, str]) -> Iterator[None]:
+    """Lets processes that are started within have these environment variables, and no main module.
+
+    Otherwise a new process would import the user's script again, and a script that starts a run
+    would start it again.
+    """
+    main = sys.modules["__main__"]
+    before = {name: os.environ.get(name) for name in environment}
+    sys.modules["__main__"] = ModuleType("__main__")
+    os.environ |= environment
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@dataclass
+class _Served:
+    """The task that this worker is busy with."""
+
+    connection: Connection
+    number: int
+    is_stopped: bool = False
+
+
+_served: list[_Served] = []
+"""Only in a worker."""
+
+
+def is_child() -> bool:
+    """Returns whether another process has started this one and can end it."""
+    return multiprocessing.parent_process() is not None
+
+
+def tell(what: object) -> None:
+    """Tells the parent something about the task; see `Pool`."""
+    for served in _served:
+        served.connection.send((served.number, False, what))
+
+
+def stop_requested() -> bool:
+    """Returns whether the parent has asked this worker to stop; see `Pool.stop`."""
+    for served in _served:
+        if not served.is_stopped and served.connection.poll():
+            served.is_stopped = served.connection.recv() is None
+    return any(served.is_stopped for served in _served)
+
+
+def _serve(connection: Connection, module: str) -> None:
+    """Receives a function, and answers tasks with it until the parent closes the connection.
+
+    `module` is imported at once, because the function may come later.
+    """
+    gc.set_threshold(100_000)  # else a quarter of the start is spent on collecting live objects
+    _end_with_parent()
+    write_to_stderr_only()  # standard output is for results, whatever a plugin prints
+    for number in (signal.SIGINT, signal.SIGTERM):  # a signal to the group is for the parent
+        signal.signal(number, signal.SIG_IGN)
+    process = os.getpid()
+    os.register_at_fork(after_in_child=connection.close)
+    import_module(module)
+    work: Callable[[Any], Any] | None = None
+    with suppress(EOFError):
+        while True:
+            received = connection.recv()
+            if callable(received):
+                work = received
+            if not isinstance(received, tuple):
+                continue  # a request to stop that came after the answer
+            number, task = received
+            assert work is not None
+            _served[:] = [_Served(connection, number)]
+            answer = _answer(work, task)
+            if os.getpid() != process:
+                os._exit(0)  # a copy of this process, made by a plugin
+            connection.send((number, True, answer))
+
+
+def _answer(work: Callable[[Any], Any], task: object) -> object:
+    """The result of a task, or the error that it raised."""
+    try:
+        return work(task)
+    except CharmsBenchError as error:
+        return error
+    except (SystemExit, KeyboardInterrupt) as error:  # no signal of ours raises these here
+        return AgentError(f"a plugin or a library {raised(error)}")
+    except Exception:  # not every exception can be pickled
+        return RuntimeError(f"in a worker process:\n{traceback.format_exc()}")
+
+
+def _end_with_parent() -> None:
+    """Ends this process when the parent has ended."""
+
+    def follow() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
