@@ -83,7 +83,10 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
     place = recorded.ego if vehicle is None else vehicle
     if not 0 <= place < vehicles:
         raise InputError(f"episode {episode} has the vehicles 0 to {vehicles - 1}, not {vehicle}")
-    (other,) = simulate(cell, [episode], Seat(step, place, agent))
+    seat, start = Seat(step, place, agent), recorded.frame_of(step - 1)
+    (other,) = simulate(cell, [episode], seat)
+    if not np.array_equal(recorded.x[: start + 1], other.x[: start + 1]):  # see `replay`
+        (other,) = simulate(cell, [episode], seat, among=cell.shard_of(episode))
     return WhatIf(recorded, other, step, place, agent)
 
 

@@ -4,7 +4,7 @@ A run depends on this module and on what it imports, and its key is a hash of al
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +60,7 @@ class RareTask:
             "samples": self.samples,
             "seed": self.seed,
             "run": self.run,
-            "software": asdict(self.software),
+            "software": self.software.fields(),
         }
         return key_of(inputs, self.software, self.networks)
 
