@@ -36,10 +36,10 @@ _ANSWER: ContextVar[TextIO | None] = ContextVar("_ANSWER", default=None)
 
 @cache
 def _only_ours(output: TextIO) -> TextIO:
-    """A stream to where `output` goes; from now on, all else that goes there goes to standard error.
+    """A stream to where `output` goes; whatever else is printed goes to standard error from now on.
 
     A plugin can print through its libraries, its child processes, or when Python exits. So this
-    process gives the descriptor itself away, and for good.
+    process redirects the descriptor itself, and for good.
     """
     try:
         descriptor = output.fileno()
@@ -69,9 +69,7 @@ def _print_only_json(context: typer.Context, wanted: bool) -> bool:
 
 Json = Annotated[
     bool,
-    typer.Option(
-        "--json", callback=_print_only_json, help="Print only JSON on standard output."
-    ),
+    typer.Option("--json", callback=_print_only_json, help="Print only JSON on standard output."),
 ]
 Workers = Annotated[
     int | None,
@@ -201,6 +199,14 @@ def print_json(value: Any) -> None:
         if isinstance(error, BrokenPipeError):
             raise
         raise InputError(f"standard output: cannot be written: {error.strerror}") from error
+
+
+def shown(path: Path) -> str:
+    """A path as users would type it: from the current folder if it is in there."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except (OSError, ValueError):  # the current folder is another one, or has been deleted
+        return str(path)
 
 
 def say(text: str, console: "Console | None" = None) -> None:

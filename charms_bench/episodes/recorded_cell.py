@@ -139,7 +139,8 @@ class RecordedCell:
         recorded = manifest.get("agents", {})
         changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
         if changed:
-            return f"The run used other versions of {', '.join(changed)}; install those to replay it"
+            used = f"used other versions of {', '.join(changed)}"
+            return f"The run {used}; install those to replay it"
         versions, modules = manifest.get("versions"), manifest.get("modules") or {}
         blobs = module_blobs()
         is_ours = all(modules.get(name) == blobs[name] for name in row_modules())

@@ -23,6 +23,7 @@ from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.world.files import write_bytes
+from charms_bench.world.spreadsheets import in_csv
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) ->
 def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, bytes]:
     """The files of a table, by name."""
     return {
-        f"{table.name}.csv": table.frame().write_csv().encode(),
+        f"{table.name}.csv": in_csv(table.frame()),
         f"{table.name}.md": document(table, introduction).encode(),
     }
 
