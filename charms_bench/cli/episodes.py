@@ -143,9 +143,8 @@ def replay(
     opened = api.open_run(run, suite_folder)
     replayed = opened.replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
-    animation = (
-        output or opened.path / "replays" / f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
-    )
+    name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
+    animation = output or opened.path / "replays" / name
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)

@@ -17,7 +17,7 @@ def markdown(table: Table, full: bool = False) -> str:
     """
     texts = write_cells(table)
     reported = [any(row[i].reference for row in texts) for i in range(len(table.columns))]
-    header, reference = list(map(_as_text, table.keys)), _as_text(table.reference)
+    header, reference = list(table.keys), _as_text(table.reference)
     for column, has_reference in zip(table.columns, reported, strict=True):
         beside = f" ({reference})" * (has_reference and not full)
         header.append(_as_text(column.name) + beside)
@@ -44,21 +44,20 @@ def markdown(table: Table, full: bool = False) -> str:
 def document(table: Table, introduction: Sequence[str] = ()) -> str:
     """A document: paragraphs, then a table for each part, and what its columns are."""
     paragraphs = [
-        *map(_without_html, introduction),
+        *map(without_html, introduction),
         f"Values with 95 % intervals; {NOTHING} where none is defined.",
     ]
-    paragraphs += [_without_html(table.note)] if table.note else []
+    paragraphs += [without_html(table.note)] if table.note else []
     legends: set[str] = set()
     for part in table.parts():
         legend = [
             f"- `{column.name.replace('`', '')}`{f' ({column.unit})' if column.unit else ''}: "
-            + f"{column.definition}."
-            + f" n: {column.counted}." * bool(column.counted)
+            f"{column.definition}." + f" n: {column.counted}." * bool(column.counted)
             for column in part.columns
         ]
-        legend = [line for line in map(_without_html, legend) if line not in legends]
+        legend = [line for line in map(without_html, legend) if line not in legends]
         legends.update(legend)
-        paragraphs += [f"## {_without_html(part.title)}", markdown(part, full=True).rstrip()]
+        paragraphs += [f"## {without_html(part.title)}", markdown(part, full=True).rstrip()]
         paragraphs += ["\n".join(legend)] if legend else []
     return "\n\n".join(paragraphs) + "\n"
 
@@ -75,6 +74,6 @@ def _as_text(text: str) -> str:
     return re.sub(r"([\\`*\[\]|])", r"\\\1", html.escape(text, quote=False))
 
 
-def _without_html(text: str) -> str:
+def without_html(text: str) -> str:
     """Markdown without tags, which a browser would run; a `<` before a number stays."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)

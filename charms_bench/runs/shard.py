@@ -122,6 +122,7 @@ def simulate(task: ShardTask) -> ShardFiles:
     """
     use_exact_maths(task.engine)
     names = harness_names()
+    forget_identities()
     if changed := installed(task.ego, task.traffic, task.networks).differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"
@@ -284,5 +285,11 @@ _traffics: dict[str, Traffic] = {}
 def forget_agents() -> None:
     """Has agents and traffics made again: a plugin or a network's file may have changed since."""
     _traffics.clear()
-    for cached in (_cached_agent, _identity, _origin_of_traffic):
-        cached.cache_clear()
+    _cached_agent.cache_clear()
+    forget_identities()
+
+
+def forget_identities() -> None:
+    """Has `identify_agents` find out again what tells agents and traffics from other versions."""
+    _identity.cache_clear()
+    _origin_of_traffic.cache_clear()

@@ -173,3 +173,12 @@ def test_a_search_names_what_it_can_search(
 ) -> None:
     with pytest.raises(InputError, match=error):
         charms_bench.search(written(tmp_path), agent, traffic, tmp_path / "found.yaml")
+
+
+def test_a_search_does_not_overwrite_the_suite_that_it_searches(tmp_path: Path) -> None:
+    path = written(tmp_path, name="found.yaml")
+    (tmp_path / "link.yaml").symlink_to(path)
+    for output in (path, tmp_path / "link.yaml"):
+        with pytest.raises(InputError, match=r"is the suite that is searched; choose another"):
+            charms_bench.search(path, "Level 0", output=output, failures=1, budget=40)
+    assert path.read_text(encoding="utf-8") == SUITE
