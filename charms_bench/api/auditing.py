@@ -1,13 +1,13 @@
 """Checks whether the contents of a run folder are correct."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.errors import RunFolderError
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.folder import MANIFEST
+from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.audit import Audit
@@ -46,7 +46,7 @@ def audit(
     from charms_bench.runs.rare import MANIFEST as RARE
 
     check_positive(shards=shards, workers=workers)
-    path = Path(path)
+    path, suite_folder = absolute(path), absolute(suite_folder)
     if not holds(path, MANIFEST):
         if holds(path, RARE):
             return Audit(path, tuple(audit_rare(path)))
@@ -54,7 +54,7 @@ def audit(
             f"{path}: holds no evaluation ({MANIFEST}); a training is checked by training it again"
         )
     folder = RunFolder(path)
-    suite = folder.suite().model_copy(update={"folder": Path(suite_folder)})
+    suite = folder.suite().model_copy(update={"folder": suite_folder})
     # Before the agents of the run are imported, which could change how tables are computed.
     tables = list(audit_tables(path, suite))
     count = len(list((path / CHECKSUMS).glob("*.sha256")))

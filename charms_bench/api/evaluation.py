@@ -17,6 +17,7 @@ from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
+from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.run_files import MeasuredCell
@@ -68,10 +69,12 @@ def run(
         raise InputError(f"{suite}: is a training suite; use charms_bench.train")
     changes = {"episodes": episodes, "seed": seed}
     document.data |= {name: value for name, value in changes.items() if value is not None}
+    # Before plugins are imported, which can change the current folder.
+    place, taken = absolute(output or "runs"), None if rows is None else absolute(rows)
     loaded = suite_of(document)
     check_networks(document, loaded)
     references = read_references(loaded.references, loaded.folder)
-    folder = Path(output or Path("runs") / loaded.suite)
+    folder = place if output else place / loaded.suite
     on_dask = None
     if cluster is not None:
         from charms_bench.runs.cluster import on_cluster
@@ -91,7 +94,7 @@ def run(
                 engine,
                 workers,
                 lambda cell, count: tell(cell.ego.title, count),
-                None if rows is None else Path(rows),
+                taken,
                 shard_limit_s or SHARD_LIMIT_S,
                 notice,
                 on_dask,

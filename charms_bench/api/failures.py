@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
-from charms_bench.errors import ScenarioError
+from charms_bench.errors import InputError, ScenarioError
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Cell, check_networks, suite_of
+from charms_bench.world.files import absolute, is_same_file
 
 if TYPE_CHECKING:
     from charms_bench.episodes.search import Search
@@ -46,7 +47,9 @@ def search(
     from charms_bench.episodes.search import Search, ego_of, scenario_of
 
     check_positive(failures=failures, budget=budget)
-    document = Document(Path(suite))
+    document, path = Document(Path(suite)), absolute(output)
+    if is_same_file(path, document.path):
+        raise InputError(f"{output}: is the suite that is searched; choose another --output")
     loaded = suite_of(document)
     check_networks(document, loaded)
     place = scenario_of(document.path, loaded, traffic)
@@ -55,7 +58,6 @@ def search(
     scene = loaded.scene.of_scenario(entry.traffic.scenario)
     cell = Cell(ego=ego_of(document.path, loaded, agent), traffic=entry, scene=scene)
     made = Search(cell, references, loaded.folder)
-    path = Path(output)
     made.found = lambda: write_found(made, document, place, path)
     try:
         with progress("episodes", budget) as tell:

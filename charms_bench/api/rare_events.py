@@ -13,6 +13,7 @@ from charms_bench.report.progress import note, progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import check_networks, suite_of
+from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.table import Table
@@ -74,6 +75,7 @@ def rare(
     document = Document(Path(suite))
     if "pipeline" in document.data:
         raise InputError(f"{suite}: is a training suite; expected an evaluation")
+    place = absolute(output or "runs")
     document.data |= {} if seed is None else {"seed": seed}
     loaded, definition = suite_of(document), event_of(event).definition
     for index, entry in enumerate(loaded.traffics):
@@ -82,7 +84,7 @@ def rare(
             raise document.error(("traffics", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
-    folder = Path(output or Path("runs") / name)
+    folder = place if output else place / name
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
             cells = run_rare(

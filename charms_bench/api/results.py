@@ -15,6 +15,7 @@ from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import Suite
+from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.episodes.avoidability import Avoidability
@@ -219,7 +220,7 @@ class Run:
         from charms_bench.episodes.dataset import write_dataset
         from charms_bench.episodes.recorded_cell import find_cell
 
-        path = None if output is None else Path(output)
+        path = None if output is None else absolute(output)
         cell = find_cell(self._finished, self._suite_folder, agent, traffic)
         with progress("episodes", episodes or self.suite.episodes) as tell:
             title = cell.cell.ego.title
@@ -335,4 +336,4 @@ def open_run(path: PathLike, suite_folder: PathLike = ".") -> Run:
     Raises:
         RunFolderError: It holds no run, an unfinished one or a damaged one.
     """
-    return Run(open_finished(Path(path)), Path(suite_folder))
+    return Run(open_finished(absolute(path)), absolute(suite_folder))

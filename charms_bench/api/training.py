@@ -8,6 +8,7 @@ from charms_bench.errors import InputError, RunFolderError
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.runs.document import Document
 from charms_bench.runs.folder import MANIFEST
+from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.training_tables import Training
@@ -41,10 +42,11 @@ def train(
     name = document.data["pipeline"]
     if not isinstance(name, str):
         raise document.error(("pipeline",), f"expected the name of a pipeline, found {name!r}")
-    folder = Path(output or Path("runs") / document.path.stem)
+    folder = absolute(output or Path("runs") / document.path.stem)
+    file, recordings = absolute(suite), recordings and absolute(recordings)
     pipeline = load(PIPELINES, name)
     try:
-        pipeline(document.path, folder, workers, only, recordings and Path(recordings))
+        pipeline(file, folder, workers, only, recordings)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"checkpoints are in {folder}")
         raise
@@ -60,10 +62,11 @@ def open_training(path: PathLike) -> "Training":
     from charms_bench.report.stored import holds
     from charms_bench.report.training_tables import STAGES, stored_training
 
-    if holds(Path(path), MANIFEST):
+    path = absolute(path)
+    if holds(path, MANIFEST):
         raise RunFolderError(f"{path}: holds an evaluation; use charms_bench.open_run")
 
-    training = stored_training(Path(path))
+    training = stored_training(path)
     if training.stages is None and training.curves is None:
         raise RunFolderError(
             f"{path}: holds no evaluation ({MANIFEST}) and no finished training ({STAGES})"

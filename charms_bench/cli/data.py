@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import FigurePath, Json, app, print_json, print_records, say
+from charms_bench.cli.terminal import FigurePath, Json, app, print_json, print_records, say, shown
 
 
 @app.command()
@@ -22,9 +22,12 @@ def data(
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
+    from charms_bench.world.files import absolute
 
+    folder = absolute(folder)
     if figure is not None:
         check_figure(figure)
+        figure = absolute(figure)
     samplers = {name: load(SAMPLERS, name)() for name in plugins(SAMPLERS)}
     with progress("recordings", len(find_trios(folder))) as tell:
         found, learnable = survey(folder, samplers, lambda count: tell("", count))
@@ -38,7 +41,7 @@ def data(
     for name, each in learnable.items():
         _print_learnable(name, each)
     if figure is not None:
-        say(f"Figure: {figure}")
+        say(f"Figure: {shown(figure)}")
 
 
 def _print_facts(found: dict[str, Any]) -> None:

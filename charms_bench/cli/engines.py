@@ -178,8 +178,10 @@ def _bench_scale(
     from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.speed import draw_scale
     from charms_bench.testing.bench import scale
+    from charms_bench.world.files import absolute
 
     check_figure(path)
+    path = absolute(path)
     results = scale(seconds, rounds, tell)
     save(draw_scale(results), path)
     print_records("name", [{**asdict(r), **_rates(r)} for r in results], forms, as_json)

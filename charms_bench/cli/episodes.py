@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
     print_records,
     print_table,
     say,
+    shown,
 )
 
 if TYPE_CHECKING:
@@ -131,15 +132,19 @@ def replay(
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.world.files import write_atomically
+    from charms_bench.world.files import absolute, write_atomically
 
     if output is not None:
         check_animation(output)
+        output = absolute(output)
     if commonroad is not None:
         check_commonroad(commonroad)
-    replayed = api.open_run(run, suite_folder).replay(episode, agent, traffic)
+        commonroad = absolute(commonroad)
+    opened = api.open_run(run, suite_folder)
+    replayed = opened.replay(episode, agent, traffic)
     ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
-    animation = output or run / "replays" / f"{name_of(replayed.cell)}-{episode}.gif"
+    name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
+    animation = output or opened.path / "replays" / name
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
     write_atomically(trajectories, replayed.trajectories().write_parquet)
@@ -156,7 +161,7 @@ def replay(
     say(f"{ego} in {around}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
-        say(f"{titles[kind]}: {file}")
+        say(f"{titles[kind]}: {shown(Path(file))}")
 
 
 @app.command()
@@ -196,20 +201,22 @@ def what_if(
 ) -> None:
     """Simulate an episode again, with another agent driving one vehicle."""
     from charms_bench import api
-    from charms_bench.episodes.dataset import name_of, slug
+    from charms_bench.episodes.dataset import name_of
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.what_if import write_what_if
     from charms_bench.report.what_if_table import what_if_table
+    from charms_bench.world.files import absolute
+    from charms_bench.world.names import name_of_agent
 
     if output is not None:
         check_page(output)
+        output = absolute(output)
     opened = api.open_run(run, suite_folder)
     found = opened.what_if(episode, at, other, vehicle, ego, traffic)
     seat = "ego" if found.vehicle == found.recorded.ego else str(found.vehicle)
-    name = (
-        f"{name_of(found.recorded.cell)}-{episode}-{seat}-{slug(Path(other).stem)}-from-{at}.html"
-    )
-    page = output or run / "replays" / name
+    cell = name_of(opened.suite, found.recorded.cell)
+    name = f"{cell}-{episode}-{seat}-{name_of_agent(other)}-from-{at}.html"
+    page = output or opened.path / "replays" / name
     write_what_if(found, page)
     recorded, instead = found.sentences()
     if as_json:
@@ -222,7 +229,7 @@ def what_if(
         return
     say(f"Recorded: {recorded}\nWhat if:  {instead}")
     print_table(what_if_table(found))
-    say(f"Page: {page}")
+    say(f"Page: {shown(page)}")
 
 
 @app.command()

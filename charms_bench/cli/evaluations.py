@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
     print_json,
     print_table,
     say,
+    shown,
 )
 from charms_bench.errors import InputError
 
@@ -130,7 +131,7 @@ def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False)
     preventable = f"{run.suite.suite}-preventable"
     if not everything and preventable in run.tables:
         print_table(run.tables[preventable], stacked=True)
-    say(f"Written: {', '.join(map(str, run.files))}")
+    say(f"Written: {', '.join(map(shown, run.files))}")
 
 
 @app.command()

@@ -5,7 +5,16 @@ from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import FigurePath, Json, app, out, print_json, print_records, say
+from charms_bench.cli.terminal import (
+    FigurePath,
+    Json,
+    app,
+    out,
+    print_json,
+    print_records,
+    say,
+    shown,
+)
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
 
 DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
@@ -50,9 +59,11 @@ def traffic(
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
+    from charms_bench.world.files import absolute
 
     if figure is not None:
         check_figure(figure)
+        figure = absolute(figure)
     options = _options(context.args)
     found = shares(make_traffic(name, options))
     if figure is not None:
@@ -66,7 +77,7 @@ def traffic(
     out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
     say(f"Counted among {SAMPLED:,} vehicles.")
     if figure is not None:
-        say(f"Figure: {figure}")
+        say(f"Figure: {shown(figure)}")
 
 
 def _options(words: list[str]) -> dict[str, Any]:
@@ -180,8 +191,10 @@ def export(
     import yaml
 
     from charms_bench.plugins.registry import EXPORTERS, load
+    from charms_bench.world.files import absolute, is_same_file
     from charms_bench.world.observations import named_observation
 
+    files, to = [absolute(file) for file in files], to and absolute(to)
     if to is not None:
         outputs = {checkpoint: to / f"{checkpoint.stem}.onnx" for checkpoint in files}
         if len(set(outputs.values())) < len(outputs):
@@ -192,6 +205,9 @@ def export(
         raise InputError(f"expected one checkpoint before {files[-1]}; --to FOLDER takes several")
     else:
         outputs = {files[0]: files[1]}
+    for checkpoint, output in outputs.items():
+        if is_same_file(checkpoint, output):
+            raise InputError(f"{checkpoint}: is also the file to write; choose another name")
     try:
         seen = named_observation(yaml.safe_load(observation))
     except yaml.YAMLError as error:
@@ -206,7 +222,7 @@ def export(
         if not as_json:
             sizes = " → ".join(map(str, made["sizes"]))
             say(
-                f"{output}: {sizes}, {made['activation']}; acts as {checkpoint} in "
+                f"{shown(output)}: {sizes}, {made['activation']}; acts as {shown(checkpoint)} in "
                 f"{made['observations']:,} observations; observes {seen.name}, decides at {hz:g} Hz"
             )
     if as_json:

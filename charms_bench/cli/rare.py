@@ -13,6 +13,7 @@ from charms_bench.cli.terminal import (
     print_json,
     print_table,
     say,
+    shown,
 )
 
 
@@ -60,4 +61,4 @@ def rare(
         print_json(made.table.frame().to_dicts())
         return
     print_table(made.table.without_constant_keys(), stacked=True)
-    say(f"Written: {', '.join(map(str, made.files))}")
+    say(f"Written: {', '.join(map(shown, made.files))}")

@@ -6,14 +6,17 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from select import select
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
+
+from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +31,49 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on standard output.")]
+
+
+_ANSWER: ContextVar[TextIO | None] = ContextVar("_ANSWER", default=None)
+"""Where `print_json` prints; None is standard output."""
+
+
+@cache
+def _only_ours(output: TextIO) -> TextIO:
+    """A stream to where `output` goes; whatever else is printed goes to standard error from now on.
+
+    A plugin can print through its libraries, its child processes, or when Python exits. So this
+    process redirects the descriptor itself, and for good.
+    """
+    try:
+        descriptor = output.fileno()
+    except OSError:  # in tests, it is not a file
+        return output
+    ours = open(os.dup(descriptor), "w", encoding=output.encoding, errors="replace")  # noqa: SIM115
+    elsewhere = sys.stderr.fileno() if sys.stderr else os.open(os.devnull, os.O_WRONLY)
+    os.dup2(elsewhere, descriptor)
+    return ours
+
+
+@contextmanager
+def _reserved_standard_output() -> Iterator[None]:
+    before = _ANSWER.set(_only_ours(sys.stdout or open(os.devnull, "w")))  # noqa: SIM115
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _ANSWER.reset(before)
+
+
+def _print_only_json(context: typer.Context, wanted: bool) -> bool:
+    if wanted:
+        context.with_resource(_reserved_standard_output())
+    return wanted
+
+
+Json = Annotated[
+    bool,
+    typer.Option("--json", callback=_print_only_json, help="Print only JSON on standard output."),
+]
 Workers = Annotated[
     int | None,
     typer.Option(min=1, max=1024, help="Number of worker processes; the default is one per core."),
@@ -186,7 +231,23 @@ def print_json(value: Any) -> None:
     """Prints a value as JSON on standard output."""
     import json
 
-    print(json.dumps(value, indent=2, ensure_ascii=False))
+    answer = _ANSWER.get()
+    try:
+        print(json.dumps(value, indent=2, ensure_ascii=False), file=answer, flush=True)
+    except OSError as error:
+        if answer is not None:  # else Python tries once more when it exits, and complains
+            os.dup2(os.open(os.devnull, os.O_WRONLY), answer.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise InputError(f"standard output: cannot be written: {error.strerror}") from error
+
+
+def shown(path: Path) -> str:
+    """A path as users would type it: from the current folder if it is in there."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except (OSError, ValueError):  # the current folder is another one, or has been deleted
+        return str(path)
 
 
 def say(text: str, console: "Console | None" = None) -> None:

@@ -85,13 +85,15 @@ class SceneState:
 
     @staticmethod
     def joined(states: Sequence["SceneState"]) -> "SceneState":
-        """The scenes of several states, which have the same settings, agents and phase."""
+        """The scenes of several states.
+
+        Raises:
+            InputError: The states have different settings, agents or phases.
+        """
         first = states[0]
-        assert all(
-            (state.settings, state.agents, state.phase)
-            == (first.settings, first.agents, first.phase)
-            for state in states
-        )
+        kind = (first.settings, first.agents, first.phase)
+        if any((state.settings, state.agents, state.phase) != kind for state in states):
+            raise InputError("states of different settings, agents or phases cannot be joined")
         return first.with_arrays(
             {name: np.concatenate([getattr(state, name) for state in states]) for name in ARRAYS}
         )

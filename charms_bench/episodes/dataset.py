@@ -1,10 +1,10 @@
 """Episodes of a run as a dataset for other tools, simulated again."""
 
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +16,10 @@ from charms_bench.episodes.minari_dataset import check_name, check_policy, write
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import InputError, RunFolderError, suggestion
-from charms_bench.runs.suite import Cell
+from charms_bench.runs.suite import Cell, Suite
+from charms_bench.world.files import write_bytes
+from charms_bench.world.names import slugs, unused
+from charms_bench.world.spreadsheets import in_csv
 
 Format = Literal["minari", "highd"]
 FORMATS: tuple[Format, ...] = ("minari", "highd")
@@ -51,7 +54,7 @@ def write_dataset(
     if count is not None and not 1 <= count <= suite.episodes:
         raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")
     # Minari takes the end of a name for the version of a dataset.
-    name = f"{name_of(recorded.cell)}-{'v0' if kind == 'minari' else kind}"
+    name = f"{name_of(suite, recorded.cell)}-{'v0' if kind == 'minari' else kind}"
     path = output or recorded.run.folder.path / "datasets" / name
     if kind == "minari":
         check_name(path)
@@ -65,14 +68,14 @@ def write_dataset(
     return path
 
 
-def name_of(cell: Cell) -> str:
-    """Returns a name for files about a cell: its titles in small letters, digits and hyphens."""
-    return "-in-".join(map(slug, (cell.ego.title, cell.traffic.title)))
-
-
-def slug(title: str) -> str:
-    """Returns a title in small letters, digits and hyphens."""
-    return re.sub(r"\W+", "-", title).strip("-").lower()
+def name_of(suite: Suite, cell: Cell) -> str:
+    """Returns a name for files about a cell of a suite, which no other cell of it has."""
+    entries = suite.egos, suite.traffics
+    egos, traffics = (slugs(entry.title for entry in each) for each in entries)
+    names: dict[str, None] = {}
+    for ego, traffic in product(egos, traffics):
+        names[unused(f"{ego}-in-{traffic}", names)] = None
+    return list(names)[suite.cells.index(cell)]
 
 
 def _write_highd(
@@ -84,7 +87,7 @@ def _write_highd(
             write_recording(replayed, path)
             names.append(drivers(replayed))
             tell(1)
-    pl.concat(names).write_csv(path / DRIVERS)
+    write_bytes(path / DRIVERS, in_csv(pl.concat(names)))
 
 
 @contextmanager

@@ -42,7 +42,7 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
     }
     if search.references:
         suite["preventable_by"] = [each.title for each in search.references]
-    moved = _moved(suite, document.path.parent, path.parent)
+    moved = _moved(suite, document.folder, path.parent)
     text = yaml.safe_dump(moved, sort_keys=False, allow_unicode=True, width=100)
     write_bytes(path, text.encode())
 

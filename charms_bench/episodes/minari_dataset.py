@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
+import polars as pl
 from gymnasium.envs.registration import EnvSpec
 
 from charms_bench import __version__
@@ -30,9 +31,6 @@ from charms_bench.world.observations import Neighbours, Observation, observation
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
-
-AT_ONCE = 150
-"""Episodes simulated together, as in a shard."""
 
 
 def check_name(path: Path) -> None:
@@ -123,13 +121,16 @@ def write_minari(
             "minari_version": minari.__version__,
         }
     )
-    for first in range(0, len(episodes), AT_ONCE):
-        some = episodes[first : first + AT_ONCE]
-        buffers, endings = _simulated(recorded, some, observation)
+    first = 0
+    while first < len(episodes):
+        shard = recorded.shard_of(episodes[first])
+        some = episodes[first : first + len(shard)]
+        buffers, endings = _simulated(recorded, some, shard, observation)
         storage.update_episodes(buffers)
         numbers = range(first, first + len(some))
         storage.update_episode_metadata([{"ending": each} for each in endings], numbers)
         tell(len(some))
+        first += len(some)
 
 
 def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
@@ -153,13 +154,17 @@ def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
 
 
 def _simulated(
-    recorded: RecordedCell, episodes: Sequence[int], observation: Observation
+    recorded: RecordedCell, episodes: Sequence[int], shard: range, observation: Observation
 ) -> tuple[list["EpisodeBuffer"], list[str]]:
-    """Returns the egos' episodes, and how each ended."""
+    """Returns the egos' episodes, and how each ended.
+
+    They are the first episodes of a shard, which is simulated as in the run: the size of a batch
+    can decide between two actions that are almost equally good.
+    """
     from minari.data_collector import EpisodeBuffer
 
-    simulation = recorded.simulation(len(episodes))
-    simulation.reset(np.array(episodes, dtype=np.uint64))
+    simulation = recorded.simulation(len(shard))
+    simulation.reset(np.array(shard, dtype=np.uint64))
     recording, reward, egos = Recording(simulation), HighwayReward(), simulation.ego_vehicles
     observed = [observation(simulation.scene, egos)]
     taken, gained = [], []
@@ -169,7 +174,8 @@ def _simulated(
         taken.append(simulation.action[egos])
         gained.append(reward(simulation, None))
         observed.append(observation(simulation.scene, egos))
-    recorded.check_steps(recorded.steps(episodes), recording.steps())
+    steps = recording.steps().filter(pl.col("episode").is_in(list(episodes)))
+    recorded.check_steps(recorded.steps(episodes), steps)
     observations, actions, rewards = np.stack(observed), np.stack(taken), np.stack(gained)
     failed, truncated = simulation.failed, simulation.truncated
     buffers = []
@@ -186,4 +192,4 @@ def _simulated(
                 truncations=is_last & truncated[b],
             )
         )
-    return buffers, [ENDINGS[ending] for ending in simulation.ending]
+    return buffers, [ENDINGS[ending] for ending in simulation.ending[: len(episodes)]]

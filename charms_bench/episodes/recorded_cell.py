@@ -15,6 +15,7 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.runs.cells import CellRows
+from charms_bench.runs.code_hashes import library_versions, module_blobs, row_modules
 from charms_bench.runs.finished import EPISODES_AND_STEPS, FinishedRun, read_rows
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
@@ -39,7 +40,7 @@ class RecordedCell:
     @property
     def rows(self) -> CellRows:
         """What was recorded."""
-        return self.run.cells()[self.index]
+        return self.run.cell(self.index)
 
     @property
     def drivers(self) -> tuple[AgentSpec, ...]:
@@ -102,6 +103,15 @@ class RecordedCell:
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
         return steps.filter(pl.col("episode").is_in(list(episodes)))
 
+    def shard_of(self, episode: int) -> range:
+        """The seeds of the episodes that the run simulated together with this one."""
+        shard = next(
+            shard
+            for shard in self.run.shards
+            if shard.cell == self.index and 0 <= episode - shard.first_seed < shard.episodes
+        )
+        return range(shard.first_seed, shard.first_seed + shard.episodes)
+
     def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
         """Checks that the rows of episodes that were simulated `again` are those of `steps`.
 
@@ -124,15 +134,24 @@ class RecordedCell:
         )
 
     def _reason(self) -> str:
-        """Says which versions the run was made with, agents first."""
+        """Says which software the run was made with, agents first, or that it is this one."""
         manifest, cell = self.run.folder.manifest(), self.cell
         agents = identify_agents(cell.ego.agent, cell.traffic.traffic, self.networks)
         recorded = manifest.get("agents", {})
         changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
-        release, versions = manifest.get("charms_bench"), manifest.get("versions")
-        made = f"was made with charms-bench {release} and {versions}"
-        used = f"used other versions of {', '.join(changed)}" if changed else made
-        return f"The run {used}; install those to replay it"
+        if changed:
+            used = f"used other versions of {', '.join(changed)}"
+            return f"The run {used}; install those to replay it"
+        versions, modules = manifest.get("versions"), manifest.get("modules") or {}
+        blobs = module_blobs()
+        is_ours = all(modules.get(name) == blobs[name] for name in row_modules())
+        if is_ours and versions == library_versions():
+            return (
+                "The software is that of the run, so its rows have been changed, or an agent does "
+                "not repeat its answers; `charms-bench audit` and `charms-bench check` tell which"
+            )
+        made = f"was made with charms-bench {manifest.get('charms_bench')} and {versions}"
+        return f"The run {made}; install those to replay it"
 
 
 class _WithGuests(Traffic):

@@ -134,7 +134,9 @@ _OF_SCENE = (
 def replay(cell: RecordedCell, episodes: Sequence[int]) -> list[Replay]:
     """Simulates episodes of a cell, given by their seeds, again; returns them in the same order.
 
-    All are kept in memory.
+    All are kept in memory. If rounding decides between two actions, the choice can depend on the
+    size of an agent's batch. So an episode that differs from the run is simulated once more, among
+    the episodes of its shard.
 
     Raises:
         RunFolderError: The run has no such episode, or the new rows differ from those of the run.
@@ -142,8 +144,11 @@ def replay(cell: RecordedCell, episodes: Sequence[int]) -> list[Replay]:
     """
     stored = cell.steps(episodes)
     replays = simulate(cell, episodes)
-    for each in replays:
-        cell.check_steps(stored.filter(episode=each.episode), each.steps)
+    for place, each in enumerate(replays):
+        rows = stored.filter(episode=each.episode)
+        if not each.steps.equals(rows):
+            (replays[place],) = simulate(cell, [each.episode], among=cell.shard_of(each.episode))
+            cell.check_steps(rows, replays[place].steps)
     return replays
 
 
@@ -157,35 +162,46 @@ class Seat(NamedTuple):
     agent: str
 
 
-def simulate(cell: RecordedCell, episodes: Sequence[int], seat: Seat | None = None) -> list[Replay]:
+def simulate(
+    cell: RecordedCell,
+    episodes: Sequence[int],
+    seat: Seat | None = None,
+    among: Sequence[int] = (),
+) -> list[Replay]:
     """Simulates episodes of a cell as `replay` does, but does not compare them with the run.
 
-    If there is a seat, its agent takes it in each episode.
+    Args:
+        cell: The cell.
+        episodes: Their seeds.
+        seat: A seat that its agent takes in each episode.
+        among: The seeds of all episodes that are simulated together; by default, only `episodes`.
     """
+    together = list(among or episodes)
+    kept = [together.index(episode) for episode in episodes]
     guests = {}
     if seat is not None and seat.agent not in {driver.key for driver in cell.drivers}:
         guests[seat.agent] = make_agent(seat.agent)
-    simulation = cell.simulation(len(episodes), guests)
+    simulation = cell.simulation(len(together), guests)
     settings = simulation.settings
-    simulation.reset(np.array(episodes, dtype=np.uint64))
+    simulation.reset(np.array(together, dtype=np.uint64))
     recording = Recording(simulation)
-    frames = [_frame(simulation)]
+    frames = [_frame(simulation, kept)]
     interval = simulation.settings.steps_per_decision
     decisions = 0
     while simulation.scene.active.any():
         decisions += 1
         if seat is not None and decisions == seat.step:
             places = simulation.scene.ego if seat.vehicle is None else seat.vehicle
-            seats = np.broadcast_to(places, len(episodes))
+            seats = np.broadcast_to(places, len(together))
             simulation.restore(simulation.state().seated(seats, seat.agent))
         for _ in range(interval):
             simulation.advance()
-            frames.append(_frame(simulation))
+            frames.append(_frame(simulation, kept))
         simulation.finish_step()
         recording.note()
     ended, steps = recording.episodes(), recording.steps()
     replays = []
-    for b, episode in enumerate(episodes):
+    for place, (b, episode) in enumerate(zip(kept, episodes, strict=True)):
         mine = pl.col("episode") == episode
         length = int(simulation.steps[b]) * interval + 1
         replays.append(
@@ -198,13 +214,13 @@ def simulate(cell: RecordedCell, episodes: Sequence[int], seat: Seat | None = No
                 t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
-                **{k: np.stack([frame[k][b] for frame in frames[:length]]) for k in frames[0]},
+                **{k: np.stack([frame[k][place] for frame in frames[:length]]) for k in frames[0]},
             )
         )
     return replays
 
 
-def _frame(simulation: Simulation) -> dict[str, Any]:
-    """Returns copies of the arrays `[B, N]` that a replay keeps."""
-    scene = {name: getattr(simulation.scene, name).copy() for name in _OF_SCENE}
-    return scene | {name: getattr(simulation, name).copy() for name in ("action", "has_action")}
+def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:
+    """Returns copies of the arrays `[S, N]` that a replay of S scenes keeps."""
+    frame = {name: getattr(simulation.scene, name)[scenes] for name in _OF_SCENE}
+    return frame | {name: getattr(simulation, name)[scenes] for name in ("action", "has_action")}

@@ -90,12 +90,15 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
     place = recorded.ego if vehicle is None else vehicle
     if not 0 <= place < vehicles:
         raise InputError(f"episode {episode} has the vehicles 0 to {vehicles - 1}, not {vehicle}")
-    if recorded.crashed[recorded.frame_of(step - 1), place]:
+    seat, start = Seat(step, place, agent), recorded.frame_of(step - 1)
+    if recorded.crashed[start, place]:
         raise InputError(
             f"vehicle {place} has crashed before decision {step} of episode {episode}; choose an "
             "earlier decision or another vehicle"
         )
-    (other,) = simulate(cell, [episode], Seat(step, place, agent))
+    (other,) = simulate(cell, [episode], seat)
+    if not np.array_equal(recorded.x[: start + 1], other.x[: start + 1]):  # see `replay`
+        (other,) = simulate(cell, [episode], seat, among=cell.shard_of(episode))
     return WhatIf(recorded, other, step, place, agent)
 
 

@@ -51,14 +51,18 @@ def hold(
         other: Another instance of it, made in the same way.
         settings: The scene, which decides how often it is called.
         rng: Chooses the calls.
+
+    Raises:
+        BrokenWordError: One is a policy and the other is a driver model.
     """
-    if isinstance(agent, DriverModel):
-        assert isinstance(other, DriverModel)
+    if isinstance(agent, DriverModel) and isinstance(other, DriverModel):
         return HeldModel(agent, other, rng, settings.decisions * settings.steps_per_decision)
     if type(agent) is OnnxPolicy:
         return HeldNetwork(agent, rng, settings.decisions)
-    assert isinstance(other, Policy)
-    return HeldPolicy(agent, other, rng, settings.decisions)
+    if isinstance(agent, Policy) and isinstance(other, Policy):
+        return HeldPolicy(agent, other, rng, settings.decisions)
+    kinds = f"a {type(agent).__name__} and then a {type(other).__name__}"
+    raise BrokenWordError(f"the plugin made {kinds}; expected the same kind of agent each time")
 
 
 class HeldPolicy(Held[Policy], Policy):

@@ -7,8 +7,8 @@ affect the others.
 import os
 import re
 import sys
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -172,13 +172,28 @@ def load(group: str, name: str) -> Any:
 
 def _load(plugin: Plugin) -> Any:
     try:
-        with redirect_stdout(sys.stderr):  # standard output is for results
+        with _kept_apart():
             return plugin.entry_point.load()
     except PLUGIN_ERRORS as error:
         remedy = _remedy(plugin, error) if isinstance(error, ImportError) else ""
         raise RegistryError(
             f"{_whose(plugin)} cannot be imported: {type(error).__name__}: {error}{remedy}"
         ) from error
+
+
+@contextmanager
+def _kept_apart() -> Iterator[None]:
+    """Keeps what a plugin prints off standard output, and the current folder as it is."""
+    try:
+        before = os.getcwd()
+    except OSError:  # it has been deleted
+        before = ""
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        if before:
+            os.chdir(before)
 
 
 def _remedy(plugin: Plugin, error: ImportError) -> str:
@@ -196,7 +211,7 @@ def _make(plugin: Plugin, options: Mapping[str, Any] | None, *kinds: type) -> An
     """What a plugin makes with options, which is of one of these kinds."""
     factory = _load(plugin)
     try:
-        with redirect_stdout(sys.stderr):
+        with _kept_apart():
             made = factory(**(options or {}))
             problem = _problem_of(made, *kinds)
     except CharmsBenchError:

@@ -1,6 +1,9 @@
 """Tables as Markdown: alone for a page, or as a document that says what its numbers are."""
 
+import html
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 from charms_bench.report.formatting import NOTHING, Written, write_cells
 from charms_bench.report.table import Table
@@ -14,43 +17,47 @@ def markdown(table: Table, full: bool = False) -> str:
     """
     texts = write_cells(table)
     reported = [any(row[i].reference for row in texts) for i in range(len(table.columns))]
-    header = list(table.keys)
+    header, reference = list(table.keys), _as_text(table.reference)
     for column, has_reference in zip(table.columns, reported, strict=True):
-        beside = f" ({table.reference})" * (has_reference and not full)
-        header.append(column.name + beside)
-        header += [f"{table.reference} (difference)"] * (has_reference and full)
+        beside = f" ({reference})" * (has_reference and not full)
+        header.append(_as_text(column.name) + beside)
+        header += [f"{reference} (difference)"] * (has_reference and full)
     counted = [{cell.n for cell in cells} for cells in texts]
     has_n = full and all(len(each) == 1 for each in counted) and {""} != set().union(*counted)
     header += ["n"] * has_n
     lines = []
     for row, cells in zip(table.rows, texts, strict=True):
-        lines.append(list(row.labels))
-        for cell, has_reference in zip(cells, reported, strict=True):
+        lines.append(list(map(_as_text, row.labels)))
+        for known, cell, has_reference in zip(row.cells, cells, reported, strict=True):
+            if isinstance(known, str):
+                cell = replace(cell, value=_as_text(cell.value))
             lines[-1].append(_cell(cell, in_line=not full))
             if has_reference and full:
                 difference = f" ({cell.difference})" * bool(cell.difference)
                 lines[-1].append((cell.reference or NOTHING) + difference)
         lines[-1] += [cells[0].n] * has_n
     rule = "|" + "---|" * len(table.keys) + "---:|" * (len(header) - len(table.keys))
-    escaped = [[text.replace("|", "\\|") for text in line] for line in (header, *lines)]
-    head, *body = (f"| {' | '.join(line)} |" for line in escaped)
+    head, *body = (f"| {' | '.join(line)} |" for line in (header, *lines))
     return "\n".join([head, rule, *body]) + "\n"
 
 
 def document(table: Table, introduction: Sequence[str] = ()) -> str:
     """A document: paragraphs, then a table for each part, and what its columns are."""
-    paragraphs = [*introduction, f"Values with 95 % intervals; {NOTHING} where none is defined."]
-    paragraphs += [table.note] if table.note else []
+    paragraphs = [
+        *map(without_html, introduction),
+        f"Values with 95 % intervals; {NOTHING} where none is defined.",
+    ]
+    paragraphs += [without_html(table.note)] if table.note else []
     legends: set[str] = set()
     for part in table.parts():
         legend = [
-            f"- `{column.name}`{f' ({column.unit})' if column.unit else ''}: {column.definition}."
-            + f" n: {column.counted}." * bool(column.counted)
+            f"- `{column.name.replace('`', '')}`{f' ({column.unit})' if column.unit else ''}: "
+            f"{column.definition}." + f" n: {column.counted}." * bool(column.counted)
             for column in part.columns
         ]
-        legend = [line for line in legend if line not in legends]
+        legend = [line for line in map(without_html, legend) if line not in legends]
         legends.update(legend)
-        paragraphs += [f"## {part.title}", markdown(part, full=True).rstrip()]
+        paragraphs += [f"## {without_html(part.title)}", markdown(part, full=True).rstrip()]
         paragraphs += ["\n".join(legend)] if legend else []
     return "\n\n".join(paragraphs) + "\n"
 
@@ -60,3 +67,13 @@ def _cell(cell: Written, in_line: bool) -> str:
     interval = f" [{interval}]" if (interval := cell.interval(", ")) else ""
     reference = f" ({cell.reference})" if in_line and cell.reference else ""
     return f"{value}{interval}{reference}"
+
+
+def _as_text(text: str) -> str:
+    """A text from outside in a cell, where no browser takes it for a tag, a link or a column."""
+    return re.sub(r"([\\`*\[\]|])", r"\\\1", html.escape(text, quote=False))
+
+
+def without_html(text: str) -> str:
+    """Markdown without tags, which a browser would run; a `<` before a number stays."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)

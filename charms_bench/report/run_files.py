@@ -14,7 +14,7 @@ from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.preventable import draw_preventable
 from charms_bench.report.figures.tradeoff import draw_tradeoff, tradeoff_of
-from charms_bench.report.markdown import document, markdown
+from charms_bench.report.markdown import document, markdown, without_html
 from charms_bench.report.pairs_table import guess_summary, pairs_table
 from charms_bench.report.preventable_table import preventable_table
 from charms_bench.report.realism_table import TITLE, realism_table
@@ -23,6 +23,7 @@ from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.world.files import write_bytes
+from charms_bench.world.spreadsheets import in_csv
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def run_tables(
 
 def matrix_page(matrix: Sequence[Table]) -> bytes:
     """The matrices of a suite as a Markdown file."""
-    parts = [f"## {each.title}\n\n{markdown(each)}" for each in matrix]
+    parts = [f"## {without_html(each.title)}\n\n{markdown(each)}" for each in matrix]
     return "\n".join(parts).encode()
 
 
@@ -121,7 +122,7 @@ def write_table(folder: Path, table: Table, introduction: Sequence[str] = ()) ->
 def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, bytes]:
     """The files of a table, by name."""
     return {
-        f"{table.name}.csv": table.frame().write_csv().encode(),
+        f"{table.name}.csv": in_csv(table.frame()),
         f"{table.name}.md": document(table, introduction).encode(),
     }
 

@@ -20,6 +20,7 @@ from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
 from charms_bench.world.files import read_file
+from charms_bench.world.spreadsheets import from_csv
 
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
@@ -115,4 +116,4 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
     if strange := [word for word in words if CONTROL_CODES.search(word or "")]:
         raise RunFolderError(f"{path}: has control characters: {strange[0]!a}; write it again")
     numbers = cs.float()
-    return table.with_columns(pl.when(numbers.is_finite()).then(numbers))
+    return from_csv(table.with_columns(pl.when(numbers.is_finite()).then(numbers)))

@@ -57,7 +57,8 @@ def imported_modules(node: ast.AST) -> Iterator[str]:
     if isinstance(node, ast.Import):
         names = [alias.name for alias in node.names]
     elif isinstance(node, ast.ImportFrom):
-        assert not node.level, "relative imports are not followed"
+        if node.level:
+            raise ValueError(f"line {node.lineno}: a relative import, which is not followed")
         names = [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
     yield from (name for name in names if name.partition(".")[0] == "charms_bench")
     is_for_type_checkers = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"

@@ -8,7 +8,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from charms_bench.errors import SuiteError, first_problem
-from charms_bench.world.files import read_limited
+from charms_bench.world.files import absolute, read_limited
 
 M = TypeVar("M", bound=BaseModel)
 Location = Sequence[str | int]
@@ -28,7 +28,7 @@ class Document:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.folder = path, absolute(path).parent
         try:
             text = read_limited(path, SIZE_LIMIT_BYTES).decode()
         except OSError as error:
@@ -56,7 +56,7 @@ class Document:
                 the others.
         """
         try:
-            return model.model_validate(self.data, context={"folder": self.path.parent})
+            return model.model_validate(self.data, context={"folder": self.folder})
         except ValidationError as error:
             raise self.error(*first_problem(error)) from error
 

@@ -1,7 +1,9 @@
 """Finished runs, opened from their folders: the rows of every cell."""
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from charms_bench.errors import RunFolderError
@@ -57,8 +59,16 @@ class FinishedRun:
         ]
 
     def _parts(self, cell: int, *kinds: str) -> "_Parts":
-        shards = tuple(shard for shard in self.shards if shard.cell == cell)
+        shards = tuple(self._of_cells[cell])
         return _Parts(self.folder, kinds, shards, PART_ROWS // self.suite.scene.decisions)
+
+    @cached_property
+    def _of_cells(self) -> Mapping[int, Sequence[Shard]]:
+        """The shards of each cell; a suite can have 10,000 cells."""
+        found: dict[int, list[Shard]] = {index: [] for index in range(len(self.suite.cells))}
+        for shard in self.shards:
+            found.setdefault(shard.cell, []).append(shard)
+        return found
 
 
 @dataclass(frozen=True)
@@ -99,8 +109,11 @@ def open_finished(path: Path) -> FinishedRun:
     folder = RunFolder(path)
     suite = folder.suite()
     shards = folder.shards(suite)
+    episodes: Counter[int] = Counter()
+    for shard in shards:
+        episodes[shard.cell] += shard.episodes
     for index, cell in enumerate(suite.cells):
-        present = sum(shard.episodes for shard in shards if shard.cell == index)
+        present = episodes[index]
         if present != suite.episodes:
             raise RunFolderError(
                 f"{path}: holds {present:,} of {suite.episodes:,} episodes of {cell.title}; "

@@ -18,7 +18,7 @@ from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.lock import locked
 from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
-from charms_bench.runs.shard import forget_agents
+from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 from charms_bench.workers import in_processes
@@ -141,7 +141,7 @@ def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
     tasks = {}
     for index, cell in enumerate(suite.cells):
         ego, traffic = cell.ego.agent, cell.traffic.traffic
-        networks = networks_of(ego, traffic.make(), suite.folder)
+        networks = networks_of(ego, traffic_of(traffic), suite.folder)
         software = software_of(ego, traffic, networks, event)
         tasks[index, 0] = RareTask(
             f"{cell.title}, pilot", suite.scene, ego, traffic, networks, event, samples, suite.seed,

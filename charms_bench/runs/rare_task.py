@@ -20,7 +20,14 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.options import name_and_options
-from charms_bench.runs.shard import HeldDrivers, Software, installed, key_of, origin_of
+from charms_bench.runs.shard import (
+    HeldDrivers,
+    Software,
+    forget_identities,
+    installed,
+    key_of,
+    origin_of,
+)
 from charms_bench.statistics.subset_simulation import (
     Seeds,
     SubsetRun,
@@ -68,7 +75,7 @@ class RareTask:
             "seed": self.seed,
             "run": self.run,
             "pilot": self.pilot and asdict(self.pilot),
-            "software": asdict(self.software),
+            "software": self.software.fields(),
         }
         return key_of(inputs, self.software, self.networks)
 
@@ -100,6 +107,7 @@ def estimate(task: RareTask) -> SubsetRun:
         RunFolderError: The installed software is no longer that of the task.
         CharmsBenchError: An agent or the event cannot be made, or fails.
     """
+    forget_identities()
     found = software_of(task.ego, task.traffic, task.networks, task.event)
     if changed := found.differences(task.software):
         raise RunFolderError(

@@ -20,6 +20,7 @@ from charms_bench.runs.shard import (
     forget_agents,
     installed,
     simulate,
+    traffic_of,
 )
 from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
@@ -148,7 +149,7 @@ def plan_cell(
     """
     cell = suite.cells[index]
     ego, traffic = cell.ego.agent, cell.traffic.traffic
-    networks = networks_of(ego, traffic.make(), suite.folder)
+    networks = networks_of(ego, traffic_of(traffic), suite.folder)
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks)

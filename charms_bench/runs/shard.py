@@ -6,8 +6,8 @@ So this module imports nothing that does not decide rows.
 
 import json
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from dataclasses import dataclass, fields
+from functools import cache, lru_cache
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -21,12 +21,13 @@ from charms_bench.engine.columns import DRIVER_KEYS
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
-from charms_bench.errors import AgentError, RunFolderError
+from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.held import Held, HeldTraffic
-from charms_bench.plugins.held_agents import hold
+from charms_bench.plugins.held_agents import HeldModel, HeldNetwork, HeldPolicy, hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
+from charms_bench.plugins.traffic import Traffic
 from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.world.scene import SceneSettings
@@ -45,6 +46,10 @@ class Software:
     """Versions of libraries."""
     agents: Mapping[str, Mapping[str, str]]
     """See `identify_agents`."""
+
+    def fields(self) -> dict[str, Any]:
+        """Returns the fields as a JSON object."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def differences(self, expected: "Software") -> str:
         """Returns in words what differs from the expected software; empty if nothing does."""
@@ -90,7 +95,7 @@ class ShardTask:
             "traffic": self.traffic.model_dump(mode="json"),
             "first_seed": self.first_seed,
             "episodes": self.episodes,
-            "software": asdict(self.software),
+            "software": self.software.fields(),
         }
         return key_of(inputs, self.software, self.networks)
 
@@ -104,7 +109,8 @@ def key_of(inputs: Mapping[str, Any], software: Software, networks: Collection[s
         name: f"{software.agents[name]['weights_sha256']} {number}"
         for number, name in enumerate(networks)
     }
-    return sha256(json.dumps(by_content(inputs, contents)).encode()).hexdigest()
+    named = by_content(inputs, contents) if contents else inputs
+    return sha256(json.dumps(named).encode()).hexdigest()
 
 
 def simulate(task: ShardTask) -> ShardFiles:
@@ -116,6 +122,7 @@ def simulate(task: ShardTask) -> ShardFiles:
     """
     use_exact_maths(task.engine)
     names = harness_names()
+    forget_identities()
     if changed := installed(task.ego, task.traffic, task.networks).differences(task.software):
         raise RunFolderError(
             f"{task.title}: changed since the run began: {changed}; run the suite again"
@@ -169,12 +176,13 @@ class HeldDrivers:
         rng = np.random.default_rng([seed, 2])
         self.traffic = HeldTraffic(traffic.make(), traffic.make(), rng)
         self.drivers = drivers_of(ego, self.traffic)
-        self.agents = {
-            driver.key: hold(
-                agent_of(driver, networks), agent_of(driver, networks, instance=1), scene, rng
-            )
-            for driver in self.drivers
-        }
+        self.agents: dict[str, HeldPolicy | HeldNetwork | HeldModel] = {}
+        for driver in self.drivers:
+            agent, other = (agent_of(driver, networks, instance) for instance in (0, 1))
+            try:
+                self.agents[driver.key] = hold(agent, other, scene, rng)
+            except BrokenWordError as error:
+                raise AgentError(f"agent '{driver.key}': {error}") from error
 
     def finish(self, title: str) -> None:
         """Asks the last questions, when an agent is not asked any more.
@@ -214,18 +222,30 @@ def identify_agents(
         By `AgentSpec.origin`, the hash of a policy's weights and the plugin's distribution, version
         and hash of its code.
     """
-    drivers = drivers_of(ego, traffic.make())
-    found = {driver.origin: _identify(driver, networks) for driver in drivers}
-    traffics = plugins(TRAFFIC)
-    if traffic.name is not None and traffic.name in traffics:
-        found[f"traffic {traffic.name}"] = origin_of(traffics[traffic.name])
+    drivers = drivers_of(ego, traffic_of(traffic))
+    found = {
+        driver.origin: dict(_identity(driver.model_dump_json(), networks.get(driver.name)))
+        for driver in drivers
+    }
+    if traffic.name is not None and (origin := _origin_of_traffic(traffic.name)):
+        found[f"traffic {traffic.name}"] = dict(origin)
     return found
 
 
-def _identify(spec: AgentSpec, networks: Mapping[str, Path]) -> dict[str, str]:
-    agent = agent_of(spec, networks)
+@cache
+def _identity(spec_json: str, network: Path | None) -> Mapping[str, str]:
+    """What tells an agent from other versions; many cells share it, so it is found out once."""
+    agent = _cached_agent(spec_json, network, 0)
     weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
-    return weights if is_network(spec.name) else weights | origin_of(find(AGENTS, spec.name))
+    name = AgentSpec.model_validate_json(spec_json).name
+    return weights if is_network(name) else weights | origin_of(find(AGENTS, name))
+
+
+@cache
+def _origin_of_traffic(name: str) -> Mapping[str, str]:
+    """See `origin_of`; empty for a traffic that is an agent or a network."""
+    traffics = plugins(TRAFFIC)
+    return origin_of(traffics[name]) if name in traffics else {}
 
 
 def origin_of(plugin: Plugin) -> dict[str, str]:
@@ -248,6 +268,28 @@ def _cached_agent(spec_json: str, network: Path | None, instance: int) -> Agent:
     return spec.make({} if network is None else {spec.name: network})
 
 
+def traffic_of(spec: TrafficSpec) -> Traffic:
+    """Returns a traffic, made once per process, whose agents are looked up and which drives none.
+
+    A suite can have 100 cells with the same traffic.
+    """
+    key = spec.model_dump_json()
+    if key not in _traffics:
+        _traffics[key] = spec.make()
+    return _traffics[key]
+
+
+_traffics: dict[str, Traffic] = {}
+
+
 def forget_agents() -> None:
-    """Has agents made again, because the file of a network may have changed since."""
+    """Has agents and traffics made again: a plugin or a network's file may have changed since."""
+    _traffics.clear()
     _cached_agent.cache_clear()
+    forget_identities()
+
+
+def forget_identities() -> None:
+    """Has `identify_agents` find out again what tells agents and traffics from other versions."""
+    _identity.cache_clear()
+    _origin_of_traffic.cache_clear()

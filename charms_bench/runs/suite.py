@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -156,9 +157,9 @@ class Suite(FrozenModel):
             )
         return self
 
-    @property
+    @cached_property
     def cells(self) -> tuple[Cell, ...]:
-        """Every ego in every traffic."""
+        """Every ego in every traffic; made once, because a suite can have 10,000 of them."""
         scenes = [self.scene.of_scenario(each.traffic.scenario) for each in self.traffics]
         return tuple(
             Cell(ego=ego, traffic=traffic, scene=scene)

@@ -6,7 +6,29 @@ import stat
 from collections.abc import Callable
 from pathlib import Path
 
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import InputError, RunFolderError
+
+
+def absolute(path: str | Path) -> Path:
+    """The path from the root of the file system: a plugin can change the current folder.
+
+    Raises:
+        InputError: The path is relative, and the current folder has been deleted.
+    """
+    try:
+        return Path(path).absolute()
+    except OSError as error:
+        what = "the current folder has been deleted; change to another folder"
+        raise InputError(f"{path}: {what}") from error
+
+
+def is_same_file(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file that exists."""
+    try:
+        return one.samefile(other)
+    except (OSError, ValueError):  # one does not exist, or no file can have its name
+        return False
+
 
 PARTIAL = r"\..+\.[0-9]+\.partial"
 """The name of a file that is being written; see `write_atomically`."""

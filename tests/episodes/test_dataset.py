@@ -11,6 +11,7 @@ from charms_bench.episodes import dataset, minari_dataset
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
+from charms_bench.runs.suite import Suite
 
 SUITE = """\
 suite: small
@@ -106,3 +107,13 @@ def test_without_minari_the_message_names_the_extra(
     monkeypatch.setitem(__import__("sys").modules, "minari", None)
     with pytest.raises(InputError, match=r"pip install 'charms-bench\[dataset\]'"):
         minari_dataset.check_name(tmp_path / "charms-v0")
+
+
+def test_the_files_of_two_cells_never_have_the_same_name(run: charms_bench.Run) -> None:
+    egos = [{"agent": "idm_mobil", "label": label} for label in ("A/B", "A B", "a-b", "x in y")]
+    traffics = [{"traffic": "idm_mobil", "label": label} for label in ("z", "y-in-z")]
+    fields = run.suite.model_dump() | {"egos": [*egos, {"agent": "idm_mobil", "label": "x"}]}
+    suite = Suite.model_validate(fields | {"traffics": traffics})
+    names = [dataset.name_of(suite, cell) for cell in suite.cells]
+    assert len(set(names)) == len(names) == 10
+    assert names[::2][:3] == ["a-b-in-z", "a-b-2-in-z", "a-b-3-in-z"]

@@ -9,8 +9,8 @@ import pytest
 
 import charms_bench
 from charms_bench.envs import ID
-from charms_bench.episodes import minari_dataset
 from charms_bench.episodes.minari_dataset import environment_of
+from charms_bench.runs.runner import SHARD_EPISODES
 from charms_bench.runs.suite import Suite
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import neighbours
@@ -34,13 +34,14 @@ def minari() -> Any:
 def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
     folder = tmp_path_factory.mktemp("small")
     (folder / "suite.yaml").write_text(SUITE)
-    return charms_bench.run(folder / "suite.yaml", folder / "run", workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(SHARD_EPISODES, "batched", 3)  # datasets are written in three parts
+        return charms_bench.run(folder / "suite.yaml", folder / "run", workers=1)
 
 
 @pytest.fixture(scope="module")
 def loaded(minari: Any, run: charms_bench.Run) -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(minari_dataset, "AT_ONCE", 3)  # written in three parts
         path = run.dataset("minari", run.path / "datasets" / "keep-right-v3")
         patch.setenv("MINARI_DATASETS_PATH", str(path.parent))
         yield minari.load_dataset("keep-right-v3")

@@ -185,3 +185,11 @@ class Odd(Policy):
 def test_check_asks_at_three_sizes_of_the_batch() -> None:
     with pytest.raises(AssertionError, match="336 of 336 actions differ in batches of 7"):
         alone(Odd())
+
+
+def test_a_plugin_that_makes_two_kinds_of_agents_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    model, policy = make_agent("outside_model"), make_agent("outside_policy")
+    for one, other in ((model, policy), (policy, model)):
+        with pytest.raises(BrokenWordError, match="expected the same kind of agent each time"):
+            hold(one, other, SETTINGS, rng)

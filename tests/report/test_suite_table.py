@@ -11,6 +11,7 @@ from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
+from charms_bench.report.stored import stored_tables
 from charms_bench.report.suite_table import printed, suite_table
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid
@@ -174,3 +175,22 @@ def test_the_note_of_a_suite_stands_under_its_table_and_in_its_document() -> Non
     table = suite_table(suite, [cell([25.0])])
     assert shown(table).rstrip().endswith("IDM+MOBIL was calibrated.")
     assert "\n\nIDM+MOBIL was calibrated.\n\n" in document(table)
+
+
+def test_markdown_shows_tags_and_links_of_a_name_as_text() -> None:
+    name = "<img src=x onerror=alert(1)> [a](javascript:b) `c`"
+    suite = SUITE.model_copy(update={"note": "<script>alert(1)</script> p < 0.05"})
+    text = document(suite_table(suite, [cell([25.0], agent=name)]))
+    assert r"| &lt;img src=x onerror=alert(1)&gt; \[a\](javascript:b) \`c\` | mixed |" in text
+    assert "&lt;script>alert(1)&lt;/script> p < 0.05" in text
+
+
+def test_a_label_that_a_spreadsheet_would_compute_is_a_text_and_is_read_back(
+    tmp_path: Path,
+) -> None:
+    label = '=HYPERLINK("http://x")'
+    table = suite_table(SUITE, [cell([25.0], agent=label)])
+    write_table(tmp_path, table)
+    written = (tmp_path / "tables" / "ego.csv").read_text()
+    assert written.splitlines()[1].startswith("\"'=HYPERLINK")
+    assert {row.labels[0] for row in stored_tables(tmp_path, SUITE).metrics.rows} == {label}

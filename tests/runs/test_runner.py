@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished as finished_runs
 from charms_bench.runs import runner, shards
 from charms_bench.runs.cells import CellRows
@@ -302,3 +304,22 @@ def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path:
     for a, b in zip(ours, theirs, strict=True):
         assert a.episodes.equals(b.episodes)
         assert a.steps.equals(b.steps)
+
+
+def test_a_large_suite_makes_each_cell_agent_and_traffic_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: Counter[str] = Counter()
+    for kind in (AgentSpec, TrafficSpec):
+
+        def make(self: Any, *networks: Any, original: Any = kind.make) -> Any:
+            made[str(self.name)] += 1
+            return original(self, *networks)
+
+        monkeypatch.setattr(kind, "make", make)
+    egos = [{"agent": "outside_policy", "label": f"ego {k}"} for k in range(12)]
+    traffics = [{"traffic": "idm_mobil", "label": f"traffic {k}"} for k in range(11)]
+    large = suite(egos=egos, traffics=traffics)
+    assert len(plan(large, "batched")) == 12 * 11
+    assert made == {"outside_policy": 1, "idm_mobil": 2}  # as an agent and as a traffic
+    assert large.cells[0] is large.cells[0]

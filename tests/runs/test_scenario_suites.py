@@ -215,3 +215,12 @@ def test_wrong_parameters_of_a_driver_are_refused_with_their_line(
     text = SUITE.replace(actions, DRIVEN.replace("time_headway_s: gap / 10", instead))
     with pytest.raises(SuiteError, match=error):
         load_suite(written(tmp_path, text))
+
+
+def test_a_search_does_not_overwrite_the_suite_that_it_searches(tmp_path: Path) -> None:
+    path = written(tmp_path, name="found.yaml")
+    (tmp_path / "link.yaml").symlink_to(path)
+    for output in (path, tmp_path / "link.yaml"):
+        with pytest.raises(InputError, match=r"is the suite that is searched; choose another"):
+            charms_bench.search(path, "Level 0", output=output, failures=1, budget=40)
+    assert path.read_text(encoding="utf-8") == SUITE

@@ -1,6 +1,10 @@
 """The contract tests: they pass good plugins and find each kind of bad one."""
 
+import ast
+import re
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,6 +81,25 @@ def test_a_policy_that_breaks_a_rule_is_found(
 ) -> None:
     with pytest.raises(AssertionError, match=message):
         getattr(contract, rule)(Decides(function))
+
+
+def test_every_rule_is_kept_when_python_optimises() -> None:
+    source = Path(contract.__file__)
+    names: dict[str, Any] = {"__name__": "optimised"}
+    exec(compile(source.read_text(), source, "exec", optimize=1), names)
+    policy = Decides(lambda o: RNG.integers(0, 5, len(o)))
+    for rule in ("agent_is_deterministic", "policy_decides_for_each_vehicle_independently"):
+        with pytest.raises(AssertionError, match="differ"):
+            names[rule](policy)
+
+
+@pytest.mark.parametrize("folder", ["charms_bench", "agents", "baselines"])
+def test_an_assertion_only_tells_types(folder: str) -> None:
+    told = re.compile(r"isinstance\(.*\)|\S+ is not None")
+    for path in (Path(contract.__file__).parents[2] / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Assert):
+                assert told.fullmatch(ast.unparse(node.test)), f"{path}:{node.lineno}"
 
 
 def test_a_policy_with_an_impossible_rate_or_observation_is_found() -> None:

@@ -1,5 +1,6 @@
 """Chooses the episodes of a report and simulates them again."""
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +24,7 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
             several of them.
     """
     expected = f"--episode {text}: expected RUN:EPISODE[:EGO[:TRAFFIC]]"
-    names = {name: run for run in runs for name in (str(run.path), run.path.name, run.key)}
+    names = {name: run for run in runs for name in _names(run)}
     name = max((name for name in names if text.startswith(f"{name}:")), key=len, default=None)
     if name is None and len(runs) > 1:
         keys = ", ".join(run.key for run in runs)
@@ -38,6 +39,11 @@ def asked(text: str, runs: Sequence[Evaluation]) -> Place:
     ego, traffic = [*titles, None, None][:2]
     how = f"--episode {run.key}:{seed}:EGO:TRAFFIC"
     return list(runs).index(run), find_cell(run.run, Path(), ego, traffic, how).index, episode
+
+
+def _names(run: Evaluation) -> tuple[str, ...]:
+    """What users may call a run: its folder in three ways, or its key."""
+    return str(run.path), os.path.relpath(run.path), run.path.name, run.key
 
 
 def choose(

@@ -11,7 +11,7 @@ from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
 from charms_bench.report.html.what_if import what_if_section
-from charms_bench.world.files import write_bytes
+from charms_bench.world.files import absolute, write_bytes
 
 
 def write_report(
@@ -39,6 +39,7 @@ def write_report(
         CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
     """
     check_page(output)
+    page_path, suite_folder = absolute(output), absolute(suite_folder)
     sources = open_sources(paths)
     runs = [source for source in sources if isinstance(source, Evaluation)]
     if episodes and not runs:
@@ -66,7 +67,7 @@ def write_report(
         has_ghosts=bool(others),
         provenance=[_provenance(source) for source in sources],
     ).encode()
-    write_bytes(output, page)
+    write_bytes(page_path, page)
     return {
         "report": str(output),
         "bytes": len(page),

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, count
 from pathlib import Path
 
 from charms_bench.errors import RunFolderError
@@ -10,6 +9,8 @@ from charms_bench.report.stored import RunTables, holds, stored_tables
 from charms_bench.report.training_tables import CURVES, Training, stored_training
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
+from charms_bench.world.files import absolute
+from charms_bench.world.names import unused
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | TrainingFolder]:
         RunFolderError: One is not a run folder, is not finished, is damaged, or is given twice.
     """
     sources: list[Evaluation | TrainingFolder] = []
-    for path in paths:
+    for path in map(absolute, paths):
         if path.resolve() in {source.path.resolve() for source in sources}:
             raise RunFolderError(f"{path}: is given twice")
         run = open_finished(path) if holds(path, MANIFEST) else None
@@ -50,8 +51,7 @@ def open_sources(paths: Sequence[Path]) -> list[Evaluation | TrainingFolder]:
                 "`charms-bench run` makes both"
             )
         name = "training" if run is None else run.suite.suite
-        names = chain([name], (f"{name}-{number}" for number in count(2)))
-        key = next(free for free in names if free not in {source.key for source in sources})
+        key = unused(name, {source.key for source in sources})
         if run is None:
             sources.append(TrainingFolder(key, path, stored_training(path)))
         else:

@@ -24,11 +24,16 @@ def in_page(figure: Figure, name: str, label: str) -> Markup:
     found = text.getvalue()
     found = found[found.index("<svg") :]
     found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
-    found = re.sub(r'\bid="', f'id="{name}.', found)
-    found = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}.", found)
-    found = found.replace("#000000", "currentColor").replace(PAPER, "var(--card)")
+    found = re.sub(r"<[^>]*>", lambda tag: _adapted(tag[0], name), found)
     described = Markup('<svg role="img" aria-label="{}" ').format(label)
     # The width in points is for paper; in a page the view box decides.
     head, _, rest = found.removeprefix("<svg ").partition(">")
     head = re.sub(r'\b(width|height|version)="[^"]*"', "", head)
     return Markup(f"{described}{' '.join(head.split())}>{rest}")
+
+
+def _adapted(tag: str, name: str) -> str:
+    """A tag with the page's ids and colours; text between tags may look like either, and stays."""
+    tag = re.sub(r'\bid="', f'id="{name}.', tag)
+    tag = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}.", tag)
+    return tag.replace("#000000", "currentColor").replace(PAPER, "var(--card)")

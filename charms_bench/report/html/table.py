@@ -10,6 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from charms_bench.report.formatting import Written, write_cells
 from charms_bench.report.table import Cell, Column, Row, Table
+from charms_bench.world.names import unused
 
 TEMPLATES = Path(__file__).with_name("templates")
 
@@ -49,8 +50,10 @@ def definition_ids(columns: Iterable[Column]) -> dict[Column, str]:
     said: dict[Column, str] = {}
     for column in columns:
         same = replace(column, group="", quantity="", form="", signed=False)
-        found = re.sub(r"[^\w.-]", "_", f"is-{column.group}-{column.name}")
-        ids[column] = said.setdefault(same, found)
+        if same not in said:
+            found = re.sub(r"[^\w.-]", "_", f"is-{column.group}-{column.name}")
+            said[same] = unused(found, said.values())
+        ids[column] = said[same]
     return ids
 
 
