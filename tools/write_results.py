@@ -4,7 +4,8 @@ RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, a
 training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
 `<!-- results: NAME -->` and `<!-- end of results -->` wherever that stands. What RUNS does not
 hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-ego` with `RUNS/ego`,
-and so on; CSV files in `docs/results` hold their numbers.
+and so on; CSV files in `docs/results` hold their numbers. `RUNS/rare` is what
+`charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 """
 
 import re
@@ -17,6 +18,7 @@ from pathlib import Path
 from textwrap import fill
 
 import polars as pl
+from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
 from seeds import coverage_table, seeds_table
 from style_differences import style_differences
@@ -250,6 +252,8 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),
     "seed-coverage": ("seeds", coverage_table),
+    "rare": ("rare", rare_estimate),
+    "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),
     "reproduction-styles": ("released-styles", reproduction),
     "reproduction-environment": ("released-environment", reproduction),

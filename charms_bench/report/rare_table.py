@@ -55,7 +55,7 @@ def rare_table(
                 "runs": len(each.runs),
                 "levels": len(each.pilot.thresholds),
                 "episodes": number.n,
-                "plain_episodes": _plain_episodes(number),
+                "plain_episodes": plain_episodes(number),
             }
         )
     title = f"{suite.title or suite.suite}: probability that {definition}"
@@ -82,6 +82,15 @@ def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
     )
 
 
+def plain_episodes(number: Number) -> float | None:
+    """Returns how many plain episodes give the same ratio of the interval's ends, roughly."""
+    value, low, high = number.value, number.low, number.high
+    if not value or not low or not high or high <= low:
+        return None
+    found = (2 * Z / math.log(high / low)) ** 2 * (1 - value) / value
+    return float(f"{found:.1e}")
+
+
 def _probability(cell: RareCell, samples: int) -> Number:
     low, high = interval(cell.runs, samples)
     value = sum(run.probability for run in cell.runs) / len(cell.runs)
@@ -89,15 +98,6 @@ def _probability(cell: RareCell, samples: int) -> Number:
     if math.isnan(low):
         return Number(value, n=episodes)
     return Number(value, low, high, episodes)
-
-
-def _plain_episodes(number: Number) -> float | None:
-    """How many plain episodes give the same ratio of the interval's ends, roughly."""
-    value, low, high = number.value, number.low, number.high
-    if not value or not low or not high or high <= low:
-        return None
-    found = (2 * Z / math.log(high / low)) ** 2 * (1 - value) / value
-    return float(f"{found:.1e}")
 
 
 def _note(cells: Sequence[RareCell]) -> str:

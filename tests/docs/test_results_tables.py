@@ -1,5 +1,6 @@
 """The tables of the readme and the documentation are those of runs."""
 
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,7 +38,8 @@ def test_a_page_has_the_tables_that_were_written_last(tool: ModuleType, page: Pa
 def test_every_table_is_on_a_page(tool: ModuleType) -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     used = {found[2] for found in tool.BLOCK.finditer(text)}
-    written = {*tool.TABLES, "human-frontier"}  # the latter by tools/human_frontier.py
+    # Other tools write the last two: human_frontier.py and rare_coverage.py.
+    written = {*tool.TABLES, "human-frontier", "rare-coverage"}
     assert used == written == {path.stem for path in tool.RESULTS.glob("*.md")}
 
 
@@ -81,6 +83,21 @@ def test_collisions_are_counted_by_the_decisions_that_were_left(tool: ModuleType
     assert words.startswith("4 collisions of the ego: 3 avoidable")
     assert late.splitlines()[2:] == ["| 1 | 0.33 | 1 |", "| 5 | 1.67 | 2 |"]
     assert who.splitlines()[2:] == ["| b | 2 | 3 |", "| c | 1 | 3 |"]
+
+
+def test_the_table_of_rare_events_compares_at_equal_width(tool: ModuleType, tmp_path: Path) -> None:
+    # Width of an interval of n plain episodes of probability p: exp(2 * 1.96 / sqrt(n p)) between
+    # its ends. Ends a factor of e apart give n = (2 * 1.96)**2 / p = 15.4 / p, with p = 1e-4.
+    tables = tmp_path / "rare" / "tables"
+    tables.mkdir(parents=True)
+    rows = [("probability", 1e-4, 1e-4 / math.e**0.5, 1e-4 * math.e**0.5, 30_800)]
+    rows += [("episodes", 30_800, None, None, None)]
+    table = pl.DataFrame(rows, schema=["name", "value", "low", "high", "n"], orient="row")
+    table.write_csv(tables / "rare-rare-crash.csv")
+    *_, line = tool.rare_comparison(tmp_path / "rare").splitlines()
+    assert line == (
+        "| `charms-bench rare` | 1.00e-04 [6.07e-05, 1.65e-04] | 30,800 | 150,000 | 4.9 |"
+    )
 
 
 @pytest.mark.parametrize("name", REPRODUCTIONS)
