@@ -1,6 +1,5 @@
 """Tables as Markdown: alone for a page, or as a document that says what its numbers are."""
 
-import html
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,8 +69,8 @@ def _cell(cell: Written, in_line: bool) -> str:
 
 
 def _as_text(text: str) -> str:
-    """A text from outside in a cell, where no browser takes it for a tag, a link or a column."""
-    return re.sub(r"([\\`*\[\]|])", r"\\\1", html.escape(text, quote=False))
+    """A text from outside in a cell, where it is no tag, no link and no end of the cell."""
+    return without_html(re.sub(r"(\\(?=[\\|\]<])|\||\](?=[(\[:]))", r"\\\1", text))
 
 
 def without_html(text: str) -> str:

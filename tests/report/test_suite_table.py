@@ -178,10 +178,10 @@ def test_the_note_of_a_suite_stands_under_its_table_and_in_its_document() -> Non
 
 
 def test_markdown_shows_tags_and_links_of_a_name_as_text() -> None:
-    name = "<img src=x onerror=alert(1)> [a](javascript:b) `c`"
+    name = r"<img src=x onerror=alert(1)> [a](javascript:b) c\|d"
     suite = SUITE.model_copy(update={"note": "<script>alert(1)</script> p < 0.05"})
     text = document(suite_table(suite, [cell([25.0], agent=name)]))
-    assert r"| &lt;img src=x onerror=alert(1)&gt; \[a\](javascript:b) \`c\` | mixed |" in text
+    assert r"| &lt;img src=x onerror=alert(1)> [a\](javascript:b) c\\\|d | mixed |" in text
     assert "&lt;script>alert(1)&lt;/script> p < 0.05" in text
 
 
