@@ -411,3 +411,11 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
         check=True,
     )
     assert "Traceback" not in listing.stderr
+
+
+def test_an_export_does_not_overwrite_its_checkpoint(tmp_path: Path) -> None:
+    (tmp_path / "policy.onnx").write_bytes(b"a checkpoint")
+    result = charms_bench("export", "policy.onnx", "./policy.onnx", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "is also the file to write; choose another name" in result.stderr
+    assert (tmp_path / "policy.onnx").read_bytes() == b"a checkpoint"
