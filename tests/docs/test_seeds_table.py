@@ -60,7 +60,7 @@ def test_the_slowest_seed_is_the_worst_in_speed(tool: ModuleType) -> None:
         for speed in (28.0, 30.0)
     ]
     text = tool.summary(pl.DataFrame(rows).with_columns(process_minutes=1.0))
-    assert "|  | worst seed | 50.0 % | 28.00 |" in text
+    assert "|  | worst seed | 50.0 % | 50.0 % | 28.00 |" in text
 
 
 def test_the_tables_on_the_page_are_those_of_the_numbers(tool: ModuleType) -> None:

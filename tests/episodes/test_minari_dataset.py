@@ -10,7 +10,7 @@ import pytest
 import charms_bench
 from charms_bench.envs import ID
 from charms_bench.episodes.minari_dataset import environment_of
-from charms_bench.runs.runner import SHARD_EPISODES
+from charms_bench.runs.shards import SHARD_EPISODES
 from charms_bench.runs.suite import Suite
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import neighbours

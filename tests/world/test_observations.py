@@ -69,8 +69,9 @@ def test_the_papers_observations_are_those_of_the_plain_version(scene: Scene) ->
 
 
 def _has_no_rival(scene: Scene, i: int) -> bool:
-    """Whether no two other vehicles on a lane have the same x, so that one of them is nearest."""
-    others = np.delete(np.stack([scene.x[0], scene.lane[0]], axis=1), i, axis=0)
+    """Whether no two other vehicles on a lane are equally far ahead, so that one is nearest."""
+    ahead = scene.x[0] - scene.x[0, i]
+    others = np.delete(np.stack([ahead, scene.lane[0]], axis=1), i, axis=0)
     return len(np.unique(others, axis=0)) == len(others)
 
 
