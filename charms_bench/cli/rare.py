@@ -48,8 +48,8 @@ def rare(
 ) -> None:
     """Estimate the probability of a crash or another rare event in an episode of a suite.
 
-    The command uses subset simulation. The rarer the event is, the more episodes this saves in
-    comparison with plain simulation. Finished runs are not repeated.
+    The command uses subset simulation. The column `plain episodes` shows how many episodes of plain
+    simulation would give an interval as narrow. Finished runs are not repeated.
     """
     from charms_bench import api
 
