@@ -26,7 +26,7 @@ from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
 from charms_bench.runs.manifest import check_fields, read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.shard import ShardFiles
-from charms_bench.runs.shard_rows import problem_between, rows_in
+from charms_bench.runs.shard_rows import check_seeds, problem_between, rows_in
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import PARTIAL, read_file, read_limited, write_bytes
@@ -202,7 +202,7 @@ class RunFolder:
                 episodes.
         """
         for kind in KINDS:
-            rows_in(files[kind], kind, shard, self._file(kind, shard.name))
+            check_seeds(files[kind], shard, self._file(kind, shard.name))
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))

@@ -75,6 +75,20 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     raise RunFolderError(f"{path}: {problem}; run the suite again")
 
 
+def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
+    """Checks that rows which have just been made are of a shard's episodes; see also `rows_in`.
+
+    Raises:
+        RunFolderError: They are of other episodes.
+    """
+    last = shard.first_seed + shard.episodes - 1
+    seeds = pl.read_parquet(BytesIO(data), columns=["episode"])["episode"]
+    if not seeds.is_between(shard.first_seed, last).all():
+        raise RunFolderError(
+            f"{path}: an episode is not one of {shard.first_seed} to {last}; run the suite again"
+        )
+
+
 def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) -> str:
     """Returns what is wrong with the rows of one kind; empty if nothing is.
 
