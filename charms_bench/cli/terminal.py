@@ -48,6 +48,7 @@ def _only_ours(output: TextIO) -> TextIO:
         descriptor = output.fileno()
     except OSError:  # in tests, it is not a file
         return output
+    # It stays open until the process ends.
     ours = open(os.dup(descriptor), "w", encoding=output.encoding, errors="replace")  # noqa: SIM115
     elsewhere = sys.stderr.fileno() if sys.stderr else os.open(os.devnull, os.O_WRONLY)
     os.dup2(elsewhere, descriptor)
