@@ -165,8 +165,8 @@ def export(
         str,
         typer.Option(
             metavar="NAME",
-            help="Observation that the network was trained with: neighbours, paper_neighbours (that "
-            "in the paper's code), or highway-env's Kinematics, with options such as "
+            help="Observation that the network was trained with: neighbours, paper_neighbours "
+            "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
             "'{type: Kinematics, vehicles_count: 7}'.",
         ),
     ] = "neighbours",
