@@ -34,6 +34,7 @@ def run(
     rows: PathLike | None = None,
     cluster: str | None = None,
     shard_limit_s: float | None = None,
+    shorten: bool = False,
     notice: Callable[[str], None] = note,
 ) -> Run:
     """Runs a suite, or continues an interrupted run of it; finished shards are not simulated again.
@@ -49,6 +50,7 @@ def run(
         cluster: Address of a Dask scheduler, such as `tcp://HOST:8786`.
         shard_limit_s: Time limit for one shard, including the start of its worker; by default half
             an hour.
+        shorten: Whether a run of fewer episodes may delete the others from its folder.
         notice: Called with messages about problems that were solved, such as a worker that died.
 
     Raises:
@@ -99,6 +101,7 @@ def run(
                 notice,
                 on_dask,
                 measure_cell,
+                shorten,
             )
         from charms_bench.report.run_files import write_run
 

@@ -6,9 +6,11 @@ Commands import what they need when they run, so that `--help` is quick.
 import gc
 import os
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 from charms_bench.cli.terminal import app, ended_by_second_signal, err, say
-from charms_bench.errors import CharmsBenchError
+from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
@@ -18,11 +20,33 @@ MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""
 
 
+def _use_own_style() -> None:
+    """Lets no `matplotlibrc` of the current folder or of the user's change a figure.
+
+    Raises:
+        InputError: matplotlib cannot read that of the current folder, which it reads first of all.
+    """
+    package = find_spec("matplotlib")
+    if package is not None and package.origin is not None:
+        defaults = Path(package.origin).parent / "mpl-data" / "matplotlibrc"
+        os.environ["MATPLOTLIBRC"] = str(defaults)
+    if os.path.exists("matplotlibrc"):
+        try:
+            import matplotlib
+        except Exception as error:
+            raise InputError(
+                f"matplotlibrc: matplotlib cannot read this file of the current folder "
+                f"({named(error)}); correct it, or change to another folder"
+            ) from error
+        matplotlib.rcdefaults()
+
+
 def main() -> None:
     """Runs the command line; a mistake of the user is a message and exit code 2."""
     gc.set_threshold(100_000)  # most objects live until the end of a command
     write_reliably()
     try:
+        _use_own_style()
         try:
             with ended_by_second_signal():
                 app()

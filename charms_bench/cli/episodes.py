@@ -1,6 +1,7 @@
 """`edge-cases`, `replay`, `what-if` and `search`: single episodes."""
 
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -132,7 +133,7 @@ def replay(
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.world.files import absolute, write_atomically
+    from charms_bench.world.files import absolute, write_bytes
 
     if output is not None:
         check_animation(output)
@@ -147,7 +148,9 @@ def replay(
     animation = output or opened.path / "replays" / name
     trajectories = animation.with_suffix(".parquet")
     what = replayed.what_happened()
-    write_atomically(trajectories, replayed.trajectories().write_parquet)
+    table = BytesIO()  # polars cannot write to every name that a file can have
+    replayed.trajectories().write_parquet(table)
+    write_bytes(trajectories, table.getvalue())
     replayed.animate(animation)
     files = {"animation": str(animation), "trajectories": str(trajectories)}
     if commonroad is not None:

@@ -67,6 +67,10 @@ def run(
             "the default is 1800.",
         ),
     ] = None,
+    shorten: Annotated[
+        bool,
+        typer.Option("--shorten", help="Delete finished episodes that the run no longer has."),
+    ] = False,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -95,7 +99,7 @@ def run(
 
     of_evaluations: dict[str, Any] = {
         "episodes": episodes, "seed": seed, "rows": rows, "shard_limit_s": shard_limit_s,
-        "cluster": cluster,
+        "cluster": cluster, "shorten": shorten or None,
     }  # fmt: skip
     of_trainings = {"only": only, "recordings": recordings}
     is_training = "pipeline" in Document(suite).data
@@ -116,6 +120,7 @@ def run(
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
         from charms_bench import api  # takes a while, in which the workers start
 
+        of_evaluations["shorten"] = shorten
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, made.table, as_json)
 

@@ -20,7 +20,7 @@ from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.files import read_limited, write_bytes
+from charms_bench.world.files import json_of, read_limited, write_bytes
 from charms_bench.world.scene import SceneSettings
 
 FORMAT, VERSION = "charms-bench scene state", 2
@@ -79,10 +79,10 @@ def load_state(path: str | Path) -> SceneState:
     """
     try:
         data = read_limited(Path(path), LIMIT_BYTES)
-        found = json.loads(data, parse_constant=_refuse)
+        found = json_of(data, parse_constant=_refuse)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(
             f"{path}: is not a complete state file: {error}; save the state again"
         ) from error

@@ -43,7 +43,8 @@ def write_recording(replay: Replay, folder: Path) -> None:
         "recordingMeta": _recording_meta(replay),
     }
     for kind, table in files.items():
-        table.write_csv(folder / f"{replay.episode:02}_{kind}.csv")
+        path = folder / f"{replay.episode:02}_{kind}.csv"
+        path.write_bytes(table.write_csv().encode())
 
 
 def drivers(replay: Replay) -> pl.DataFrame:

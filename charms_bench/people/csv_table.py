@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from charms_bench.errors import DataError, suggestion
-from charms_bench.world.files import size_of
+from charms_bench.world.files import is_compressed, size_of
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000
@@ -71,8 +71,9 @@ def read_table(
     types = {name: pl.Float64 if name in numbers else pl.String for name in columns}
     options: dict[str, Any] = {"quote_char": None, "n_rows": ROW_LIMIT + 1, "glob": False}
     try:
-        scanned = pl.scan_csv(path, schema_overrides=types, **options)
-        table = scanned.select(*columns).collect()
+        with path.open("rb") as file:  # polars cannot open every name that a file can have
+            scanned = pl.scan_csv(file, schema_overrides=types, **options)
+            table = scanned.select(*columns).collect()
         usable = all(_usable(table[name], allowed) for name, allowed in numbers.items())
     except pl.exceptions.PolarsError as error:
         reason = str(error).partition("\n")[0]
@@ -94,6 +95,8 @@ def _header(path: Path, limit: int) -> list[str]:
             first = file.readline(_LINE_LIMIT_BYTES)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    if is_compressed(first):
+        raise DataError(f"{path}: is compressed; expected text, so decompress it first")
     if not first.strip():
         raise DataError(f"{path}: line 1: empty; expected the names of the columns")
     if len(first) == _LINE_LIMIT_BYTES:

@@ -12,16 +12,15 @@ from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
-from charms_bench.report.stored import read_table
+from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_table
 from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.code_hashes import module_blobs, row_modules
 from charms_bench.runs.finding import VERDICTS, Finding, Verdict
 from charms_bench.runs.finished import FinishedRun, open_finished
-from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import read_file
+from charms_bench.world.files import is_compressed, read_file
 
 NUMBER = re.compile(r"[0-9][0-9,.]*")
 ROUNDING = 1e-9
@@ -102,7 +101,7 @@ def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:
     """
     csv = re.sub(r"(-matrix)?\.md$", ".csv", name)
     try:
-        page, table = (read_file(tables / each, FILE_LIMIT_BYTES) for each in (name, csv))
+        page, table = (read_file(tables / each, TABLE_LIMIT_BYTES) for each in (name, csv))
     except RunFolderError:
         return False
     if name == csv:
@@ -153,7 +152,7 @@ def _stored_sets(path: Path) -> Sequence[MetricSet]:
 def _difference(path: Path, expected: bytes) -> str:
     """Says where a file first differs; empty if it does not."""
     try:
-        found = read_file(path, FILE_LIMIT_BYTES)
+        found = read_file(path, TABLE_LIMIT_BYTES)
     except RunFolderError as error:
         return str(error)
     if found == expected:
@@ -171,6 +170,8 @@ def _difference(path: Path, expected: bytes) -> str:
 
 def _both_tables(found: bytes, expected: bytes) -> tuple[pl.DataFrame, pl.DataFrame] | None:
     """Two CSV files as text; None if they do not have the same columns and number of rows."""
+    if is_compressed(found):
+        return None
     try:
         stored, again = (pl.read_csv(each, infer_schema=False) for each in (found, expected))
     except pl.exceptions.PolarsError:

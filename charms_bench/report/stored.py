@@ -17,11 +17,12 @@ from charms_bench.report import (
     suite_table,
 )
 from charms_bench.report.table import Table, long_schema
-from charms_bench.runs.folder import FILE_LIMIT_BYTES
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import read_file
+from charms_bench.world.files import is_compressed, read_file
 from charms_bench.world.spreadsheets import from_csv
 
+TABLE_LIMIT_BYTES = 2**26
+"""Far more than a table has of 10,000 cells or a training of many stages."""
 CONTROL_CODES = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
@@ -106,10 +107,11 @@ def read_csv(path: Path, schema: Mapping[str, pl.DataType] | None = None) -> pl.
     Raises:
         RunFolderError: It cannot be read, or has control characters in it.
     """
+    data = read_file(path, TABLE_LIMIT_BYTES)
+    if is_compressed(data):
+        raise RunFolderError(f"{path}: is compressed; expected the text of a CSV file")
     try:
-        table = pl.read_csv(
-            read_file(path, FILE_LIMIT_BYTES), schema_overrides=schema, infer_schema_length=None
-        )
+        table = pl.read_csv(data, schema_overrides=schema, infer_schema_length=None)
     except pl.exceptions.PolarsError as error:
         raise RunFolderError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from error
     words = [*table.columns, *(word for column in table.select(cs.string()) for word in column)]

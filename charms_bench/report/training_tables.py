@@ -21,7 +21,7 @@ from charms_bench.report.bars import Scale, line
 from charms_bench.report.stored import holds, read_csv
 from charms_bench.report.table import Column, Table
 from charms_bench.report.terminal import WIDEST
-from charms_bench.runs.folder import FILE_LIMIT_BYTES
+from charms_bench.runs.folder import MANIFEST_LIMIT_BYTES
 from charms_bench.world.fields import FrozenModel, Line
 from charms_bench.world.files import read_file
 
@@ -102,7 +102,9 @@ def stored_training(folder: Path) -> Training:
     columns = ColumnsFile()
     if holds(folder, COLUMNS):
         try:
-            columns = ColumnsFile.model_validate_json(read_file(folder / COLUMNS, FILE_LIMIT_BYTES))
+            columns = ColumnsFile.model_validate_json(
+                read_file(folder / COLUMNS, MANIFEST_LIMIT_BYTES)
+            )
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))

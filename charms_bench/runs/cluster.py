@@ -1,5 +1,6 @@
 """Simulates shards on a Dask cluster, whose workers need no file system in common with us."""
 
+import asyncio
 import logging
 import pickle
 import time
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlsplit
 
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.errors import ClusterError, InputError
+from charms_bench.errors import ClusterError, InputError, named
 from charms_bench.runs.cluster_worker import Job, describe_platform, run_shard
 from charms_bench.runs.code_hashes import differences
 from charms_bench.runs.runner import Notice, SimulateAll
@@ -98,6 +99,8 @@ def _simulate_all(
 
 @contextmanager
 def _connected(address: str) -> Iterator["Client"]:
+    import dask
+    from dask.utils import parse_timedelta
     from distributed import CancelledError, Client, Security
     from distributed.versions import VersionMismatchWarning
 
@@ -108,17 +111,29 @@ def _connected(address: str) -> Iterator["Client"]:
         )
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL)  # our own errors report what is wrong
+    limit_s = parse_timedelta(dask.config.get("distributed.comm.timeouts.connect")) + 1.0
     try:
+        asyncio.run(asyncio.wait_for(_greet(address), limit_s))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", VersionMismatchWarning)  # `_common_platform` says more
             client = Client(address, set_as_default=False)
-    except OSError as error:
-        raise ClusterError(f"no Dask scheduler answers at {address}: {error}") from error
+    except Exception as error:  # another kind of server can answer anything
+        what = f"silent for {limit_s:g} s" if type(error) is TimeoutError else named(error)
+        raise ClusterError(f"no Dask scheduler answers at {address}: {what}") from error
     with client:
         try:
             yield client
         except (CancelledError, OSError) as error:
             raise ClusterError(f"{address}: the scheduler is gone") from error
+
+
+async def _greet(address: str) -> None:
+    """Exchanges greetings with a scheduler, for which Dask's client would wait without end."""
+    from distributed import Security
+    from distributed.comm import connect
+
+    comm = await connect(address, **Security().get_connection_args("client"))
+    await comm.close()
 
 
 def _common_platform(client: "Client", distributions: Sequence[str]) -> dict[str, str | None]:

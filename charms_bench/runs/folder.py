@@ -191,7 +191,7 @@ class RunFolder:
         return self._checksums(shard.name).exists()
 
     def is_whole(self, shard: Shard) -> bool:
-        """Returns whether the shard was finished, is unchanged, and has rows of its episodes."""
+        """Returns whether the shard is finished, unchanged, and of its ego's episodes."""
         return self._files(shard.name, shard) is not None
 
     def write(self, shard: Shard, files: ShardFiles) -> None:
@@ -293,7 +293,7 @@ class RunFolder:
                 kind: rows_in(data, kind, shard, self._file(kind, name))
                 for kind, data in files.items()
             }
-            if problem_between(rows):
+            if problem_between(rows, shard.ego):
                 return None
         except (OSError, RunFolderError):
             return None
@@ -338,6 +338,23 @@ class RunFolder:
         if hashlib.sha256(read_file(copy, FILE_LIMIT_BYTES)).hexdigest() != sha256:
             raise RunFolderError(f"{copy}: has changed since it was written; run the suite again")
         return copy
+
+    def refuse_to_drop(self, suite: Suite, shards: Iterable[Shard]) -> None:
+        """Refuses to delete finished episodes that a shorter run of the same suite does not have.
+
+        Raises:
+            RunFolderError: The folder has shards of more episodes than the suite.
+        """
+        if not (self.path / MANIFEST).exists():
+            return
+        episodes, names = self.manifest().get("episodes", 0), {shard.name for shard in shards}
+        lost = [name for name in self.finished() if name not in names]
+        if episodes > suite.episodes and lost:
+            raise RunFolderError(
+                f"{self.path}: has {len(lost)} finished shards of a run of {episodes:,} episodes, "
+                f"which a run of {suite.episodes:,} would delete; choose another folder with "
+                f"--output, run with --episodes {episodes}, or delete them with --shorten"
+            )
 
     def drop_others(self, shards: Iterable[Shard]) -> None:
         """Deletes every shard that is not one of these, and every network of another run."""

@@ -1,6 +1,5 @@
 """What a folder with a manifest holds: it is compared before anything in the folder is changed."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
-from charms_bench.world.files import read_file
+from charms_bench.world.files import json_of, read_file
 
 
 class RunFields(BaseModel):
@@ -47,8 +46,8 @@ def read_manifest(path: Path, limit: int) -> Any:
         RunFolderError: It cannot be read, is not JSON, or gives a field twice.
     """
     try:
-        return json.loads(read_file(path, limit), object_pairs_hook=_given_once)
-    except (ValueError, RecursionError) as error:
+        return json_of(read_file(path, limit), object_pairs_hook=_given_once)
+    except ValueError as error:
         raise RunFolderError(f"{path}: is not JSON: {error}") from error
 
 

@@ -22,7 +22,7 @@ from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 from charms_bench.workers import in_processes
-from charms_bench.world.files import read_limited, write_bytes
+from charms_bench.world.files import json_of, read_limited, write_bytes
 
 FORMAT = 2
 """Version of the format of these folders."""
@@ -195,12 +195,12 @@ LISTS = ("thresholds", "sizes", "shares", "acceptance")
 def _read(path: Path) -> SubsetRun | None:
     """Returns a finished run, or None if it is missing or has changed since it was written."""
     try:
-        checked = json.loads(read_limited(path, FILE_LIMIT_BYTES))
+        checked = json_of(read_limited(path, FILE_LIMIT_BYTES))
         text = checked["run"]
         if hashlib.sha256(text.encode()).hexdigest() != checked["sha256"]:
             return None
-        fields: Mapping[str, Sequence[float]] = json.loads(text)
+        fields: Mapping[str, Sequence[float]] = json_of(text.encode())
         tuples = {name: tuple(fields[name]) for name in LISTS}
         return SubsetRun(**{**fields, **tuples})  # type: ignore[arg-type]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

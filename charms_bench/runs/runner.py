@@ -10,6 +10,7 @@ from pathlib import Path
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
@@ -55,6 +56,7 @@ def run(
     notice: Notice = lambda what: None,
     cluster: SimulateAll | None = None,
     on_cell: Callable[[int, CellRows], None] = lambda index, rows: None,
+    shorten: bool = False,
 ) -> FinishedRun:
     """Runs a suite in the folder `output`; finished shards in it are not simulated again.
 
@@ -70,6 +72,7 @@ def run(
         cluster: Simulates the shards on a cluster and not in processes on this machine; see
             `cluster.on_cluster`.
         on_cell: Called for every cell that is finished, with its index and its rows.
+        shorten: Whether finished episodes that the suite no longer has may be deleted.
 
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
@@ -82,6 +85,8 @@ def run(
             for task in tasks.values()
             for name, identity in task.software.agents.items()
         }
+        if not shorten:
+            folder.refuse_to_drop(suite, tasks)
         folder.write_manifest(suite, engine, agents)
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
         for name, path in networks.items():
@@ -153,6 +158,8 @@ def plan_cell(
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks)
+    weights = software.agents[ego.name].get("weights_sha256")
+    driver = f"{weights}.onnx" if is_network(ego.name) else ego.key
     tasks = {}
     for first, episodes in blocks(suite, engine):
         task = ShardTask(
@@ -166,7 +173,7 @@ def plan_cell(
             episodes=episodes,
             software=software,
         )
-        tasks[Shard(index, first, episodes, task.key)] = task
+        tasks[Shard(index, first, episodes, task.key, driver)] = task
     return tasks
 
 

@@ -23,6 +23,8 @@ class Shard:
     episodes: int
     key: str
     """Hash of everything that its rows depend on."""
+    ego: str | None = None
+    """The agent of its ego as driver rows name it; None if only the name of its files is known."""
 
     @property
     def name(self) -> str:

@@ -1,5 +1,6 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
+from contextlib import suppress
 from functools import update_wrapper
 from types import FunctionType
 from typing import Any, TypeVar, cast
@@ -7,21 +8,59 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba import types
+from numba.core.caching import FunctionCache
 from numba.experimental import structref
+
+from charms_bench.errors import InputError
 
 F = TypeVar("F")
 
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # made from the environment
+    raise InputError("NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it")
+
+
+class _Cache(FunctionCache):
+    """numba's cache of a function, in which a damaged file or a full disk does not matter."""
+
+    def load_overload(self, *of: Any) -> Any:
+        """The function as it was compiled; None if it has to be compiled."""
+        try:
+            return super().load_overload(*of)  # type: ignore[no-untyped-call]
+        except Exception:  # a damaged pickle can raise anything
+            with suppress(OSError):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
+
+    def save_overload(self, *of: Any) -> None:
+        """Keeps the compiled function if it can be written."""
+        with suppress(OSError):
+            super().save_overload(*of)  # type: ignore[no-untyped-call]
+
 
 def compiled(function: F) -> F:
-    """Compiles at the first call, caches on disk, releases the GIL; never uses fastmath."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    """Compiles at the first call, caches on disk, releases the GIL; never uses fastmath.
+
+    Raises:
+        InputError: There is no folder for the cache.
+    """
+    return cast(F, _compiled(function))
 
 
 def inlined(function: F) -> F:
     """Compiles like `compiled`, and into each of its callers, so that their loops vectorise."""
-    return cast(
-        F, numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(function)
-    )
+    return cast(F, _compiled(function, forceinline=True))
+
+
+def _compiled(function: Any, forceinline: bool = False) -> Any:
+    found: Any = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
+    try:
+        found._cache = _Cache(function)  # type: ignore[no-untyped-call]  # as `cache=True` does
+    except RuntimeError as error:
+        raise InputError(
+            "compiled code cannot be kept: neither the installed package nor the home folder can "
+            "be written to; set NUMBA_CACHE_DIR to a folder that can"
+        ) from error
+    return found
 
 
 @structref.register

@@ -1,10 +1,12 @@
 """Reads regular files of limited size; writes files so that they appear complete or not at all."""
 
 import errno
+import json
 import os
 import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from charms_bench.errors import InputError, RunFolderError
 
@@ -75,6 +77,37 @@ def read_file(path: Path, limit: int) -> bytes:
         return read_limited(path, limit)
     except OSError as error:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+_CONTAINERS_LIMIT = 2**20
+"""Lists and objects of a JSON text; an empty list takes twenty times its size in memory."""
+
+
+def json_of(data: bytes, **options: Any) -> Any:
+    """The value of a JSON text, which takes at most about ten times its size in memory.
+
+    Args:
+        data: The text.
+        options: See `json.loads`.
+
+    Raises:
+        ValueError: It is not JSON, is nested too deep, or has too many lists and objects.
+    """
+    if data.count(b"[") + data.count(b"{") > _CONTAINERS_LIMIT:
+        raise ValueError(f"it has more than {_CONTAINERS_LIMIT:,} lists and objects")
+    try:
+        return json.loads(data, **options)
+    except RecursionError as error:
+        raise ValueError("it is nested too deep") from error
+
+
+_COMPRESSED = (b"\x1f\x8b", b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x28\xb5\x2f\xfd")
+"""How gzip, zlib and Zstandard begin; polars would decompress a table of these without a limit."""
+
+
+def is_compressed(beginning: bytes) -> bool:
+    """Whether a file that begins like this would be decompressed as a table."""
+    return beginning.startswith(_COMPRESSED)
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

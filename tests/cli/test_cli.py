@@ -402,6 +402,28 @@ def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> N
     assert "━".encode() in seen
 
 
+@pytest.mark.parametrize(
+    ("style", "code"), [(b"text.usetex: True\nfont.size: 40\n", 0), (b"\xff\xfe: [\n", 2)]
+)
+def test_a_style_in_the_current_folder_changes_no_figure(
+    style: bytes, code: int, suite_file: Path
+) -> None:
+    folder = suite_file.parent
+    (folder / "matplotlibrc").write_bytes(style)
+    ran = in_a_process("run", "suite.yaml", "--workers", 1, "--output", "styled", cwd=folder)
+    assert ran.returncode == code
+    if code:
+        assert "error: matplotlibrc: matplotlib cannot read this file" in ran.stderr
+        return
+    (folder / "matplotlibrc").unlink()
+    in_a_process("run", "suite.yaml", "--workers", 1, "--output", "plain", cwd=folder)
+    styled, plain = (
+        (folder / name / "figures" / "small-tradeoff.png").read_bytes()
+        for name in ("styled", "plain")
+    )
+    assert styled == plain
+
+
 def test_a_reader_that_leaves_early_is_no_error() -> None:
     listing = subprocess.run(
         f"{sys.executable} -m charms_bench agents | head -1",

@@ -7,6 +7,15 @@ from pathlib import Path
 from bad_input import BadInput
 from trios import Row, driven, write_trio
 
+HEADER = b"frame,id,x,y,width,height,xVelocity,yVelocity,xAcceleration,yAcceleration,laneId"
+BLOCK = b"\x00\x00\x00\xff\xff"
+"""An empty block of a deflated stream."""
+COMPRESSED = {
+    # The name of the packed file in gzip's head, up to a NUL, holds what looks like a first line.
+    "gzip": b"\x1f\x8b\x08\x08" + bytes(6) + b"," + HEADER + b",\n\x00" + BLOCK * 10,
+    "zlib": b"\x78\x5e," + HEADER + b",\n" + BLOCK * 10,
+}
+
 
 def _recording(folder: Path) -> None:
     write_trio(folder, driven(Row(), 3))
@@ -89,6 +98,10 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "UTF-16": _replaced("tracks", "frame,id".encode("utf-16")),
     "a zip": _replaced("tracks", b"PK\x03\x04" + bytes(1000)),
     "a picture": _replaced("tracksMeta", b"\x89PNG\r\n\x1a\n" + bytes(1000)),
+    **{
+        f"a first line in the head of {name}": _replaced("tracks", content)
+        for name, content in COMPRESSED.items()
+    },
     "a file missing": _special("tracksMeta", lambda path: None),
     "a pipe": _special("tracks", os.mkfifo),
     "a folder": _special("tracks", Path.mkdir),

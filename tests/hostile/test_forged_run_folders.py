@@ -1,5 +1,6 @@
 """Run folders that somebody has edited to deceive: `audit` names the edit, `run` undoes it."""
 
+import gzip
 import hashlib
 import os
 import shutil
@@ -111,6 +112,61 @@ def test_nothing_behind_a_link_is_written_or_deleted(name: str, folder: Path) ->
         assert answer.returncode == 2, answer
         assert f"run/{name}: is a link; expected a file or a folder" in answer.stderr
         assert contents(folder / "outside") == before
+
+
+def test_a_shorter_run_deletes_finished_episodes_only_if_told_to(folder: Path) -> None:
+    before = contents(folder)
+    words = ("run", "suite.yaml", "--workers", 1, "--output", "run", "--episodes", 1)
+    refused = charms_bench(*words, cwd=folder, columns=300)
+    assert refused.returncode == 2
+    assert "has 1 finished shards of a run of 2 episodes, which a run of 1 would" in refused.stderr
+    assert contents(folder) == before
+    assert charms_bench(*words, "--shorten", cwd=folder).returncode == 0
+    assert len(harness.open_run(folder / "run").episodes) == 1
+
+
+def test_rows_of_another_ego_with_fitting_checksums_are_simulated_again(
+    whole: Path, folder: Path
+) -> None:
+    other = SUITE.replace("egos: [{agent: idm_mobil}]", "egos: [{agent: stackelberg}]")
+    (folder / "other.yaml").write_text(other)
+    words = ("run", "other.yaml", "--workers", 1, "--output", "other")
+    assert charms_bench(*words, cwd=folder).returncode == 0
+    (name,), (alien,) = (
+        [path.stem for path in (folder / run / "checksums").iterdir()] for run in ("run", "other")
+    )
+    before, lines = contents(folder), ""
+    for kind in ("episodes", "steps", "drivers", "counts"):
+        data = (folder / "other" / kind / f"{alien}.parquet").read_bytes()
+        (folder / "run" / kind / f"{name}.parquet").write_bytes(data)
+        lines += f"{hashlib.sha256(data).hexdigest()}  {kind}/{name}.parquet\n"
+    sums = folder / "run" / "checksums" / f"{name}.sha256"
+    order = [line.split("/")[0].split()[1] for line in sums.read_text().splitlines()]
+    by_kind = {line.split("/")[0].split()[1]: line for line in lines.splitlines()}
+    sums.write_text("".join(f"{by_kind[kind]}\n" for kind in order))
+    assert continued(folder) == 0
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "tables/small.csv"])
+def test_a_small_file_that_would_take_gigabytes_is_refused(name: str, folder: Path) -> None:
+    bomb = b'{"a": [' + b"[]," * 2**21 + b"[]]}" if name.endswith("json") else gzip.compress(b"1")
+    (folder / "run" / name).write_bytes(bomb)
+    answer = charms_bench("show", "run", cwd=folder, columns=300)
+    assert answer.returncode == 2
+    what = "more than 1,048,576 lists" if name.endswith("json") else "is compressed; expected"
+    assert what in answer.stderr
+
+
+def test_a_folder_whose_name_is_not_utf8_has_the_same_files(whole: Path, tmp_path: Path) -> None:
+    strange = Path(os.fsdecode(os.fsencode(tmp_path) + b"/r\xe9sultats"))
+    strange.mkdir()
+    (strange / "suite.yaml").write_text(SUITE)
+    assert continued(strange) == 0
+    assert contents(strange) == contents(whole)
+    for words in (("show", "run"), ("replay", "run", 0), ("dataset", "run", "--format", "highd")):
+        answer = charms_bench(*words, cwd=strange)
+        assert answer.returncode == 0, (words, answer.stderr)
 
 
 def test_files_that_no_run_wrote_stay(folder: Path) -> None:

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -139,7 +140,28 @@ def test_a_scheduler_that_does_not_answer_is_named(suite_file: Path, tmp_path: P
     run = start(suite_file, tmp_path / "run", "--cluster", "tcp://127.0.0.1:9", connect_s=1)
     code, said = finished(run)
     assert code == 2
-    assert said.startswith("error: no Dask scheduler answers at tcp://127.0.0.1:9: Timed out")
+    assert said.startswith(
+        "error: no Dask scheduler answers at tcp://127.0.0.1:9: OSError: Timed out"
+    )
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"), [(b"", ": silent for 2 s"), (b"HTTP/1.1 400 Bad\r\n", "")]
+)
+def test_a_server_of_another_kind_is_named(
+    answer: bytes, reason: str, suite_file: Path, tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        run = start(suite_file, tmp_path / "run", "--cluster", address, connect_s=1)
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(answer * 100)
+            code, said = finished(run)
+    assert code == 2
+    assert f"error: no Dask scheduler answers at {address}" in said
+    assert reason in said
     assert "Traceback" not in said
 
 

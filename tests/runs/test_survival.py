@@ -96,10 +96,15 @@ def suite_file(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("kills", "episodes"), [(2, 50), pytest.param(50, 300, marks=pytest.mark.slow)]
+    ("kills", "episodes", "workers"),
+    [
+        (2, 50, 1),
+        pytest.param(50, 300, 1, marks=pytest.mark.slow),
+        pytest.param(20, 300, 2, marks=pytest.mark.slow),
+    ],
 )
 def test_killed_at_random_moments_a_run_ends_as_if_nothing_had_happened(
-    tmp_path: Path, suite_file: Path, kills: int, episodes: int
+    tmp_path: Path, suite_file: Path, kills: int, episodes: int, workers: int
 ) -> None:
     suite_file.write_text(SUITE.replace("EPISODES", str(episodes)))
     assert ended(start(suite_file, tmp_path / "undisturbed"))[0] == 0
@@ -107,7 +112,7 @@ def test_killed_at_random_moments_a_run_ends_as_if_nothing_had_happened(
     rng, killed = random.Random(0), tmp_path / "killed"
     for kill in range(kills):
         print(f"kill {kill}: {finished_shards(killed)} of {shards} shards")
-        victim = start(suite_file, killed)
+        victim = start(suite_file, killed, "--workers", workers)
         more = rng.randint(0, 2 * shards // kills - 2)
         wait_for_shards(victim, killed, min(finished_shards(killed) + more, shards))
         # A first one may hit the start, or a shard half written; workers are killed or orphaned.

@@ -1,14 +1,20 @@
 """Compiled functions of a scene: they see the arrays of the scene that they are given."""
 
 import gc
+import os
 import pickle
+import subprocess
+import sys
 import weakref
 from copy import deepcopy
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.caching import CacheImpl, CompileResultCacheImpl
 
-from charms_bench.world.compiled import compiled_of_scenes
+from charms_bench.errors import InputError
+from charms_bench.world.compiled import compiled, compiled_of_scenes
 from charms_bench.world.scene import Floats, Scene, SceneSettings
 
 
@@ -73,3 +79,67 @@ def test_nothing_can_be_set_on_a_scene() -> None:
         with pytest.raises(AttributeError):
             setattr(scene, name, other.unpacked)
     assert _sum(scene, np.zeros(1), 1.0) == 4
+
+
+SUM = """\
+from charms_bench.world.compiled import compiled
+
+@compiled
+def total(count):
+    found = 0
+    for each in range(count):
+        found += each
+    return found
+
+print(total(5))
+"""
+
+
+def _run(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Runs a program that compiles a function, whose cache is in `folder`."""
+    (folder / "program.py").write_text(SUM)
+    return subprocess.run(
+        [sys.executable, folder / "program.py"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache"), **environment},
+    )
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("length", [0, 40])
+def test_a_damaged_file_of_the_cache_is_compiled_again(
+    tmp_path: Path, ending: str, length: int
+) -> None:
+    assert _run(tmp_path).stdout == "10\n"
+    (file,) = (tmp_path / "cache").rglob(f"*.{ending}")
+    whole = len(file.read_bytes())
+    file.write_bytes(file.read_bytes()[:length])
+    again = _run(tmp_path)
+    assert (again.stdout, again.stderr) == ("10\n", "")
+    assert len(file.read_bytes()) == whole
+
+
+def test_a_cache_that_cannot_be_written_does_not_end_the_program(tmp_path: Path) -> None:
+    full = "import numba.core.caching as c, os\ndef full(*of): raise OSError(28, os.strerror(28))\n"
+    (tmp_path / "program.py").write_text(f"{full}c.IndexDataCacheFile._save_index = full\n{SUM}")
+    ran = subprocess.run(
+        [sys.executable, tmp_path / "program.py"],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+    )
+    assert (ran.stdout, ran.stderr) == ("10\n", "")
+
+
+def test_an_engine_that_may_not_be_compiled_names_the_variable(tmp_path: Path) -> None:
+    assert "NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it" in (
+        _run(tmp_path, NUMBA_DISABLE_JIT="1").stderr
+    )
+
+
+def test_code_that_cannot_be_kept_names_the_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CacheImpl, "_locator_classes", [])
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    with pytest.raises(InputError, match="set NUMBA_CACHE_DIR to a folder that can"):
+        compiled(lambda: 0)

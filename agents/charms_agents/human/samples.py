@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated
 
@@ -21,12 +22,13 @@ from pydantic import Field
 from charms_agents.human.drivers import drivers, moments
 from charms_agents.human.labels import Labels, lateral_intents, longitudinal_intents, soft_labels
 from charms_bench.errors import DataError
+from charms_bench.people.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
 from charms_bench.people.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.people.situations import LANES, situations
 from charms_bench.people.survey import Learnable
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.fields import FrozenModel, NonNegative
-from charms_bench.world.files import write_atomically
+from charms_bench.world.files import read_limited, write_bytes
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Bools, Observations
 
@@ -123,11 +125,16 @@ class SampleStore:
         path = self.path
         if not path.exists():
             samples = collect(self.recordings, self.settings, self.observation)
-            write_atomically(path, _table(samples).write_parquet)
+            written = BytesIO()
+            _table(samples).write_parquet(written)
+            write_bytes(path, written.getvalue())
         try:
-            table = pl.read_parquet(path, glob=False)
-            if table.schema != _SAMPLES:
-                raise DataError(f"{path}: holds other columns; delete it and try again")
+            content = BytesIO(read_limited(path, SIZE_LIMIT_BYTES))
+            table = pl.scan_parquet(content).head(ROW_LIMIT + 1).collect()
+            if table.schema != _SAMPLES or table.height > ROW_LIMIT:
+                raise DataError(
+                    f"{path}: holds other columns or too many rows; delete it and try again"
+                )
             return Samples(
                 observations=table["observation"].to_numpy().reshape(-1, 7, 5),
                 labels=table["label"].to_numpy(),
