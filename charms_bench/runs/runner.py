@@ -158,8 +158,9 @@ def plan_cell(
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks)
-    weights = software.agents[ego.name].get("weights_sha256")
-    driver = f"{weights}.onnx" if is_network(ego.name) else ego.key
+    driver = ego.key
+    if is_network(ego.name):
+        driver = f"{software.agents[ego.name]['weights_sha256']}.onnx"
     tasks = {}
     for first, episodes in blocks(suite, engine):
         task = ShardTask(

@@ -5,13 +5,14 @@ checksum, and `audit` simulates only some shards again. These checks are quick, 
 checked whenever it is read.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
+from math import isfinite
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import polars as pl
-import polars.selectors as cs
 
 from charms_bench.engine.columns import DRIVER_KEYS, SCHEMAS
 from charms_bench.errors import RunFolderError
@@ -55,24 +56,22 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     """
     schema = SCHEMAS[kind]
     try:
-        rows = pl.scan_parquet(BytesIO(data))
-        found = rows.collect_schema()
-        wrong = [name for name in schema if found.get(name) != schema[name]]
-        if not wrong:
-            # Later versions may add columns.
-            read = rows.select(schema.names()).head(ROWS_LIMIT + 1).collect()
-            problem = (
-                problem_of(kind, read, shard.first_seed, shard.episodes)
-                if len(read) <= ROWS_LIMIT
-                else f"holds more than {ROWS_LIMIT:,} rows"
-            )
-            if not problem:
-                return read
-        else:
-            problem = f"the columns {', '.join(wrong)} are missing or have other types"
-    except pl.exceptions.PolarsError as error:
+        # Later versions may add columns.
+        rows = pl.read_parquet(BytesIO(data), columns=schema.names(), n_rows=ROWS_LIMIT + 1)
+        wrong = [name for name in schema if rows.schema[name] != schema[name]]
+    except pl.exceptions.ColumnNotFoundError:
+        wrong = [name for name in schema if name not in pl.read_parquet_schema(BytesIO(data))]
+    except (pl.exceptions.PolarsError, OSError) as error:
         raise RunFolderError(f"{path}: is not a Parquet file; run the suite again") from error
-    raise RunFolderError(f"{path}: {problem}; run the suite again")
+    if wrong:
+        problem = f"the columns {', '.join(wrong)} are missing or have other types"
+    elif len(rows) > ROWS_LIMIT:
+        problem = f"holds more than {ROWS_LIMIT:,} rows"
+    else:
+        problem = problem_of(kind, rows, shard.first_seed, shard.episodes)
+    if problem:
+        raise RunFolderError(f"{path}: {problem}; run the suite again")
+    return rows
 
 
 def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
@@ -99,35 +98,42 @@ def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) ->
         episodes: The number of its episodes; the next episodes have the next seeds.
     """
     last = first_seed + episodes - 1
-    keys = rows.select(_KEYS[kind])
-    wrong = {
-        f"an episode is not one of {first_seed} to {last}": ~pl.col("episode").is_between(
-            first_seed, last
-        ),
-        "a value is missing": pl.any_horizontal(pl.col(_WITHOUT_NULL[kind]).is_null()),
-        "a number is not finite": ~pl.all_horizontal(cs.float().is_finite()),
-        "a number is negative": pl.any_horizontal(cs.signed_integer() < 0),
-    }
+    if not rows["episode"].is_between(first_seed, last).all():
+        return f"an episode is not one of {first_seed} to {last}"
+    if any(rows[name].null_count() for name in _WITHOUT_NULL[kind]):
+        return "a value is missing"
+    for name, column in zip(rows.columns, rows, strict=True):
+        # A sum is quicker than looking at every number, and finite only if all of these are.
+        if column.dtype.is_float() and not isfinite(column.sum()):
+            return f"{name}: a number is not finite"
+        is_signed = column.dtype.is_signed_integer() or (kind == "drivers" and name.endswith("_s"))
+        if is_signed and cast(float, column.min() or 0) < 0:
+            return f"{name}: a number is negative"
     for part, whole in _PARTS.get(kind, ()):
-        wrong[f"{part} is larger than {whole}"] = pl.col(part) > pl.col(whole)
-    if kind == "episodes":
-        wrong[f"an ending is not one of {', '.join(ENDINGS)}"] = ~pl.col("ending").is_in(ENDINGS)
-    if kind == "drivers":
-        wrong["a time is negative"] = pl.any_horizontal(cs.ends_with("_s") & cs.float() < 0)
-        wrong["an agent has control characters"] = pl.col("agent").str.contains(r"\p{Cc}")
-    if kind == "counts":
-        wrong[f"a quantity is not one of {', '.join(QUANTITIES)}"] = ~pl.col("quantity").is_in(
-            QUANTITIES
-        )
-        wrong[f"a bin is not below {BINS}"] = pl.col("bin") >= BINS
-    found = rows.select(each.any().alias(what) for what, each in wrong.items()).row(0, named=True)
-    if what := next((what for what, is_wrong in found.items() if is_wrong), ""):
-        return what
+        if (rows[part] > rows[whole]).any():
+            return f"{part} is larger than {whole}"
+    if kind == "episodes" and not rows["ending"].is_in(ENDINGS).all():
+        return f"an ending is not one of {', '.join(ENDINGS)}"
+    if kind == "drivers" and rows["agent"].str.contains(r"\p{Cc}").any():
+        return "an agent has control characters"
+    if kind == "counts" and not rows["quantity"].is_in(QUANTITIES).all():
+        return f"a quantity is not one of {', '.join(QUANTITIES)}"
+    if kind == "counts" and (rows["bin"] >= BINS).any():
+        return f"a bin is not below {BINS}"
     if kind == "episodes" and len(rows) != episodes:
         return f"it has {len(rows)} of the {episodes} episodes {first_seed} to {last}"
-    if not keys.equals(keys.unique().sort(keys.columns)):
-        return f"its rows are not in order of {', '.join(keys.columns)}, or two have the same"
+    if not _is_in_order(rows, _KEYS[kind]):
+        return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
     return ""
+
+
+def _is_in_order(rows: pl.DataFrame, keys: Sequence[str]) -> bool:
+    """Whether every row comes after the one before it; keys further to the left decide first."""
+    comes_after = pl.lit(False)
+    for key in reversed(keys):
+        before = pl.col(key).shift()
+        comes_after = (pl.col(key) > before) | ((pl.col(key) == before) & comes_after)
+    return bool(rows.select(comes_after.slice(1).all()).item())
 
 
 def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
@@ -149,10 +155,17 @@ def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) ->
 
 
 def problem_of_steps(episodes: pl.DataFrame, steps: pl.DataFrame) -> str:
-    """Returns where step rows are not those of their episode rows; empty if nowhere."""
-    counted = steps.group_by("episode").agg(found=pl.len(), last=pl.col("step").max())
-    both = episodes.select("episode", "steps").join(counted, on="episode", how="left")
-    is_same = (pl.col("steps") == pl.col("found")) & (pl.col("steps") == pl.col("last"))
-    for episode, said, found, _ in both.filter(~is_same.fill_null(False)).iter_rows():
-        return f"episode {episode} has {said} steps, but there are {found or 0} step rows"
+    """Returns where step rows are not those of their episode rows; empty if nowhere.
+
+    Args:
+        episodes: Their columns `episode` and `steps` are read.
+        steps: In the order of their episodes and steps.
+    """
+    seeds, first, rows = np.unique(steps["episode"], return_index=True, return_counts=True)
+    last = steps["step"].to_numpy()[first + rows - 1]
+    found = dict(zip(seeds.tolist(), zip(rows.tolist(), last.tolist(), strict=True), strict=True))
+    for episode, said in episodes.select("episode", "steps").iter_rows():
+        if found.get(episode) != (said, said):
+            there = found.get(episode, (0, 0))[0]
+            return f"episode {episode} has {said} steps, but there are {there} step rows"
     return ""
