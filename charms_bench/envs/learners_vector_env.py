@@ -12,9 +12,10 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
-from charms_bench.envs.vector_env import final_infos, spaces_of
+from charms_bench.envs.vector_env import final_infos, mask_infos, spaces_of
 from charms_bench.errors import InputError
-from charms_bench.world.actions import Actions
+from charms_bench.world.action_mask import ActionMasks, action_masks
+from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import (
     EVALUATION_SEEDS,
@@ -101,6 +102,9 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
             seed: The first scene's seed; None continues with the next unused seed.
             options: There are none.
 
+        Returns:
+            Observations and infos, which have the `action_mask`; see `step`.
+
         Raises:
             InputError: There is an option.
         """
@@ -110,15 +114,17 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         if seed is not None:
             self._next_seed = seed
         self._start(np.arange(len(self._learners.alive)))
-        return self._observe(self._learners.vehicles, self._learners.alive), {}
+        observations = self._observe(self._learners.vehicles, self._learners.alive)
+        return observations, mask_infos(self._masks())
 
     def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the learners' actions (B L,) for one decision interval.
 
         Returns:
             Observations (B L, rows, columns), rewards (B L,), terminations (B L,), truncations
-            (B L,), and infos. These have the `final_obs` and the `final_info` of the learners whose
-            episodes ended: `ending` (an index into `engine.simulation.ENDINGS`), `steps`,
+            (B L,), and infos. These have the `action_mask` (B L, 5) of the next step; see
+            `world.action_mask`. They also have the `final_obs` and the `final_info` of the learners
+            whose episodes ended: `ending` (an index into `engine.simulation.ENDINGS`), `steps`,
             `episode_return` and the scene's `seed`.
         """
         learners = self._learners
@@ -144,7 +150,18 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
                 new = self._observation(simulation.scene, started).reshape(shape)
                 observations.reshape(*drove.shape, *shape[2:])[rows] = new
         flat = (outcome.rewards.ravel(), outcome.terminated.ravel(), outcome.truncated.ravel())
-        return observations, *flat, infos
+        return observations, *flat, infos | mask_infos(self._masks())
+
+    def action_masks(self) -> Bools:
+        """The action masks (B L, 5), as sb3-contrib's `MaskablePPO` asks for them."""
+        return self._masks().astype(np.bool_)
+
+    def _masks(self) -> ActionMasks:
+        """The action masks (B L, 5); all 1 for learners that do not drive any more."""
+        alive = self._learners.alive.ravel()
+        masks = np.ones((alive.size, len(ACTIONS)), dtype=np.int8)
+        masks[alive] = action_masks(self.simulation.scene, self._learners.vehicles)
+        return masks
 
     def _start(self, rows: Ints) -> None:
         seeds = np.arange(self._next_seed, self._next_seed + rows.size, dtype=np.uint64)

@@ -11,9 +11,10 @@ from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.vector_env import spaces_of
 from charms_bench.errors import InputError
+from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import ObservationLike, observation_of
-from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations
+from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations, Vehicles
 
 try:
     from pettingzoo import ParallelEnv
@@ -97,7 +98,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
-        """Starts an episode; every agent's info contains its seed.
+        """Starts an episode; every agent's info contains its `seed` and its `action_mask`.
 
         Args:
             seed: The episode's seed; None draws one.
@@ -114,14 +115,17 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
         self.agents = self.possible_agents.copy()
-        return self._observe(), {agent: {"seed": seed} for agent in self.agents}
+        return self._observe(), {
+            agent: {"seed": seed, **info} for agent, info in self._masks().items()
+        }
 
     def step(self, actions: Mapping[str, int]) -> Step:
         """Carries out the actions of all agents for one decision interval.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos of the agents that acted. The
-            last info of an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
+            Observations, rewards, terminations, truncations and infos of the agents that acted. An
+            info contains the agent's `action_mask` (5,); see `world.action_mask`. The last info of
+            an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
 
         Raises:
             InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
@@ -131,11 +135,11 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         outcome = self._learners.step(self._checked(actions))
         acted, observations = self.agents, self._observe()
         rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
+        infos = self._masks()
         for agent in acted:
             if endings[self._place[agent]] != RUNNING:
                 infos[agent]["ending"] = ENDINGS[endings[self._place[agent]]]
-        self.agents = [agent for agent in acted if not infos[agent]]
+        self.agents = [agent for agent in acted if "ending" not in infos[agent]]
         return (
             observations,
             {agent: rewards[self._place[agent]] for agent in acted},
@@ -163,7 +167,17 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     def _observe(self) -> dict[str, Observations]:
         """The observations of `agents`."""
-        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
-        vehicles = (np.zeros_like(places), places)
-        seen = self._observation(self.simulation.scene, vehicles)
+        seen = self._observation(self.simulation.scene, self._vehicles())
         return dict(zip(self.agents, seen, strict=True))
+
+    def _masks(self) -> dict[str, dict[str, Any]]:
+        """The infos of `agents` with their action masks."""
+        masks = action_masks(self.simulation.scene, self._vehicles())
+        return {
+            agent: {"action_mask": mask} for agent, mask in zip(self.agents, masks, strict=True)
+        }
+
+    def _vehicles(self) -> Vehicles:
+        """The vehicles of `agents`."""
+        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
+        return np.zeros_like(places), places
