@@ -91,6 +91,17 @@ class Run:
 
         return printed(self.table, self.suite.columns)
 
+    def remarks(self, agent: str | None = None, traffic: str | None = None) -> list[str]:
+        """What the tables do not show: egos that often command lanes that do not exist.
+
+        Args:
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default the first of each ego.
+        """
+        from charms_bench.report.remarks import remarks
+
+        return remarks(self._finished, agent, traffic)
+
     @property
     def files(self) -> list[Path]:
         """The tables and figures in the folder that people read."""

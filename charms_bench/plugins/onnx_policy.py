@@ -79,13 +79,12 @@ class OnnxPolicy(Policy):
         if found.metadata.get("actions") == "continuous":
             self.actions = "continuous"
         self._outputs = outputs_of(self.actions)
+        shape = self.observation.shape
+        self._rows = shape[0]
+        self._input, self._shape = _input(self.path, found, shape, self._outputs)
         self._takes_mask = inputs_of(found)[1]
         if self._takes_mask:
-            self.observation = _without_mask(self.path, self.observation, self.actions)
-        shape = self.observation.shape
-        self._input, self._shape = _input(self.path, found, shape, self._outputs)
-        if self._takes_mask:
-            self.observation = self.observation.model_copy(update={"action_mask": True})
+            self.observation = _with_mask(self.path, self.observation, self.actions)
         if decision_hz is None:
             decision_hz = _decision_hz(self.path, found.metadata.get("decision_hz", "3"))
         self.decision_hz = decision_hz
@@ -125,8 +124,7 @@ class OnnxPolicy(Policy):
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _values(self, observations: Observations) -> NDArray[np.float32]:
-        seen = observations[:, :ACTION_MASK] if self._takes_mask else observations
-        inputs = {self._input: seen.reshape(-1, *self._shape)}
+        inputs = {self._input: observations[:, : self._rows].reshape(-1, *self._shape)}
         if self._takes_mask:
             inputs[MASK_INPUT] = observations[:, ACTION_MASK]
         try:
@@ -138,14 +136,14 @@ class OnnxPolicy(Policy):
         return type(self), (self.path, self.decision_hz)
 
 
-def _without_mask(path: Path, seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
+def _with_mask(path: Path, seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
     """The observation of a network that receives the action mask as an input of its own."""
     if isinstance(seen, Kinematics) or kind != "meta":
         raise ModelError(
             f"{path}: has the input {MASK_INPUT}, which a network has with meta-actions and the "
             "observation neighbours or paper_neighbours only; put the mask into the network instead"
         )
-    return seen.model_copy(update={"action_mask": False})
+    return seen.model_copy(update={"action_mask": True})
 
 
 def _made_by(path: Path) -> str:
