@@ -14,6 +14,7 @@ from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import (
     HighwayVectorEnv,
     Reward,
@@ -93,6 +94,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: There is another option, or the state does not fit.
         """
+        warn_of_torch_threads()
         super().reset(seed=seed)
         if (state := state_in(options)) is not None:
             seed = int(state.seeds[0])
@@ -133,7 +135,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
     def action_masks(self) -> Bools:
         """The ego's action mask (5,), as sb3-contrib's `MaskablePPO` asks for it."""
         masks = action_masks(self.simulation.scene, self.simulation.ego_vehicles)
-        return masks[0].astype(np.bool_)
+        return np.asarray(masks[0], dtype=np.bool_)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as animations of replays draw it, (height, width, 3), if asked for.

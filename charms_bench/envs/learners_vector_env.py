@@ -12,6 +12,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import final_infos, mask_infos, spaces_of
 from charms_bench.errors import InputError
 from charms_bench.world.action_mask import ActionMasks, action_masks
@@ -108,6 +109,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         Raises:
             InputError: There is an option.
         """
+        warn_of_torch_threads()
         super().reset(seed=seed)
         if options:
             raise InputError(f"reset takes no options, got {', '.join(map(str, options))}")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
@@ -217,6 +218,7 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         Raises:
             InputError: There is another option, or the state does not fit.
         """
+        warn_of_torch_threads()
         super().reset(seed=seed)
         if seed is not None:
             self._next_seed = seed

@@ -196,7 +196,7 @@ def _serialised(
     valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", size])
     inputs = [seen]
     if masked:
-        wide = ["batch", len(ACTIONS)]
+        wide: list[str | int | None] = ["batch", len(ACTIONS)]
         inputs.append(helper.make_tensor_value_info(MASK_INPUT, TensorProto.FLOAT, wide))
         constants = {"one": 1.0, "masked": MASKED}
         tensors += [
