@@ -12,6 +12,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import final_infos, mask_infos, spaces_of
 from charms_bench.errors import InputError
@@ -47,6 +48,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The learners' observation; see `charms_bench.world.observations`.
+        render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
@@ -56,7 +58,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
         "autoreset_mode": AutoresetMode.SAME_STEP,
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
     }
 
     def __init__(
@@ -66,6 +68,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         traffic: TrafficLike = "idm_mobil",
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
+        render_mode: str | None = None,
         **scene: Any,
     ) -> None:
         settings = scene_settings(scene, "LearnersVectorEnv")
@@ -78,6 +81,9 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._next_seed = EVALUATION_SEEDS
+        self._renderer = Renderer(self.simulation, render_mode, "LearnersVectorEnv")
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
 
     @property
     def learners(self) -> tuple[int, ...]:
@@ -116,6 +122,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         if seed is not None:
             self._next_seed = seed
         self._start(np.arange(len(self._learners.alive)))
+        self._renderer.show()
         observations = self._observe(self._learners.vehicles, self._learners.alive)
         return observations, mask_infos(self._masks())
 
@@ -132,6 +139,7 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         learners = self._learners
         simulation, vehicles, drove = self.simulation, learners.vehicles, learners.alive.copy()
         outcome = learners.step(np.reshape(actions, drove.shape))
+        self._renderer.show()
         observations = self._observe(vehicles, drove)
         infos: dict[str, Any] = {}
         ended = (outcome.terminated | outcome.truncated).ravel()
@@ -153,6 +161,18 @@ class LearnersVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
                 observations.reshape(*drove.shape, *shape[2:])[rows] = new
         flat = (outcome.rewards.ravel(), outcome.terminated.ravel(), outcome.truncated.ravel())
         return observations, *flat, infos | mask_infos(self._masks())
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The B scenes around their egos, each (height, width, 3); see `HighwayVectorEnv.render`.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        return self._renderer.render()
+
+    def close_extras(self, **_: Any) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def action_masks(self) -> Bools:
         """The action masks (B L, 5), as sb3-contrib's `MaskablePPO` asks for them."""

@@ -4,11 +4,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.vector_env import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.world.action_mask import action_masks
@@ -48,6 +50,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The agents' observation; see `charms_bench.world.observations`.
+        render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
@@ -57,7 +60,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # pettingzoo's declaration
         "name": "charms_bench_many_learners_v0",
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
 
@@ -67,12 +70,15 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         traffic: TrafficLike = "idm_mobil",
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
+        render_mode: str | None = None,
         **scene: Any,
     ) -> None:
         settings = scene_settings(scene, "HighwayParallelEnv")
         self._learners = Learners(settings, 1, learners, *drivers_of(traffic), reward)
         self._observation = observation_of(observation)
-        self.render_mode = None
+        self._renderer = Renderer(self.simulation, render_mode, "HighwayParallelEnv")
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
         self.agents: list[str] = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
@@ -115,6 +121,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
         self.agents = self.possible_agents.copy()
+        self._renderer.show()
         return self._observe(), {
             agent: {"seed": seed, **info} for agent, info in self._masks().items()
         }
@@ -133,6 +140,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self._learners.step(self._checked(actions))
+        self._renderer.show()
         acted, observations = self.agents, self._observe()
         rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
         infos = self._masks()
@@ -147,6 +155,22 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             {agent: truncated[self._place[agent]] for agent in acted},
             infos,
         )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene around `vehicle_0` as animations of replays draw it, (height, width, 3).
+
+        In the render mode `human`, `reset` and `step` show the scene in a window after each
+        decision, in real time, and nothing is returned.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        frames = self._renderer.render()
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def _checked(self, actions: Mapping[str, int]) -> Ints:
         """The actions [1, L]; those of agents that have left are 0."""

@@ -10,8 +10,8 @@ def warn_of_torch_threads() -> None:
     Networks for these observations are small. With several threads, torch spends most of the time
     on handing out work, and each thread takes a core that the environment needs.
     """
-    torch = sys.modules.get("torch")
-    threads = torch.get_num_threads() if hasattr(torch, "get_num_threads") else 1
+    count = getattr(sys.modules.get("torch"), "get_num_threads", None)  # None while it is imported
+    threads = count() if count else 1
     if threads > 1 and not _warned:
         _warned.append(threads)
         warnings.warn(
