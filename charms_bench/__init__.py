@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from charms_bench.api import open_run as open_run
     from charms_bench.api import open_training as open_training
     from charms_bench.api import rare as rare
+    from charms_bench.api import references as references
     from charms_bench.api import run as run
     from charms_bench.api import search as search
     from charms_bench.api import train as train
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Rare Run audit open_run open_training rare run search train",
+    "api": "Rare Run audit open_run open_training rare references run search train",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",

@@ -111,7 +111,8 @@ def named(error: BaseException) -> str:
 
 def suggestion(name: str, known: Mapping[str, object]) -> str:
     """The known names, and the one that a misspelt name probably means."""
-    close = get_close_matches(name, known, n=1)
+    longer = [each for each in known if name and each.startswith(f"{name}_")]
+    close = longer or get_close_matches(name, known, n=1)
     hint = f" Did you mean '{close[0]}'?" if close else ""
     return f"Known: {', '.join(known) or 'none'}.{hint}"
 

@@ -31,6 +31,15 @@ class Rare:
     """One row per independent run: `agent`, `traffic`, `run`, `probability`, `episodes`, and the
     lists `thresholds`, `shares` and `acceptance` of its levels. A pilot has no row."""
 
+    def __repr__(self) -> str:
+        return f"<Rare {self.path}: {len(self.table.rows)} cells, {self.runs.height} runs>"
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{self.table}"
+
+    def _repr_html_(self) -> str:
+        return self.table._repr_html_()
+
     @property
     def files(self) -> list[Path]:
         """The tables in the folder that people read."""

@@ -91,6 +91,17 @@ class Run:
 
         return printed(self.table, self.suite.columns)
 
+    def remarks(self, agent: str | None = None, traffic: str | None = None) -> list[str]:
+        """What the tables do not show: egos that often command lanes that do not exist.
+
+        Args:
+            agent: Label of the ego; by default all.
+            traffic: Label of the traffic; by default the first of each ego.
+        """
+        from charms_bench.report.remarks import remarks
+
+        return remarks(self._finished, agent, traffic)
+
     @property
     def files(self) -> list[Path]:
         """The tables and figures in the folder that people read."""
@@ -160,6 +171,7 @@ class Run:
             InputError: The kind is unknown.
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
+        from charms_bench.api.shown import Lines
         from charms_bench.episodes.criticality import IS_OF_KIND
         from charms_bench.episodes.edge_cases import edge_cases
         from charms_bench.episodes.recorded_cell import find_cells
@@ -168,7 +180,7 @@ class Run:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
         cells = find_cells(self._finished, self._suite_folder, agent, traffic)
-        return edge_cases(cells, top, kind)
+        return Lines(edge_cases(cells, top, kind))
 
     def replay(
         self, episode: int, agent: str | None = None, traffic: str | None = None
@@ -184,11 +196,12 @@ class Run:
             InputError: The labels leave several episodes.
             RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
         """
+        from charms_bench.api.shown import ShownReplay
         from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.replay import replay
 
         cell = find_cell(self._finished, self._suite_folder, agent, traffic)
-        return replay(cell, [episode])[0]
+        return ShownReplay.of(replay(cell, [episode])[0])
 
     def dataset(
         self,
@@ -250,11 +263,12 @@ class Run:
                 episodes.
             RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
         """
+        from charms_bench.api.shown import ShownWhatIf
         from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.what_if import what_if
 
         cell = find_cell(self._finished, self._suite_folder, ego, traffic, "ego and traffic")
-        return what_if(cell, episode, step, agent, vehicle)
+        return ShownWhatIf.of(what_if(cell, episode, step, agent, vehicle))
 
     def avoidability(
         self,
@@ -275,6 +289,7 @@ class Run:
             InputError: An episode does not end with a collision, or the labels leave several.
             RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
+        from charms_bench.api.shown import Lines
         from charms_bench.episodes.avoidability import BUDGET, avoidability, collisions
         from charms_bench.episodes.recorded_cell import find_cell, find_cells
 
@@ -292,7 +307,7 @@ class Run:
                     tell(title, count)
 
                 found += avoidability(cell, seeds, budget or BUDGET, tell=done)
-        return found
+        return Lines(found)
 
     def audit(
         self, shards: int | None = 10, seed: int | None = None, workers: int | None = None

@@ -14,7 +14,7 @@ from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
-from charms_bench.cli import evaluations, rare, episodes, plugins, engines, data, dataset  # isort: skip # noqa: F401
+from charms_bench.cli import evaluations, rare, episodes, watching, plugins, engines, data, dataset  # isort: skip # noqa: F401
 
 MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""

@@ -69,6 +69,8 @@ def edge_cases(
         return
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
     print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
+    for remark in opened.remarks(agent, traffic):
+        say(remark)
 
 
 def _print_avoidability(

@@ -1,6 +1,7 @@
 """`run`, `show`, `compare`, `rescore`, `report` and `audit`: suites and their runs."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,7 +21,7 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, RunFolderError
 
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
@@ -180,6 +181,9 @@ def show(
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
+    with suppress(RunFolderError):  # tables are shown even where their rows are missing
+        if remarks := api.open_run(run).remarks():
+            say("\n".join(["", *remarks]))
 
 
 def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:

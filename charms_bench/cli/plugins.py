@@ -104,8 +104,10 @@ def check(
 
     The exit code is 1 if the plugin breaks a rule.
     """
+    from charms_bench.metrics.missing_lanes import MEANING
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
+    from charms_bench.testing.driving import remark_on
 
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
     rules = traffic_rules(make_traffic(name)) if is_traffic else agent_rules(make_agent(name))
@@ -121,8 +123,11 @@ def check(
         if not as_json:
             out().print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
             say(f"{title}: {problem}" if problem else title)
+    remark = "" if is_traffic or any(each["problem"] for each in results) else remark_on(name)
     if as_json:
         print_json(results)
+    elif remark:
+        say(f"remark {remark}. {MEANING}")
     if any(result["problem"] for result in results):
         raise typer.Exit(1)
 

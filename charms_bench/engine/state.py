@@ -71,6 +71,11 @@ class SceneState:
     impact_y: Floats
     impact: Bools
 
+    def __repr__(self) -> str:
+        scenes, vehicles = self.x.shape
+        decisions = ", ".join(map(str, self.steps[:8])) + ", ..." * (scenes > 8)
+        return f"<SceneState: {scenes} scenes x {vehicles} vehicles, after decisions {decisions}>"
+
     def __len__(self) -> int:
         return self.seeds.size
 

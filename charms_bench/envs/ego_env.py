@@ -14,6 +14,7 @@ from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import (
     HighwayVectorEnv,
     Reward,
@@ -26,9 +27,10 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
+from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import ACTION_KINDS, ActionKind
 from charms_bench.world.observations import ObservationLike, observation_of
-from charms_bench.world.scene import EVALUATION_SEEDS, Observations, SceneSettings
+from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
 TrafficLike = str | Mapping[str, float] | Traffic
 """A traffic, the name of a traffic or of an agent, or shares of agents. The path of an ONNX file is
@@ -83,7 +85,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Starts an episode; the info contains its seed.
+        """Starts an episode; the info contains its `seed` and, with meta-actions, the action mask.
 
         Args:
             seed: The episode's seed; None draws one.
@@ -92,6 +94,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: There is another option, or the state does not fit.
         """
+        warn_of_torch_threads()
         super().reset(seed=seed)
         if (state := state_in(options)) is not None:
             seed = int(state.seeds[0])
@@ -101,7 +104,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
                 seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
             self.simulation.reset(np.array([seed], dtype=np.uint64))
         self._renderer.show()
-        return self._observe(), {"seed": seed}
+        return self._observe(), {"seed": seed, **self._mask()}
 
     def step(
         self, action: np.int64 | int | NDArray[np.floating]
@@ -109,8 +112,10 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         """Carries out the ego's action for one decision interval.
 
         Returns:
-            Observation, reward, terminated, truncated, and the info. The info of the last step
-            contains the `ending`, one of `engine.simulation.ENDINGS`.
+            Observation, reward, terminated, truncated, and the info. With meta-actions, the info
+            contains the `action_mask` (5,) of the next step, which `action_space.sample` takes; see
+            `world.action_mask`. The info of the last step contains the `ending`, one of
+            `engine.simulation.ENDINGS`.
 
         Raises:
             InputError: The action is not one of `action_space`.
@@ -121,9 +126,16 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         self.simulation.step(actions)
         reward = float(self._reward(self.simulation, prepared)[0])
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
-        info = {"ending": ENDINGS[self.simulation.ending[0]]} if failed or truncated else {}
+        info = self._mask()
+        if failed or truncated:
+            info["ending"] = ENDINGS[self.simulation.ending[0]]
         self._renderer.show()
         return self._observe(), reward, failed, truncated, info
+
+    def action_masks(self) -> Bools:
+        """The ego's action mask (5,), as sb3-contrib's `MaskablePPO` asks for it."""
+        masks = action_masks(self.simulation.scene, self.simulation.ego_vehicles)
+        return np.asarray(masks[0], dtype=np.bool_)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as animations of replays draw it, (height, width, 3), if asked for.
@@ -157,6 +169,12 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
     def _observe(self) -> Observations:
         scene, ego = self.simulation.scene, self.simulation.ego_vehicles
         return np.asarray(self._observation(scene, ego)[0])
+
+    def _mask(self) -> dict[str, Any]:
+        """The action mask for the info; continuous actions have none."""
+        if self._kind != "meta":
+            return {}
+        return {"action_mask": action_masks(self.simulation.scene, self.simulation.ego_vehicles)[0]}
 
 
 def ego_vector_env(

@@ -4,16 +4,19 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.vector_env import spaces_of
 from charms_bench.errors import InputError
+from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import ObservationLike, observation_of
-from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations
+from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations, Vehicles
 
 try:
     from pettingzoo import ParallelEnv
@@ -47,6 +50,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The agents' observation; see `charms_bench.world.observations`.
+        render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
@@ -56,7 +60,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # pettingzoo's declaration
         "name": "charms_bench_many_learners_v0",
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
 
@@ -66,12 +70,15 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         traffic: TrafficLike = "idm_mobil",
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
+        render_mode: str | None = None,
         **scene: Any,
     ) -> None:
         settings = scene_settings(scene, "HighwayParallelEnv")
         self._learners = Learners(settings, 1, learners, *drivers_of(traffic), reward)
         self._observation = observation_of(observation)
-        self.render_mode = None
+        self._renderer = Renderer(self.simulation, render_mode, "HighwayParallelEnv")
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
         self.agents: list[str] = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
@@ -97,7 +104,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observations], dict[str, dict[str, Any]]]:
-        """Starts an episode; every agent's info contains its seed.
+        """Starts an episode; every agent's info contains its `seed` and its `action_mask`.
 
         Args:
             seed: The episode's seed; None draws one.
@@ -114,14 +121,18 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
         self.agents = self.possible_agents.copy()
-        return self._observe(), {agent: {"seed": seed} for agent in self.agents}
+        self._renderer.show()
+        return self._observe(), {
+            agent: {"seed": seed, **info} for agent, info in self._masks().items()
+        }
 
     def step(self, actions: Mapping[str, int]) -> Step:
         """Carries out the actions of all agents for one decision interval.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos of the agents that acted. The
-            last info of an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
+            Observations, rewards, terminations, truncations and infos of the agents that acted. An
+            info contains the agent's `action_mask` (5,); see `world.action_mask`. The last info of
+            an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
 
         Raises:
             InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
@@ -129,13 +140,14 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self._learners.step(self._checked(actions))
+        self._renderer.show()
         acted, observations = self.agents, self._observe()
         rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
+        infos = self._masks()
         for agent in acted:
             if endings[self._place[agent]] != RUNNING:
                 infos[agent]["ending"] = ENDINGS[endings[self._place[agent]]]
-        self.agents = [agent for agent in acted if not infos[agent]]
+        self.agents = [agent for agent in acted if "ending" not in infos[agent]]
         return (
             observations,
             {agent: rewards[self._place[agent]] for agent in acted},
@@ -143,6 +155,22 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             {agent: truncated[self._place[agent]] for agent in acted},
             infos,
         )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene around `vehicle_0` as animations of replays draw it, (height, width, 3).
+
+        In the render mode `human`, `reset` and `step` show the scene in a window after each
+        decision, in real time, and nothing is returned.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        frames = self._renderer.render()
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def _checked(self, actions: Mapping[str, int]) -> Ints:
         """The actions [1, L]; those of agents that have left are 0."""
@@ -163,7 +191,17 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     def _observe(self) -> dict[str, Observations]:
         """The observations of `agents`."""
-        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
-        vehicles = (np.zeros_like(places), places)
-        seen = self._observation(self.simulation.scene, vehicles)
+        seen = self._observation(self.simulation.scene, self._vehicles())
         return dict(zip(self.agents, seen, strict=True))
+
+    def _masks(self) -> dict[str, dict[str, Any]]:
+        """The infos of `agents` with their action masks."""
+        masks = action_masks(self.simulation.scene, self._vehicles())
+        return {
+            agent: {"action_mask": mask} for agent, mask in zip(self.agents, masks, strict=True)
+        }
+
+    def _vehicles(self) -> Vehicles:
+        """The vehicles of `agents`."""
+        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
+        return np.zeros_like(places), places

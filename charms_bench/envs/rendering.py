@@ -12,8 +12,11 @@ from charms_bench.errors import InputError
 
 if TYPE_CHECKING:
     from charms_bench.envs.window import Window
+    from charms_bench.world.picture import Moment
 
 RENDER_MODES = ["rgb_array", "human"]
+LEARNER = "learner"
+"""What pictures call the driver of a vehicle other than the ego that the caller drives."""
 SHOWN = 4
 """The most scenes that a window shows, one below another."""
 
@@ -24,16 +27,17 @@ class Renderer:
     Args:
         simulation: The simulation.
         mode: One of `RENDER_MODES`, or None.
+        title: The environment's name, for messages and pictures.
 
     Raises:
         InputError: There is no such mode.
     """
 
-    def __init__(self, simulation: Simulation, mode: str | None) -> None:
+    def __init__(self, simulation: Simulation, mode: str | None, title: str = ID) -> None:
         if mode not in (None, *RENDER_MODES):
             known = " or ".join(map(repr, RENDER_MODES))
-            raise InputError(f"{ID}: no render_mode {mode!r}; expected {known}")
-        self._simulation, self._mode = simulation, mode
+            raise InputError(f"{title}: no render_mode {mode!r}; expected {known}")
+        self._simulation, self._mode, self._title = simulation, mode, title
         self._window: Window | None = None
 
     def show(self) -> None:
@@ -43,19 +47,23 @@ class Renderer:
         if self._window is None:
             from charms_bench.envs.window import Window
 
-            self._window = Window(ID)
+            self._window = Window(self._title)
         rows = range(min(SHOWN, self._simulation.seeds.size))
-        picture = np.concatenate([frame_of(self._simulation, row) for row in rows])
+        picture = np.concatenate([self._frame(row) for row in rows])
         self._window.show(picture, self._simulation.settings.decision_hz)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The frames (height, width, 3) of all scenes in the mode `rgb_array`."""
         if self._mode == "rgb_array":
-            return tuple(frame_of(self._simulation, k) for k in range(self._simulation.seeds.size))
+            return tuple(map(self._frame, range(self._simulation.seeds.size)))
         if self._mode is None:
-            gymnasium.logger.warn(f"{ID}: render needs a render_mode: {' or '.join(RENDER_MODES)}")
+            modes = " or ".join(RENDER_MODES)
+            gymnasium.logger.warn(f"{self._title}: render needs a render_mode: {modes}")
         self.show()
         return None
+
+    def _frame(self, row: int) -> NDArray[np.uint8]:
+        return frame_of(self._simulation, row, self._title)
 
     def close(self) -> None:
         """Closes the window."""
@@ -64,21 +72,33 @@ class Renderer:
             self._window = None
 
 
-def frame_of(simulation: Simulation, row: int) -> NDArray[np.uint8]:
+def frame_of(simulation: Simulation, row: int, title: str = ID) -> NDArray[np.uint8]:
     """The picture (height, width, 3) of a scene; its height is even, as most videos demand."""
-    from charms_bench.world.picture import Moment, picture  # Pillow and matplotlib
+    from charms_bench.world.picture import picture  # Pillow and matplotlib
+
+    frame = np.asarray(picture(moment_of(simulation, row, title)))
+    return frame[: frame.shape[0] // 2 * 2]
+
+
+def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
+    """The present moment of a scene."""
+    from charms_bench.world.picture import Moment
 
     scene, settings = simulation.scene, simulation.settings
     ego = int(scene.ego[row])
     gap, ttc = _to_leader(simulation, row, ego)
-    moment = Moment(
+    agents = [name or LEARNER for name in simulation.drivers[row].tolist()]
+    agents[ego] = str(simulation.drivers[row, ego])
+    traffic = {name for name in simulation.agents if name} | ({LEARNER} & {*agents})
+    return Moment(
         settings=settings,
-        title=ID,
+        title=title,
         episode=int(simulation.seeds[row]),
-        t_s=simulation.steps[row] / settings.decision_hz,
+        t_s=simulation.steps[row] / settings.decision_hz
+        + simulation.phase / settings.simulation_hz,
         ego=ego,
-        agents=simulation.drivers[row].tolist(),
-        traffic=[name for name in sorted(simulation.agents) if name],
+        agents=agents,
+        traffic=sorted(traffic),
         x=scene.x[row],
         y=scene.y[row],
         heading=scene.heading[row],
@@ -92,8 +112,6 @@ def frame_of(simulation: Simulation, row: int) -> NDArray[np.uint8]:
         gap_ahead=gap,
         ttc=ttc,
     )
-    frame = np.asarray(picture(moment))
-    return frame[: frame.shape[0] // 2 * 2]
 
 
 def _to_leader(simulation: Simulation, row: int, ego: int) -> tuple[float, float]:

@@ -63,8 +63,18 @@ class EpisodesVecEnv(VecEnv):
     def set_attr(self, *_: Any, **__: Any) -> None:
         raise NotImplementedError("episodes share attributes; set them in the constructor")
 
-    def env_method(self, *_: Any, **__: Any) -> list[Any]:
-        raise NotImplementedError("episodes have no methods of their own")
+    def env_method(
+        self, method_name: str, *_: Any, indices: VecEnvIndices = None, **__: Any
+    ) -> list[Any]:
+        if method_name != "action_masks":  # which sb3-contrib's MaskablePPO asks for
+            raise NotImplementedError("episodes have no methods of their own")
+        masks = self.action_masks()
+        return [masks[row] for row in self._get_indices(indices)]
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """The action masks of all episodes, (B, 5)."""
+        episodes: Any = self.episodes.unwrapped
+        return np.asarray(episodes.action_masks())
 
     def render(self, mode: str | None = None) -> NDArray[Any] | None:
         if self.render_mode == "human":  # the environment has one window for all episodes

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from charms_bench.engine.simulation import RUNNING, Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
+from charms_bench.world.action_mask import ActionMasks, action_masks
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
 from charms_bench.world.observations import (
     EGO,
@@ -53,10 +55,10 @@ def spaces_of(
 ) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Gymnasium's spaces of the ego's observations and actions.
 
-    In `neighbours` and `paper_neighbours`, the rows of other vehicles are clipped to [-1, 1]. The
-    bounds of the ego's position across the road and of its velocity are twice the values that occur
-    while it drives; with continuous actions, its position has no bounds. Other observations have no
-    bounds, as in highway-env.
+    In `neighbours` and `paper_neighbours`, the rows of other vehicles and an action mask are within
+    [-1, 1]. The bounds of the ego's position across the road and of its velocity are twice the
+    values that occur while it drives; with continuous actions, its position has no bounds. Other
+    observations have no bounds, as in highway-env.
     """
     actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
     if kind == "continuous":
@@ -66,7 +68,7 @@ def spaces_of(
     profile = settings.profile
     targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
     fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
-    high = np.ones((7, 5), dtype=np.float32)
+    high = np.ones(observation.shape, dtype=np.float32)
     high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
     if kind == "continuous":
         high[EGO, 2] = np.inf
@@ -120,6 +122,11 @@ def continue_from(simulation: Simulation, state: SceneState) -> None:
         ended = state.seeds[~state.active][0]
         raise InputError(f"the state of episode {ended} was saved after the episode had ended")
     simulation.restore(state.seated(state.ego, ""))
+
+
+def mask_infos(masks: ActionMasks) -> dict[str, Any]:
+    """Gymnasium's infos with the action masks (E, 5) of E environments."""
+    return {"action_mask": masks, "_action_mask": np.ones(len(masks), dtype=np.bool_)}
 
 
 def final_infos(
@@ -205,9 +212,13 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             seed: The first episode's seed; None continues with the next unused seed.
             options: `state`, a `SceneState` of B running scenes in which the episodes start.
 
+        Returns:
+            Observations and infos; with meta-actions, these have the `action_mask`; see `step`.
+
         Raises:
             InputError: There is another option, or the state does not fit.
         """
+        warn_of_torch_threads()
         super().reset(seed=seed)
         if seed is not None:
             self._next_seed = seed
@@ -217,16 +228,17 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             continue_from(self.simulation, state)
             self._returns[:] = 0
         self._renderer.show()
-        return self._observe(), {}
+        return self._observe(), self._infos()
 
     def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the egos' actions, (B,) or continuous (B, 2), for one decision interval.
 
         Returns:
             Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
-            infos. These have the `final_obs` and the `final_info` of the episodes that ended:
-            `ending` (an index into `engine.simulation.ENDINGS`), `steps`, `episode_return` and
-            `seed`.
+            infos. With meta-actions, these have the `action_mask` (B, 5) of the next step; see
+            `world.action_mask`. They also have the `final_obs` and the `final_info` of the episodes
+            that ended: `ending` (an index into `engine.simulation.ENDINGS`), `steps`,
+            `episode_return` and `seed`.
 
         Raises:
             InputError: The actions have another shape or type, or one is out of range.
@@ -254,7 +266,12 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
             self._start(rows)
             started = (rows, simulation.scene.ego[rows])
             observations[rows] = self._observation(simulation.scene, started)
-        return observations, rewards, terminations, truncations, infos
+        return observations, rewards, terminations, truncations, infos | self._infos()
+
+    def action_masks(self) -> Bools:
+        """The action masks (B, 5) of the egos, as sb3-contrib's `MaskablePPO` asks for them."""
+        simulation = self.simulation
+        return action_masks(simulation.scene, simulation.ego_vehicles).astype(np.bool_)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The scenes as animations of replays draw them, B times (height, width, 3), if asked for.
@@ -300,3 +317,9 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
 
     def _observe(self) -> Observations:
         return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
+
+    def _infos(self) -> dict[str, Any]:
+        """The infos of every step; continuous actions have no mask."""
+        if self._kind != "meta":
+            return {}
+        return mask_infos(action_masks(self.simulation.scene, self.simulation.ego_vehicles))

@@ -76,6 +76,11 @@ class Avoidability:
     nodes: int
     """Decisions that the search simulated."""
 
+    def __repr__(self) -> str:
+        where = f"{self.ego} in {self.traffic}, episode {self.episode}"
+        last = "" if self.last_step is None else f", last avoidable at decision {self.last_step}"
+        return f"<Avoidability of {where}, collision in decision {self.step}: {self.verdict}{last}>"
+
 
 def collisions(cell: RecordedCell) -> list[int]:
     """The seeds of a cell's episodes that end with a collision of the ego."""

@@ -38,6 +38,10 @@ class EdgeCase:
     what: str
     """One sentence about what happened."""
 
+    def __repr__(self) -> str:
+        where = f"{self.ego} in {self.traffic}, episode {self.episode}"
+        return f"<EdgeCase {self.rank}: {where}, criticality {self.criticality:.2f}: {self.what}>"
+
 
 def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> list[EdgeCase]:
     """Returns the most critical episodes, ranked; ties go by cell, then by seed.

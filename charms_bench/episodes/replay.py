@@ -61,6 +61,10 @@ class Replay(Motion):
     steps: pl.DataFrame
     """The step rows (`engine.columns.STEP`)."""
 
+    def __repr__(self) -> str:
+        what = f"{self.cell.title}, {self.x.shape[1]} vehicles, {self.t_s[-1]:.1f} s"
+        return f"<Replay of episode {self.episode}: {what}, ending {self.ending}>"
+
     @property
     def ending(self) -> str:
         """One of `simulation.ENDINGS`."""

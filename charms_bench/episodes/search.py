@@ -53,6 +53,10 @@ class Search:
     told: Callable[[int], None] = lambda episodes: None
     """Called with the episodes simulated since the last call."""
 
+    def __repr__(self) -> str:
+        found = f"{len(self.failures)} failures in {self.simulations:,} episodes"
+        return f"<Search of {self.cell.title}: {found}>"
+
     def run(self, failures: int, budget: int, seed: int) -> None:
         """Searches until there are so many failures, or so many episodes have been simulated."""
         from scipy.optimize import differential_evolution

@@ -49,6 +49,15 @@ class WhatIf:
     vehicle: int
     agent: str
 
+    def __repr__(self) -> str:
+        who = "the ego" if self.vehicle == self.recorded.ego else f"vehicle {self.vehicle}"
+        what = f"{self.agent} drives {who} from decision {self.step} on"
+        return f"<WhatIf of episode {self.recorded.episode}: {what}>"
+
+    def __str__(self) -> str:
+        recorded, instead = self.sentences()
+        return f"{self!r}\nRecorded: {recorded}\nWhat if:  {instead}"
+
     @property
     def start(self) -> int:
         """The frame at which the futures part."""

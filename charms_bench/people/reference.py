@@ -83,6 +83,14 @@ class Reference(FrozenModel):
     dhw: tuple[Counts, ...]
     """Distance headways at starts of lane changes, likewise."""
 
+    def __repr__(self) -> str:
+        counted = {"speeds": self.counts("speed"), "distance headways": self.counts("dhw")}
+        parts = [f"{int(n.sum()):,} {what}" for what, n in counted.items() if n is not None]
+        return f"<Reference {self.name}: {', '.join([f'{self.vehicles:,} vehicles', *parts])}>"
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{self.origin}\nTerms: {self.terms}"
+
     def units(self, quantity: str) -> Floats:
         """[U, BINS] counts of a quantity of `world.following.QUANTITIES`, by unit with any."""
         counts = np.array({"speed": self.speed, "dhw": self.dhw}[quantity], dtype=np.float64)
@@ -107,6 +115,14 @@ def histograms(values: Floats, units: Ints) -> tuple[tuple[int, ...], ...]:
         tuple(np.bincount(bins_of(values[units == unit]), minlength=BINS).tolist())
         for unit in np.unique(units)
     )
+
+
+def packaged_references() -> dict[str, Reference]:
+    """The references in the package, by name."""
+    return {
+        path.stem: Reference.model_validate_json(path.read_bytes())
+        for path in sorted(REFERENCES.glob("*.json"))
+    }
 
 
 def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:

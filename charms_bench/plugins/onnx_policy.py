@@ -11,17 +11,20 @@ from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.plugins.onnx_session import (
+    MASK_INPUT,
     Ports,
     Signature,
     compute,
+    inputs_of,
     open_session,
     signature_of,
     tried,
 )
 from charms_bench.workers import is_child
-from charms_bench.world.actions import Actions, outputs_of
+from charms_bench.world.actions import ActionKind, Actions, outputs_of
 from charms_bench.world.files import read_limited
-from charms_bench.world.observations import observation_described
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
 from charms_bench.world.scene import Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
@@ -38,7 +41,8 @@ class OnnxPolicy(Policy):
     file has one input, `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
     and one output, both float32. The output is `(batch, 5)`, or `(batch, 2)` if the file's metadata
     say `actions: continuous`; it is then clipped to [-1, 1]. The metadata also name the
-    observation; the default is `neighbours`.
+    observation; the default is `neighbours`. A network with a second input named `action_mask`,
+    `(batch, 5)` float32, receives the vehicles' action masks there; see `world.action_mask`.
 
     Args:
         path: The `.onnx` file.
@@ -76,12 +80,16 @@ class OnnxPolicy(Policy):
             self.actions = "continuous"
         self._outputs = outputs_of(self.actions)
         shape = self.observation.shape
+        self._rows = shape[0]
         self._input, self._shape = _input(self.path, found, shape, self._outputs)
+        self._takes_mask = inputs_of(found)[1]
+        if self._takes_mask:
+            self.observation = _with_mask(self.path, self.observation, self.actions)
         if decision_hz is None:
             decision_hz = _decision_hz(self.path, found.metadata.get("decision_hz", "3"))
         self.decision_hz = decision_hz
         if is_child():
-            self.values(np.zeros((2, *shape), dtype=np.float32))
+            self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
         elif found.problem:
             raise ModelError(f"{self.path}: {found.problem}")
 
@@ -111,19 +119,31 @@ class OnnxPolicy(Policy):
         Raises:
             ModelError: It cannot be computed, has another shape, or contains NaN.
         """
-        inputs = observations.reshape(-1, *self._shape)
-        starts = range(0, max(len(inputs), 1), ROWS_AT_ONCE)
-        parts = [self._values(inputs[start : start + ROWS_AT_ONCE]) for start in starts]
+        starts = range(0, max(len(observations), 1), ROWS_AT_ONCE)
+        parts = [self._values(observations[start : start + ROWS_AT_ONCE]) for start in starts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _values(self, inputs: Observations) -> NDArray[np.float32]:
+    def _values(self, observations: Observations) -> NDArray[np.float32]:
+        inputs = {self._input: observations[:, : self._rows].reshape(-1, *self._shape)}
+        if self._takes_mask:
+            inputs[MASK_INPUT] = observations[:, ACTION_MASK]
         try:
-            return compute(self._session, self._input, inputs, self._outputs)
+            return compute(self._session, inputs, self._outputs)
         except ModelError as error:
             raise ModelError(f"{self.path}: {error}") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self.decision_hz)
+
+
+def _with_mask(path: Path, seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
+    """The observation of a network that receives the action mask as an input of its own."""
+    if isinstance(seen, Kinematics) or kind != "meta":
+        raise ModelError(
+            f"{path}: has the input {MASK_INPUT}, which a network has with meta-actions and the "
+            "observation neighbours or paper_neighbours only; put the mask into the network instead"
+        )
+    return seen.model_copy(update={"action_mask": True})
 
 
 def _made_by(path: Path) -> str:
@@ -147,12 +167,18 @@ def _input(
 ) -> tuple[str, tuple[int, ...]]:
     """The input's name and its shape after the batch."""
     rows, columns = shape
-    inputs, outputs = found.inputs, found.outputs
+    outputs = found.outputs
+    inputs, _ = inputs_of(found)
     other = ", or (batch, 2) with the metadata 'actions: continuous'"
     wanted = (
         f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
         f"batch, and one float32 output (batch, {count})"
         f"{other if count == outputs_of('meta') else ''}"
+        + (
+            f"; a second input, {MASK_INPUT}, is float32 (batch, 5)"
+            if len(found.inputs) > 1
+            else ""
+        )
     )
     fits = (
         len(inputs) == len(outputs) == 1
@@ -162,7 +188,7 @@ def _input(
         and outputs[0][2][1:] == (count,)
     )
     if not fits:
-        has = f"inputs {_listed(inputs)}, outputs {_listed(outputs)}"
+        has = f"inputs {_listed(found.inputs)}, outputs {_listed(outputs)}"
         raise ModelError(f"{path}: has {has}; expected {wanted}")
     return inputs[0][0], inputs[0][2][1:]
 

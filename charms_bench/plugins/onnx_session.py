@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import ModelError
 from charms_bench.workers import Died, ask
+from charms_bench.world.actions import ACTIONS
 
 MEMORY_LIMIT_BYTES = 2 * 2**30
 """Memory of all networks of a process, including their intermediate results."""
@@ -37,6 +38,8 @@ TRIED_SCALES = (1.0, 100.0)
 """Standard deviations of these observations."""
 WIDEST = 10_000
 """Numbers in an observation, far more than any observation has."""
+MASK_INPUT = "action_mask"
+"""The name of the second input of a network that takes the action mask."""
 
 Ports = tuple[tuple[str, str, tuple[Any, ...]], ...]
 """The name, type and shape of each input or output."""
@@ -100,23 +103,38 @@ def _try(data: bytes) -> Signature:
         if (shapes := _shapes(found)) is None:
             return found
         name, row, width = shapes
+
+        def inputs(seen: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+            masks = np.ones((len(seen), len(ACTIONS)), dtype=np.float32)
+            return {name: seen} | ({MASK_INPUT: masks} if inputs_of(found)[1] else {})
+
         try:
-            compute(session, name, np.zeros((2, *row), dtype=np.float32), width)
+            compute(session, inputs(np.zeros((2, *row), dtype=np.float32)), width)
         except ModelError as error:
             return replace(found, problem=str(error))
         rng = np.random.default_rng(0)
         for scale in TRIED_SCALES:
             seen = rng.normal(scale=scale, size=(TRIED_ROWS, *row)).astype(np.float32)
             with suppress(ModelError):  # no vehicle has such an observation
-                compute(session, name, seen, width)
+                compute(session, inputs(seen), width)
     return found
+
+
+def inputs_of(found: Signature) -> tuple[Ports, bool]:
+    """The inputs of a network without the action mask (batch, 5), and whether it takes a mask."""
+    others = tuple(port for port in found.inputs if port[0] != MASK_INPUT)
+    masks = [(kind, row[1:]) for name, kind, row in found.inputs if name == MASK_INPUT]
+    if masks == [("tensor(float)", (len(ACTIONS),))] and others:
+        return others, True
+    return found.inputs, False
 
 
 def _shapes(found: Signature) -> tuple[str, tuple[int, ...], int] | None:
     """The input's name, the shape of an observation and the number of values, if there are any."""
-    if not len(found.inputs) == len(found.outputs) == 1:
+    seen, _ = inputs_of(found)
+    if not len(seen) == len(found.outputs) == 1:
         return None
-    (name, kind, row), (_, _, values) = found.inputs[0], found.outputs[0]
+    (name, kind, row), (_, _, values) = seen[0], found.outputs[0]
     sizes = (*row[1:], *values[1:])
     if kind != "tensor(float)" or len(values) != 2 or not all(isinstance(k, int) for k in sizes):
         return None
@@ -173,20 +191,20 @@ def signature_of(session: Any) -> Signature:
 
 
 def compute(
-    session: Any, name: str, inputs: NDArray[np.float32], width: int
+    session: Any, inputs: Mapping[str, NDArray[np.float32]], width: int
 ) -> NDArray[np.float32]:
-    """Returns the output (M, width) of an open network for M observations.
+    """Returns the output (M, width) of an open network for inputs (M, ...), by their names.
 
     Raises:
         ModelError: It cannot be computed, has another shape, or contains NaN; without the file.
     """
     values: NDArray[np.float32]
     try:
-        (values,) = session.run(None, {name: inputs})
+        (values,) = session.run(None, inputs)
     except Exception as error:  # onnxruntime's errors share no public base
         raise ModelError(f"cannot be computed: {_reason(error)}") from error
-    if values.shape != (len(inputs), width):
-        expected = (len(inputs), width)
+    rows = len(next(iter(inputs.values())))
+    if values.shape != (expected := (rows, width)):
         raise ModelError(f"returns values of shape {values.shape}; expected {expected}")
     if np.isnan(values).any():
         raise ModelError("returns values that are NaN")

@@ -61,5 +61,8 @@ class Mixture(Traffic):
         if not shares or (self._shares < 0).any() or abs(self._shares.sum() - 1) > 1e-9:
             raise InputError(f"shares must be non-negative and sum to 1, got {dict(shares)}")
 
+    def __repr__(self) -> str:
+        return f"Mixture({dict(zip(self.agents, self._shares.tolist(), strict=True))})"
+
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         return rng.choice(np.array(self.agents), size=(scenes, vehicles), p=self._shares)

@@ -197,6 +197,10 @@ def _differing_number(found: bytes, expected: bytes) -> str:
     return ""
 
 
+FINDINGS = 20
+"""Findings in the text of an audit."""
+
+
 @dataclass(frozen=True)
 class Audit:
     """What an audit of a run folder has found."""
@@ -205,6 +209,20 @@ class Audit:
     """The folder."""
     findings: tuple[Finding, ...]
     """What each check found; several for a check that found several problems."""
+
+    def __repr__(self) -> str:
+        return f"<Audit of {self.path}: {self.verdict}, {len(self.findings)} findings>"
+
+    def __str__(self) -> str:
+        found = (
+            f"{each.verdict:<9}{each.check:<10}{f'{each.where}: ' if each.where else ''}{each.what}"
+            for each in self.findings[:FINDINGS]
+        )
+        more = [f"{len(self.findings) - FINDINGS} more findings"][: len(self.findings) > FINDINGS]
+        return "\n".join([repr(self), *found, *more])
+
+    def _repr_html_(self) -> str:
+        return self.table._repr_html_()
 
     @property
     def verdict(self) -> Verdict:

@@ -269,6 +269,15 @@ class Table:
         defined = [any(number.value is not None for number in self.column(i)) for i in found]
         return found if len(found) == len(names) and all(defined) else None
 
+    def __repr__(self) -> str:
+        return f"<Table {self.name}: {len(self.rows)} rows x {len(self.columns)} columns>"
+
+    def __str__(self) -> str:
+        """The beginning of the table as text; `select` and `frame` give the rest."""
+        from charms_bench.report.terminal import beginning
+
+        return beginning(self)
+
     def _repr_html_(self) -> str:
         """The table for a notebook."""
         from charms_bench.report.html.table import notebook

@@ -1,7 +1,10 @@
 """Tables in a terminal: as numbers side by side (`grid`), or drawn to scale (`drawn`)."""
 
+from dataclasses import replace
+from io import StringIO
+
 from rich import box
-from rich.console import Group
+from rich.console import Console, Group
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -14,6 +17,8 @@ COLUMN_WIDTH = 16
 NARROWEST, WIDEST = 8, 44
 """Characters of a bar."""
 GAP = 2
+LINES = 20
+"""Lines of the rows in the beginning of a table."""
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
@@ -33,6 +38,48 @@ def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
         for block in part.blocks(side_by_side)
     ]
     return Group(*found, *([Text(table.note)] if table.note else []))
+
+
+def beginning(table: Table, width: int = 100) -> str:
+    """The first rows and columns of a table as text, and how many more there are."""
+    shown = _first_rows(table.without_constant_keys())
+    if len({column.group for column in table.columns}) > 1:
+        shown = shown.named(*(f"{each.name} {each.group}".strip() for each in table.columns))
+    shown = _first_columns(shown, width)
+    first = dict(zip(table.keys, table.rows[0].labels, strict=True)) if table.rows else {}
+    same = ", ".join(f"{key} {label}" for key, label in first.items() if key not in shown.keys)
+    title = f"{table.title} ({same})" if same else table.title
+    console = Console(width=width, file=StringIO(), color_system=None, emoji=False)
+    with console.capture() as captured:
+        console.print(Text(title), _grid(replace(shown, title=""), stacked=True, wrapped=False))
+    left = [
+        f"{of - among} more {what}{'s' * (of - among > 1)}"
+        for what, among, of in (
+            ("row", len(shown.rows), len(table.rows)),
+            ("column", len(shown.columns), len(table.columns)),
+        )
+        if of > among
+    ]
+    more = f"{' and '.join(left)}: .select(...) chooses columns, .frame() has all numbers"
+    lines = [line.rstrip() for line in captured.get().splitlines()]
+    return "\n".join([*filter(None, lines), *([more] if left else [])])
+
+
+def _first_rows(table: Table) -> Table:
+    """The table with as many of its rows as fit into `LINES`."""
+    numbers = [number for row in table.rows for number in row.numbers]
+    lines = 1 + any(each.low is not None for each in numbers)
+    lines += any(each.reference is not None for each in numbers)
+    return replace(table, rows=table.rows[: LINES // lines])
+
+
+def _first_columns(table: Table, width: int) -> Table:
+    """The table with as many of its columns as stand side by side."""
+    console, count = Console(width=10 * width), len(table.columns)
+    for shown in (table.take(range(end)) for end in range(count, 1, -1)):
+        if console.measure(_grid(shown, stacked=True, wrapped=False)).maximum <= width:
+            return shown
+    return table.take(range(min(count, 1)))
 
 
 def _grid(table: Table, stacked: bool, wrapped: bool) -> RichTable:

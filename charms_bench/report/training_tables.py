@@ -65,6 +65,14 @@ class Training:
     """One row per `stage` and point."""
     columns: ColumnsFile
 
+    def __repr__(self) -> str:
+        stages = 0 if self.stages is None else len(self.stages.rows)
+        points = 0 if self.curves is None else self.curves.height
+        return f"<Training {self.path}: {stages} stages, {points:,} points of learning curves>"
+
+    def __str__(self) -> str:
+        return repr(self) if self.stages is None else f"{self!r}\n{self.stages}"
+
     def to_dict(self) -> dict[str, Any]:
         """Stages and curves as records, for JSON; those that the folder has."""
         stages = {} if self.stages is None else {"stages": self.stages.records()}

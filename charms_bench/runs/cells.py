@@ -32,6 +32,9 @@ class CellRows:
     paper: Mapping[str, float] = field(default_factory=dict)
     """Values that the paper reports, by metric of the set `paper`."""
 
+    def __repr__(self) -> str:
+        return f"<CellRows {self.agent} in {self.traffic}: {self.size:,} episodes>"
+
     @cached_property
     def episodes(self) -> pl.DataFrame:
         """All episode rows."""

@@ -119,6 +119,12 @@ class Suite(FrozenModel):
     folder: Path = Field(default=Path(), exclude=True, strict=False)
     """Folder that relative paths start from: that of the suite file."""
 
+    def __repr__(self) -> str:
+        cells = f"{len(self.egos)} egos x {len(self.traffics)} traffics"
+        return f"<Suite {self.suite}: {cells}, {self.episodes:,} episodes each>"
+
+    __str__ = __repr__
+
     @model_validator(mode="before")
     @classmethod
     def _remember_folder(cls, value: object, info: ValidationInfo) -> object:

@@ -12,6 +12,10 @@ respects:
 - The range is 99 m along the road, inclusive, or the Euclidean distance below 99 m.
 - The vehicle's own x is 1, or its position along the road / 165 m, at most 1.
 
+A lane that does not exist looks like one without vehicles. With the option `action_mask`, as in
+`{type: neighbours, action_mask: true}`, there is an eighth row, `ACTION_MASK`: the vehicle's action
+mask, one column per meta-action; see `charms_bench.world.action_mask`.
+
 `paper_neighbours` is the observation of the networks that the paper's authors released.
 
 `Kinematics` is highway-env's own observation, with its options; see
@@ -26,6 +30,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.errors import InputError, first_problem, suggestion
+from charms_bench.world.action_mask import action_masks
 from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.world.fields import FrozenModel
 from charms_bench.world.kinematics_observation import Kinematics
@@ -48,6 +53,8 @@ ObservationLike = str | Mapping[str, Any] | Observation
 
 EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
 """The rows of `neighbours` and `paper_neighbours`."""
+ACTION_MASK = 7
+"""Their row with the option `action_mask`."""
 X_SCALE_M = 165.0
 Y_SCALE_M = 12.0
 SPEED_SCALE_MPS = 66.0
@@ -55,32 +62,37 @@ RANGE_M = 99.0
 
 
 class Neighbours(FrozenModel):
-    """The observation `neighbours`; it has no options."""
+    """The observation `neighbours`."""
 
     name: ClassVar[str] = "neighbours"
+
+    action_mask: bool = False
+    """Whether the last row is the vehicle's action mask."""
 
     @property
     def shape(self) -> tuple[int, int]:
         """The rows and columns of one vehicle's observation."""
-        return 7, 5
+        return 7 + self.action_mask, 5
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """The observations of M vehicles, (M, 7, 5)."""
-        observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
-        _fill(scene, vehicles[0], vehicles[1], observations)
+        """The observations of M vehicles, (M, 7, 5), or (M, 8, 5) with the action mask."""
+        observations = np.zeros((vehicles[0].size, *self.shape), dtype=np.float32)
+        self._fill(scene, vehicles[0], vehicles[1], observations)
+        if self.action_mask:
+            observations[:, ACTION_MASK] = action_masks(scene, vehicles)
         return observations
+
+    def _fill(self, scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
+        _fill(scene, rows, places, observations)
 
 
 class PaperNeighbours(Neighbours):
-    """The observation `paper_neighbours`; it has no options."""
+    """The observation `paper_neighbours`."""
 
     name: ClassVar[str] = "paper_neighbours"
 
-    def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """The observations of M vehicles, (M, 7, 5)."""
-        observations = np.zeros((vehicles[0].size, 7, 5), dtype=np.float32)
-        _fill_as_in_the_paper(scene, vehicles[0], vehicles[1], observations)
-        return observations
+    def _fill(self, scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
+        _fill_as_in_the_paper(scene, rows, places, observations)
 
 
 neighbours = Neighbours()
@@ -114,7 +126,7 @@ def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
 
 def described(observation: Neighbours | Kinematics) -> str:
     """An observation as text, for the metadata of an ONNX file."""
-    if isinstance(observation, Kinematics):
+    if isinstance(observation, Kinematics) or observation.action_mask:
         return json.dumps({"type": observation.name, **observation.model_dump(mode="json")})
     text = (
         f"{observation.name}: (7, 5) float32, rows self, left front, left rear, front, rear, "

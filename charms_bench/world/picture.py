@@ -172,8 +172,8 @@ def _draw_header(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
     draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, _font(34, "-Bold"), "rm")
 
 
-def _draw_status(draw: ImageDraw.ImageDraw, moment: Moment, top: int) -> None:
-    """Draws the ego's state, each quantity with its unit."""
+def status_of(moment: Moment) -> dict[str, str]:
+    """The ego's state in words, each quantity with its unit."""
     ego = moment.ego
     aside = int(moment.target_lane[ego] - moment.lane[ego])
     if moment.crashed[ego]:
@@ -183,13 +183,18 @@ def _draw_status(draw: ImageDraw.ImageDraw, moment: Moment, top: int) -> None:
     else:  # before the first decision, and under a driver model, which takes no meta-actions
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = moment.gap_ahead, moment.ttc
-    status = {
+    return {
         "ego's speed": f"{moment.speed[ego]:.1f} m/s",
         "acceleration": f"{moment.acceleration[ego]:+.1f} m/s²",
         "action": doing,
         "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
         "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",
     }
+
+
+def _draw_status(draw: ImageDraw.ImageDraw, moment: Moment, top: int) -> None:
+    """Draws the ego's state."""
+    status = status_of(moment)
     for k, (what, value) in enumerate(status.items()):
         x = MARGIN + k * (WIDTH - 2 * MARGIN) / len(status)
         draw.text((x, top + 20), what, PALE, _font(22), "lm")

@@ -205,6 +205,10 @@ class _Fields(NamedTuple):
 class Scene(_Fields):
     """B scenes of N vehicles. A driver model may only write `timer_s` of its own vehicles."""
 
+    def __repr__(self) -> str:
+        scenes, vehicles = self.x.shape
+        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.constants.lanes} lanes>"
+
     @cached_property
     def unpacked(self) -> Unpacked:
         """The scene for compiled code, which unpacks it once."""

@@ -28,8 +28,9 @@ from typer.testing import CliRunner
 from charms_bench.cli import app
 from charms_bench.errors import InputError, ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.testing import example_scene
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import neighbours
+from charms_bench.world.observations import ACTION_MASK, neighbours
 
 SUITE = """\
 suite: exported
@@ -456,3 +457,20 @@ def test_what_it_cannot_have_been_trained_on_is_one_message(
     arguments = ["export", str(path), str(tmp_path / "out.onnx"), "--observation", said]
     with pytest.raises(InputError, match=message):
         CliRunner().invoke(app, arguments, catch_exceptions=False)
+
+
+def test_a_maskable_ppos_file_takes_the_mask(tmp_path: Path) -> None:
+    _, path = saved_ppo(tmp_path)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    data = json.loads(members["data"])
+    data["policy_class"]["__module__"] = "sb3_contrib.common.maskable.policies"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in (members | {"data": json.dumps(data).encode()}).items():
+            archive.writestr(name, content)
+    export_zip(path, tmp_path / "ppo.onnx", {})
+    policy, scene = OnnxPolicy(tmp_path / "ppo.onnx"), example_scene()
+    seen = policy.observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
+    chosen = seen[np.arange(len(seen)), ACTION_MASK, policy.decide(seen)]
+    assert seen.shape[1:] == (8, 5)
+    assert (chosen == 1).all()

@@ -214,6 +214,7 @@ def test_agents_are_listed_with_role_version_and_distribution() -> None:
     ("name", "code", "message"),
     [
         ("outside_policy", 0, "kept   policy decides for each vehicle independently"),
+        ("outside_policy", 0, "remark chose a lane that does not exist in "),
         ("outside_model", 0, "kept   model does not change the scene"),
         ("outside_traffic", 0, "kept   traffic follows its rng"),
         (

@@ -28,6 +28,7 @@ ELSEWHERE = {
 NOT_RUN = {
     "pip install .": "the package is installed in the environment of this test",
     "pip install '.[train]'": "the extra is installed in the environment of this test",
+    "pip install torch --index-url https://download.pytorch.org/whl/cpu": "torch is installed, too",
     "pip install '.[dataset]'": "the extra is installed in the environment of this test",
     "python -m venv d3rlpy-env": "tox -e data makes this environment",
     "d3rlpy-env/bin/pip install torch d3rlpy 'minari[hdf5]' pillow": "tox -e data runs it",

@@ -19,7 +19,7 @@ from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.registry import make_agent, make_traffic
-from charms_bench.world.actions import FASTER, IDLE, SLOWER
+from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.observations import neighbours
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import EVALUATION_SEEDS, Floats, SceneSettings
@@ -189,7 +189,8 @@ def test_time_that_is_over_truncates_and_the_info_says_so() -> None:
     *_, last = until_over(
         made(duration_s=1.0, traffic_vehicles=0, ego_slots=1), 0, iter([IDLE] * 9)
     )
-    assert last[2:] == (False, True, {"ending": "time"})
+    assert last[2:4] == (False, True)
+    assert last[4]["ending"] == "time"
 
 
 def test_scenes_and_traffics_are_what_was_asked_for() -> None:
@@ -215,7 +216,7 @@ def test_an_episode_can_be_tried_again_from_any_decision() -> None:
     np.testing.assert_array_equal(env.step(FASTER)[0], first[0][0])
     again, info = made(density=2.0).reset(options={"state": start})
     np.testing.assert_array_equal(again, observation)
-    assert info == {"seed": 3}
+    assert info["seed"] == 3
 
 
 def test_states_that_an_environment_cannot_continue_are_refused() -> None:
@@ -262,3 +263,23 @@ def test_unknown_traffics_actions_and_options_are_named() -> None:
     env.reset()
     with pytest.raises(InputError, match="action 5; expected 0 to 4: LANE_LEFT, IDLE"):
         env.step(5)
+
+
+def test_actions_sampled_with_the_mask_are_of_lanes_that_exist() -> None:
+    env = EgoEnv(traffic="level_0")
+    env.action_space.seed(0)
+    _, info = env.reset(seed=0)
+    for _ in range(40):
+        action = env.action_space.sample(info["action_mask"])
+        scene, ego = env.simulation.scene, env.simulation.ego_vehicles
+        lanes = {int(scene.lane[ego][0]), int(scene.target_lane[ego][0])}
+        assert (lanes, action) not in (({0}, LANE_LEFT), ({2}, LANE_RIGHT))
+        _, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            _, info = env.reset()
+        assert info["action_mask"].tolist() == env.action_masks().astype(int).tolist()
+
+
+def test_continuous_actions_have_no_mask() -> None:
+    _, info = EgoEnv(actions="continuous", traffic="level_0").reset(seed=0)
+    assert info == {"seed": 0}

@@ -15,7 +15,9 @@ from handmade_replay import replay_of
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
+from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.rendering import SHOWN, frame_of
+from charms_bench.envs.rendering import moment_of as present
 from charms_bench.episodes.animation import moment_of
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.errors import InputError
@@ -223,3 +225,28 @@ def test_stable_baselines_records_a_video(tmp_path: Any) -> None:
     with moviepy.VideoFileClip(str(path)) as video:
         assert video.fps == 3
         assert video.size == [1600, 488]
+
+
+def test_learners_are_drawn_in_a_colour_of_their_own() -> None:
+    many = LearnersVectorEnv(2, range(8), render_mode="rgb_array")
+    many.reset(seed=3)
+    frames = many.render()
+    assert frames is not None
+    assert len(frames) == 2  # one per scene
+    moment = present(many.simulation, 0, "LearnersVectorEnv")
+    ego = many.simulation.scene.ego[0]
+    assert [moment.agents[k] for k in many._learners.places[0]].count("learner") == 7
+    assert (moment.agents[ego], list(moment.traffic)) == ("", ["idm_mobil", "learner"])
+    assert many.metadata["render_fps"] == 3
+
+
+def test_an_environment_of_pettingzoo_draws_its_scene() -> None:
+    parallel_env = pytest.importorskip("charms_bench.envs.parallel_env")
+    single = parallel_env.HighwayParallelEnv(range(8), render_mode="rgb_array")
+    single.reset(seed=3)
+    many = LearnersVectorEnv(1, range(8), render_mode="rgb_array")
+    many.reset(seed=3)
+    header = slice(HEADER // FINE, None)  # the title above it differs
+    assert (single.render()[header] == many.render()[0][header]).all()
+    with pytest.raises(InputError, match="HighwayParallelEnv: no render_mode 'ansi'"):
+        parallel_env.HighwayParallelEnv(render_mode="ansi")

@@ -82,3 +82,12 @@ def test_training_is_evaluated_by_a_callback() -> None:
     assert callback.n_calls == 16
     # Highway-env's rewards lie in [0, 1], and an episode has at most three decisions.
     assert 0.0 < callback.best_mean_reward <= 3.0
+
+
+def test_maskable_algorithms_get_the_masks_by_the_method_that_they_ask_for() -> None:
+    env = VecMonitor(environment(3))
+    env.reset()
+    assert env.get_attr("action_masks")
+    asked = np.stack(env.env_method("action_masks"))
+    assert asked.tolist() == env.venv.episodes.action_masks().tolist()
+    assert len(env.env_method("action_masks", indices=[1])) == 1

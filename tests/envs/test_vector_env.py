@@ -13,7 +13,7 @@ from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.actions import FASTER, IDLE, Actions
+from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, Actions
 from charms_bench.world.scene import Floats, SceneSettings
 
 ALONE = SceneSettings(traffic_vehicles=0, ego_slots=1)
@@ -51,7 +51,7 @@ def test_what_it_returns_lies_in_its_spaces() -> None:
     env = environment(SceneSettings(), scenes=3)
     observations, infos = env.reset(seed=7)
     assert observations in env.observation_space
-    assert infos == {}
+    assert "final_info" not in infos
     env.action_space.seed(0)
     observations, rewards, terminations, truncations, _ = env.step(env.action_space.sample())
     assert observations in env.observation_space
@@ -73,7 +73,7 @@ def test_an_episode_whose_time_is_over_is_truncated_and_not_terminated() -> None
         _, _, terminations, truncations, infos = env.step(idle(env))
         assert not terminations.any()
         assert not truncations.any()
-        assert infos == {}
+        assert "final_info" not in infos
     _, _, terminations, truncations, infos = env.step(idle(env))
     assert truncations.all()
     assert not terminations.any()
@@ -182,3 +182,14 @@ def test_gymnasiums_own_wrappers_count_the_same_returns() -> None:
 def test_options_that_reset_does_not_know_are_refused() -> None:
     with pytest.raises(InputError, match="takes the option 'state', got speed"):
         environment(ALONE).reset(options={"speed": 3})
+
+
+def test_the_mask_of_the_next_step_is_that_of_the_episode_that_starts() -> None:
+    env = environment(ALONE)
+    _, infos = env.reset()
+    for _ in range(61):
+        lane = env.simulation.scene.lane[env.simulation.ego_vehicles]
+        assert infos["_action_mask"].all()
+        assert infos["action_mask"][:, LANE_LEFT].tolist() == (lane > 0).tolist()
+        assert infos["action_mask"].tolist() == env.action_masks().astype(int).tolist()
+        *_, infos = env.step(idle(env))

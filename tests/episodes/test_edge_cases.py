@@ -77,7 +77,7 @@ def test_the_command_prints_a_line_an_episode_or_json(finished: FinishedRun) -> 
     )
     assert [case["rank"] for case in cases] == [1, 2, 3]
     _, *lines = (line for line in shown.stdout.splitlines() if re.search(r"\w", line))
-    for case, line in zip(cases, lines, strict=True):
+    for case, line in zip(cases, lines[:3], strict=True):  # remarks follow
         assert line.split()[0] == str(case["rank"])
         assert all(text in line for text in (case["ego"], str(case["episode"]), case["what"]))
 

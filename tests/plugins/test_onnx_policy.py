@@ -12,7 +12,7 @@ from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import ROWS_AT_ONCE, OnnxPolicy
 from charms_bench.testing import agent_rules
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import described, neighbours
+from charms_bench.world.observations import Neighbours, described, neighbours
 
 NetworkFile = Callable[..., Path]
 
@@ -157,4 +157,42 @@ def test_tensors_in_other_files_are_refused(network_file: NetworkFile, tmp_path:
     path = tmp_path / "external.onnx"
     onnx.save(model, path, save_as_external_data=True, size_threshold=0, location="weights.bin")
     with pytest.raises(ModelError, match="keeps tensors in other files"):
+        OnnxPolicy(path)
+
+
+def with_mask(path: Path, width: int = 5) -> Path:
+    """The network with a second input, which is added to its values a hundredfold."""
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(path)
+    model.graph.node[-1].output[0] = "unmasked"
+    mask = onnx.helper.make_tensor_value_info("action_mask", 1, ["batch", width])
+    model.graph.input.append(mask)
+    factor = onnx.numpy_helper.from_array(np.array(100, dtype=np.float32), "factor")
+    model.graph.initializer.append(factor)
+    for kind, names, out in (
+        ("Mul", ["action_mask", "factor"], "bonus"),
+        ("Add", ["unmasked", "bonus"], "values"),
+    ):
+        model.graph.node.append(onnx.helper.make_node(kind, names, [out]))
+    onnx.save(model, path)
+    return path
+
+
+def test_a_network_that_takes_the_action_mask_gets_it(network_file: NetworkFile) -> None:
+    weights = np.random.default_rng(1).normal(size=(35, 5)).astype(np.float32)
+    policy = OnnxPolicy(with_mask(network_file(weights)))
+    assert policy.observation == Neighbours(action_mask=True)
+    seen = np.random.default_rng(2).uniform(-1, 1, (700, 8, 5)).astype(np.float32)
+    seen[:, 7] = np.random.default_rng(3).integers(0, 2, (700, 5))
+    expected = (seen[:, :7].reshape(700, 35) @ weights + 100 * seen[:, 7]).argmax(axis=1)
+    assert (policy.decide(seen) == expected).all()
+    for rule in agent_rules(policy):
+        rule()
+
+
+def test_a_mask_that_no_observation_has_is_named(network_file: NetworkFile) -> None:
+    with pytest.raises(ModelError, match=r"a second input, action_mask, is float32 \(batch, 5\)"):
+        OnnxPolicy(with_mask(network_file(), width=1))
+    path = with_metadata(with_mask(network_file(inputs=25)), observation='{"type": "Kinematics"}')
+    with pytest.raises(ModelError, match="put the mask into the network instead"):
         OnnxPolicy(path)

@@ -16,10 +16,11 @@ from torch.optim import Optimizer
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_session import MASK_INPUT
 from charms_bench.world.actions import ACTIONS, ActionKind, outputs_of
 from charms_bench.world.files import write_atomically
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import Neighbours, described, neighbours
+from charms_bench.world.observations import ACTION_MASK, Neighbours, described, neighbours
 from charms_bench.world.scene import Observations
 
 OBSERVED = 35
@@ -33,6 +34,9 @@ OPSET, IR_VERSION = 17, 8
 TIE = 1e-4
 """Two actions whose values differ by less are equally good to float32's precision; continuous
 actions that differ by less are equal."""
+
+MASKED = 1e8
+"""What a masked action loses of its value, as in sb3-contrib."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 """The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
@@ -114,6 +118,7 @@ def export(
     facts: dict[str, str],
     observations: Observations,
     observation: Neighbours | Kinematics = neighbours,
+    masked: bool = False,
 ) -> dict[str, int]:
     """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
@@ -123,8 +128,10 @@ def export(
         path: The file.
         facts: Further metadata, beside the observation and the actions.
         observations: (M, rows, columns) on which the file's actions are compared with the
-            network's.
-        observation: The kind of these observations.
+            network's. If the file is masked, their last row is the action mask.
+        observation: The observation of the network.
+        masked: Whether the file has a second input, the action mask, and never chooses a masked
+            action.
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different
@@ -134,10 +141,13 @@ def export(
         ModelError: The file acts differently from the network; nothing is written.
         RunFolderError: The file cannot be written.
     """
-    data = _serialised(network, {"observation": described(observation), **facts}, observation.shape)
-    flat = torch.tensor(observations.reshape(len(observations), -1))  # a copy, as writable
+    shape = observation.shape
+    data = _serialised(network, {"observation": described(observation), **facts}, shape, masked)
+    flat = torch.tensor(observations[:, : shape[0]].reshape(len(observations), -1))  # writable
     with torch.no_grad():
         expected: NDArray[np.float32] = network(flat).numpy()
+    if masked:
+        expected += (observations[:, ACTION_MASK] - 1) * MASKED
     continuous = kind_of(network) == "continuous"
     checked: dict[str, int] = {}
 
@@ -161,28 +171,41 @@ def export(
     return checked
 
 
-def _serialised(network: Sequential, facts: dict[str, str], shape: tuple[int, int]) -> bytes:
+def _serialised(
+    network: Sequential, facts: dict[str, str], shape: tuple[int, int], masked: bool
+) -> bytes:
     layers = layers_of(network)
     operators = {kind: name for name, kind in ACTIVATIONS.items()}
     after = [operators[type(module)] for module in network if type(module) in operators]
     tensors: list[TensorProto] = []
-    last = "flat"
+    last, end = "flat", "unmasked" if masked else "values"
     nodes = [helper.make_node("Flatten", ["observations"], [last], axis=1)]
     for index, (weight, bias) in enumerate(layers):
-        inputs = [f"weight_{index}", f"bias_{index}"]
-        tensors += map(numpy_helper.from_array, (weight, bias), inputs)
+        parameters = [f"weight_{index}", f"bias_{index}"]
+        tensors += map(numpy_helper.from_array, (weight, bias), parameters)
         final, activated = index == len(layers) - 1, index < len(after)
-        out = "values" if final and not activated else f"linear_{index}"
-        nodes.append(helper.make_node("Gemm", [last, *inputs], [out], transB=1))
+        out = end if final and not activated else f"linear_{index}"
+        nodes.append(helper.make_node("Gemm", [last, *parameters], [out], transB=1))
         if activated:
-            last = "values" if final else f"hidden_{index}"
+            last = end if final else f"hidden_{index}"
             nodes.append(helper.make_node(after[index], [out], [last]))
     seen = helper.make_tensor_value_info("observations", TensorProto.FLOAT, ["batch", *shape])
     kind = kind_of(network)
     actions = ", ".join(ACTIONS) if kind == "meta" else kind
     size = outputs_of(kind)
     valued = helper.make_tensor_value_info("values", TensorProto.FLOAT, ["batch", size])
-    graph = helper.make_graph(nodes, "policy", [seen], [valued], tensors)
+    inputs = [seen]
+    if masked:
+        wide: list[str | int | None] = ["batch", len(ACTIONS)]
+        inputs.append(helper.make_tensor_value_info(MASK_INPUT, TensorProto.FLOAT, wide))
+        constants = {"one": 1.0, "masked": MASKED}
+        tensors += [
+            numpy_helper.from_array(np.array(v, dtype=np.float32), k) for k, v in constants.items()
+        ]
+        nodes.append(helper.make_node("Sub", [MASK_INPUT, "one"], ["closed"]))
+        nodes.append(helper.make_node("Mul", ["closed", "masked"], ["lost"]))
+        nodes.append(helper.make_node("Add", [end, "lost"], ["values"]))
+    graph = helper.make_graph(nodes, "policy", inputs, [valued], tensors)
     exported = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )

@@ -78,7 +78,8 @@ def export_zip(
 
     For a DQN this is the Q-network. For a PPO or A2C it is the policy up to its logits; the largest
     logit belongs to the most probable action. For a SAC it is the actor up to the tanh of its mean,
-    and for a TD3 or DDPG the actor; their actions are continuous. If `data` cannot be read, the
+    and for a TD3 or DDPG the actor; their actions are continuous. The file of a `MaskablePPO` also
+    takes the action mask, unless the observation is `Kinematics`. If `data` cannot be read, the
     activation is assumed to be Stable-Baselines3's default: tanh for a PPO or A2C, ReLU for the
     others. A checkpoint does not hold the statistics of a `VecNormalize`, so they are not exported.
 
@@ -115,8 +116,10 @@ def export_zip(
         "source_sha256": content_sha256,
         "activation": activation,
     }
-    scenes = np.concatenate([_seen(observation, seed) for seed in CHECKED_SEEDS])
-    checked = export(network, output, {**provenance, **facts}, scenes, observation)
+    masked = _is_maskable(data) and isinstance(observation, Neighbours)
+    asked = observation.model_copy(update={"action_mask": True}) if masked else observation
+    scenes = np.concatenate([_seen(asked, seed) for seed in CHECKED_SEEDS])
+    checked = export(network, output, {**provenance, **facts}, scenes, observation, masked)
     sizes = [math.prod(observation.shape), *(bias.size for _, bias in layers_of(network))]
     return {"sizes": sizes, "activation": activation, "sha256": content_sha256, **checked}
 
@@ -188,6 +191,14 @@ def _activation(data: bytes, usual: str) -> str | None:
     if match is None or match[1] not in KINDS:
         raise _Refusal(f"has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}")
     return match[1]
+
+
+def _is_maskable(data: bytes) -> bool:
+    """Whether `data` names a policy of sb3-contrib's `MaskablePPO`."""
+    try:
+        return ".maskable." in str(json.loads(data)["policy_class"]["__module__"])
+    except (ValueError, RecursionError, LookupError, TypeError):
+        return False
 
 
 def _check_action_space(data: bytes) -> None:

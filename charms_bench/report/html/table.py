@@ -7,7 +7,9 @@ from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
+from charms_bench.report.bars import Scale
 from charms_bench.report.formatting import Written, write_cells
 from charms_bench.report.table import Cell, Column, Row, Table
 from charms_bench.world.names import unused
@@ -26,6 +28,8 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     made.filters["written"] = written
+    made.filters["scales"] = scales
+    made.filters["bar"] = bar
     return made
 
 
@@ -35,6 +39,29 @@ def written(table: Table) -> list[tuple[Row, list[Written]]]:
         (row, list(map(_typeset, row.cells, texts)))
         for row, texts in zip(table.rows, write_cells(table), strict=True)
     ]
+
+
+def scales(table: Table) -> list[Scale]:
+    """The scale of each column, from 0 to 100 %, on which its bars are drawn."""
+    return [
+        Scale.over(
+            (end for number in table.column(i) for end in (number.value, number.low, number.high)),
+            101,
+            zero=column.signed or column.form.endswith("%"),
+        )
+        for i, column in enumerate(table.columns)
+    ]
+
+
+def bar(cell: Cell, scale: Scale) -> Markup:
+    """A number drawn to scale in its interval; empty without an interval."""
+    if isinstance(cell, str) or cell.value is None or cell.low is None or cell.high is None:
+        return Markup()
+    low, value, high = (scale.place(each) for each in (cell.low, cell.value, cell.high))
+    return Markup(
+        '<span class="bar" aria-hidden="true"><i style="left: {}%; width: {}%"></i>'
+        '<b style="left: {}%"></b></span>'
+    ).format(low, high - low, value)
 
 
 def _typeset(cell: Cell, text: Written) -> Written:

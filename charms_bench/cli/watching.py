@@ -1,0 +1,104 @@
+"""`watch`: an episode, shown while it is simulated."""
+
+import os
+import sys
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from charms_bench.cli.terminal import app, interruptible, out, say
+
+if TYPE_CHECKING:
+    from charms_bench.envs.watching import Watched
+    from charms_bench.envs.window import Window
+
+WIDEST = 120
+"""Most characters of the road in a terminal."""
+
+
+@app.command()
+def watch(
+    agent: Annotated[
+        str, typer.Argument(help="Ego: an installed agent, or the path of an ONNX file.")
+    ],
+    traffic: Annotated[
+        str, typer.Option(help="Traffic model, or an agent that drives all other vehicles.")
+    ] = "idm_mobil",
+    seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Seed of the episode.")] = 0,
+    text: Annotated[
+        bool, typer.Option("--text", help="Draw in the terminal even if there is a display.")
+    ] = False,
+) -> None:
+    """Watch an agent drive an episode, in a window or in the terminal.
+
+    The episode runs in real time. Without a display, the road is drawn with characters. If the
+    output is not a terminal, it has one picture per second of the episode.
+    """
+    from charms_bench.envs.watching import Watched
+
+    watched = Watched(agent, traffic, seed)
+    with interruptible():
+        window = None if text else _window(f"{agent} in {traffic}")
+        if window is not None:
+            _in_window(watched, window)
+        elif sys.stdout.isatty():
+            _in_terminal(watched)
+        else:
+            _in_file(watched)
+    say(f"{agent} in {traffic}, episode {seed}: {ENDED[watched.ending]}")
+
+
+ENDED = {
+    "time": "drove until the time was over",
+    "rear_end": "ended with a rear-end collision",
+    "side": "ended with a side collision",
+    "off_road": "left the road",
+}
+
+
+def _window(title: str) -> "Window | None":
+    """A window, or None if there is no display."""
+    from charms_bench.envs.window import Window
+    from charms_bench.errors import InputError
+
+    displays = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+    if sys.platform == "linux" and not any(map(os.environ.get, displays)):
+        return None  # asked for a display all the same, SDL prints an error of its own
+    try:
+        return Window(title)
+    except InputError:
+        return None
+
+
+def _in_window(watched: "Watched", window: "Window") -> None:
+    import numpy as np
+
+    from charms_bench.world.picture import picture
+
+    try:
+        for moment in watched.moments():
+            window.show(np.asarray(picture(moment)), watched.settings.simulation_hz)
+    finally:
+        window.close()
+
+
+def _in_terminal(watched: "Watched") -> None:
+    from rich.live import Live
+
+    from charms_bench.report.road import road
+
+    with Live(console=out(), auto_refresh=False) as live:
+        due = time.monotonic()
+        for moment in watched.moments():
+            live.update(road(moment, min(out().width, WIDEST)), refresh=True)
+            due += 1 / watched.settings.simulation_hz
+            time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _in_file(watched: "Watched") -> None:
+    from charms_bench.report.road import road
+
+    for frame, moment in enumerate(watched.moments()):
+        if frame % watched.settings.simulation_hz == 0:
+            out().print(road(moment, min(out().width, WIDEST)), "\n", soft_wrap=True)

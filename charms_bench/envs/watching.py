@@ -1,0 +1,53 @@
+"""An episode to watch while it is simulated."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from charms_bench.engine.simulation import ENDINGS, Simulation
+from charms_bench.envs.ego_env import drivers_of
+from charms_bench.envs.rendering import moment_of
+from charms_bench.plugins.registry import make_agent
+from charms_bench.world.scene import SceneSettings
+
+if TYPE_CHECKING:
+    from charms_bench.world.picture import Moment
+
+
+class Watched:
+    """An episode with an agent as the ego.
+
+    Args:
+        agent: The name of an installed agent, or the path of a network.
+        traffic: The name of a traffic model or of an agent.
+        seed: The episode's seed.
+
+    Raises:
+        CharmsBenchError: An agent or the traffic model cannot be used.
+    """
+
+    def __init__(self, agent: str, traffic: str, seed: int) -> None:
+        around, drivers = drivers_of(traffic)
+        drivers[agent] = make_agent(agent)
+        self.settings = SceneSettings()
+        self._title = f"{agent} in {traffic}"
+        self._simulation = Simulation(self.settings, 1, agent, around, drivers)
+        self._simulation.reset(np.array([seed], dtype=np.uint64))
+
+    def moments(self) -> "Iterator[Moment]":
+        """The start of the episode, and then the moment after each simulation step."""
+        simulation = self._simulation
+        yield moment_of(simulation, 0, self._title)
+        while simulation.scene.active[0]:
+            for _ in range(self.settings.steps_per_decision):
+                simulation.advance()
+                if simulation.phase < self.settings.steps_per_decision:
+                    yield moment_of(simulation, 0, self._title)
+            simulation.finish_step()
+            yield moment_of(simulation, 0, self._title)
+
+    @property
+    def ending(self) -> str:
+        """One of `engine.simulation.ENDINGS`."""
+        return ENDINGS[self._simulation.ending[0]]

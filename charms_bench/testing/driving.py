@@ -1,0 +1,32 @@
+"""What an agent does in a few episodes that no suite evaluates on."""
+
+import numpy as np
+
+from charms_bench.engine.recording import Recording
+from charms_bench.engine.simulation import Simulation
+from charms_bench.envs.ego_env import drivers_of
+from charms_bench.metrics.missing_lanes import missing_lanes
+from charms_bench.plugins.registry import make_agent
+from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
+
+EPISODES = 50
+
+
+def remark_on(name: str, traffic: str = "idm_mobil") -> str:
+    """A remark on the decisions of an agent as the ego in a traffic, without its subject.
+
+    It is empty if there is nothing to remark; see `metrics.missing_lanes`.
+
+    Raises:
+        CharmsBenchError: The agent cannot drive.
+    """
+    settings = SceneSettings()
+    around, drivers = drivers_of(traffic)
+    drivers[name] = make_agent(name)
+    simulation = Simulation(settings, EPISODES, name, around, drivers)
+    simulation.reset(EVALUATION_SEEDS + np.arange(EPISODES, dtype=np.uint64))
+    recording = Recording(simulation)
+    while simulation.scene.active.any():
+        simulation.step()
+        recording.note()
+    return missing_lanes([recording.steps()], settings.lanes).remark()

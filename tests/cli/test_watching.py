@@ -1,0 +1,58 @@
+"""`charms-bench watch` shows an episode, in a window or as text."""
+
+from pathlib import Path
+
+import pytest
+from command_line import charms_bench
+
+
+@pytest.fixture(autouse=True)
+def _no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_without_a_display_and_a_terminal_there_is_a_picture_per_second() -> None:
+    result = charms_bench("watch", "level_0", "--traffic", "level_0", "--seed", 3)
+    assert result.returncode == 0, result.stderr
+    lines = result.stdout.splitlines()
+    heads = [line for line in lines if line.startswith("level_0 in level_0, episode 3, ")]
+    assert heads[:2] == [f"level_0 in level_0, episode 3, {k}.0 s" for k in (0, 1)]
+    roads = [line for line in lines if any(ego in line for ego in ("[ego>", "<ego>", "xegox"))]
+    assert len(roads) == len(heads)
+    assert lines[-1].startswith("level_0 in level_0, episode 3: ")
+
+
+def test_a_network_can_be_watched(network_file: object, tmp_path: Path) -> None:
+    path = network_file()  # type: ignore[operator]
+    result = charms_bench("watch", path, "--traffic", "level_0", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert f"{path} in level_0, episode 0" in result.stdout.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nobody",), "no agent named 'nobody'"),
+        (("level_0", "--traffic", "nobody"), "no traffic named 'nobody'"),
+    ],
+)
+def test_unknown_names_are_mistakes(arguments: tuple[str, ...], message: str) -> None:
+    result = charms_bench("watch", *arguments)
+    assert (result.returncode, message in result.stderr) == (2, True)
+
+
+def test_with_a_display_it_is_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    from typer.testing import CliRunner
+
+    from charms_bench.cli import app
+    from charms_bench.envs import window
+
+    sizes: list[tuple[int, ...]] = []
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr(window.Window, "show", lambda _, picture, hz: sizes.append(picture.shape))
+    done = CliRunner().invoke(app, ["watch", "level_0", "--traffic", "level_0"])
+    assert done.exit_code == 0, done.output
+    assert "═" not in done.output
+    assert len(sizes) > 15  # fifteen pictures per second, and the start
+    assert {shape[1:] for shape in sizes} == {(800, 3)}
