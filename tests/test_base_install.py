@@ -88,3 +88,11 @@ def test_a_parallel_environment_says_how_to_install_what_it_needs(
     done = subprocess.run(command, env=without_torch, capture_output=True, text=True, check=False)
     assert done.stderr.strip().endswith("pip install 'charms-bench[pettingzoo]'")
     assert "ImportError: a ParallelEnv needs PettingZoo" in done.stderr
+
+
+def test_the_suites_are_installed(without_torch: dict[str, str], tmp_path: Path) -> None:
+    listed = charms_bench(without_torch, "suites")
+    assert {"ego", "transfer/lanes-2", "train"} <= {line.split()[0] for line in listed.splitlines()}
+    options = ["--episodes", "2", "--output", str(tmp_path / "run"), "--json"]
+    named = json.loads(charms_bench(without_torch, "run", "ego", *options))
+    assert named == json.loads(charms_bench(without_torch, "run", str(SUITE), *options))

@@ -34,8 +34,45 @@ VERDICTS = {
 
 
 @app.command()
+def suites(
+    copy: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Copy this suite to the current folder, to edit it."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the suites that come with charms-bench; `charms-bench run NAME` runs one."""
+    from charms_bench.errors import suggestion
+    from charms_bench.runs.document import Document
+    from charms_bench.runs.packaged import packaged_suites
+
+    found = packaged_suites()
+    if copy is not None:
+        if copy not in found:
+            raise InputError(f"no suite named '{copy}'. {suggestion(copy, found)}")
+        path = Path(found[copy].name)
+        try:
+            with path.open("xb") as file:
+                file.write(found[copy].read_bytes())
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+        say(f"Written: {shown(path)}; charms-bench run {shown(path)}")
+        return
+    titles = {name: str(Document(path).data["title"]) for name, path in found.items()}
+    if as_json:
+        print_json([{"name": name, "title": title} for name, title in titles.items()])
+        return
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        say(f"{name:{width}}  {title}")
+
+
+@app.command()
 def run(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    suite: Annotated[
+        Path,
+        typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists."),
+    ],
     episodes: Annotated[
         int | None,
         typer.Option(min=1, help="Episodes per ego and traffic; overrides the suite."),

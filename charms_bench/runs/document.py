@@ -8,6 +8,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from charms_bench.errors import SuiteError, first_problem
+from charms_bench.runs.packaged import suite_file
 from charms_bench.world.files import absolute, read_limited
 
 M = TypeVar("M", bound=BaseModel)
@@ -23,11 +24,15 @@ DIGITS_LIMIT = 40
 class Document:
     """A YAML mapping that knows on which line each of its values is; see `_Loader`.
 
+    Args:
+        path: The file, or the name of a suite that is installed with the package.
+
     Raises:
         SuiteError: The file cannot be read, or `_Loader` refuses it.
     """
 
     def __init__(self, path: Path) -> None:
+        path = suite_file(path)
         self.path, self.folder = path, absolute(path).parent
         try:
             text = read_limited(path, SIZE_LIMIT_BYTES).decode()
