@@ -123,9 +123,7 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     first = problems[0]
     found = _shortened(first["input"])
     what = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "extra_forbidden":
-        what = "unknown key"
-    elif first["type"] != "missing":
+    if first["type"] not in ("missing", "unknown_key"):
         what = f"{what}, found {found}"
     more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
     return first["loc"], what + more

@@ -1,9 +1,20 @@
 """Field types of validated models, such as suites."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from charms_bench.errors import suggestion
 
 # Within these bounds, no quantity of a simulation overflows.
 Positive = Annotated[float, Field(ge=1e-9, le=1e9)]
@@ -15,6 +26,26 @@ class FrozenModel(BaseModel):
     """A strict, immutable model in which an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_known_keys(cls, data: Any) -> Any:
+        """Says at an unknown key which keys there are, which pydantic's own error does not."""
+        known = {field.alias or name: field for name, field in cls.model_fields.items()}
+        unknown = [key for key in data if key not in known] if isinstance(data, dict) else []
+        if not unknown:
+            return data
+        shown = {name: field for name, field in known.items() if not field.exclude}
+        what = f"unknown key. {suggestion(str(unknown[0]), shown)}"
+        problems = [
+            InitErrorDetails(type=_unknown_key(what), loc=(key,), input=data[key])
+            for key, what in {**dict.fromkeys(unknown, "unknown key"), unknown[0]: what}.items()
+        ]
+        raise ValidationError.from_exception_data(cls.__name__, problems)
+
+
+def _unknown_key(what: str) -> PydanticCustomError:
+    return PydanticCustomError("unknown_key", "{what}", {"what": what})
 
 
 def _printable(text: str) -> str:
