@@ -7,9 +7,13 @@ that cannot be written to standard output are an error.
 import io
 import os
 import sys
+from contextvars import ContextVar
 from typing import Any, TextIO
 
 from charms_bench.errors import InputError
+
+QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
+"""Whether progress, and messages beside the results, are left out."""
 
 
 def open_closed_streams() -> None:

@@ -5,11 +5,22 @@ Commands import what they need when they run, so that `--help` is quick.
 
 import gc
 import os
+import signal
 import sys
+import traceback
 from importlib.util import find_spec
 from pathlib import Path
 
-from charms_bench.cli.terminal import app, ended_by_second_signal, err, say
+from charms_bench.cli.terminal import (
+    ANYWHERE,
+    MISTAKE,
+    OUR_BUG,
+    VERBOSE,
+    app,
+    ended_by_second_signal,
+    err,
+    say,
+)
 from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.streams import write_reliably
 
@@ -41,15 +52,22 @@ def _use_own_style() -> None:
         matplotlib.rcdefaults()
 
 
+def _arguments(words: list[str]) -> list[str]:
+    """The arguments with the options `ANYWHERE` before the name of the command."""
+    end = words.index("--") if "--" in words else len(words)
+    first = [word for word in words[:end] if word in ANYWHERE]
+    return [*first, *(word for word in words[:end] if word not in ANYWHERE), *words[end:]]
+
+
 def main() -> None:
-    """Runs the command line; a mistake of the user is a message and exit code 2."""
+    """Runs the command line; see `terminal.EXITS` for how it ends."""
     gc.set_threshold(100_000)  # most objects live until the end of a command
     write_reliably()
     try:
         _use_own_style()
         try:
             with ended_by_second_signal():
-                app()
+                app(_arguments(sys.argv[1:]))
         finally:
             sys.stdout.flush()  # not when Python exits, where an error would be lost
     except CharmsBenchError as error:
@@ -58,9 +76,15 @@ def main() -> None:
             what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
         err().print("[bold red]error:[/] ", end="")
         say(what, err())
-        sys.exit(2)
+        if VERBOSE.get():
+            traceback.print_exception(error)
+        sys.exit(MISTAKE)
     except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        sys.exit(128 + signal.SIGPIPE)
+    except Exception:
+        traceback.print_exc()
+        say("This is a bug of charms-bench. Please report it with the lines above.", err())
+        sys.exit(OUR_BUG)
     finally:
         gc.freeze()  # so that Python does not collect everything once more when it exits

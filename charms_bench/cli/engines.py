@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import Json, Workers, app, err, print_json, print_records, say
+from charms_bench.cli.terminal import FALSE, Json, Workers, app, err, print_json, print_records, say
 from charms_bench.errors import InputError
 
 
@@ -72,7 +72,7 @@ def verify(
         verdict = f"{differing} of {total:,} episodes differ" if differing else "the engines agree"
         say(f"{total:,} episodes: {verdict}.")
     if differing:
-        raise typer.Exit(1)
+        raise typer.Exit(FALSE)
 
 
 @app.command()

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
+    FALSE,
+    UNKNOWN,
     Json,
     MetricSets,
     RunPath,
@@ -25,7 +27,7 @@ from charms_bench.errors import InputError, RunFolderError
 
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
-EXIT_CODES = {"true": 0, "false": 1, "unknown": 2}
+EXIT_CODES = {"true": 0, "false": FALSE, "unknown": UNKNOWN}
 VERDICTS = {
     "true": "everything that was checked is true",
     "false": "is not true",

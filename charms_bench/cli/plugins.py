@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from charms_bench.cli.terminal import (
+    FALSE,
     FigurePath,
     Json,
     app,
@@ -119,9 +120,9 @@ def check(
         except PLUGIN_ERRORS as error:  # every mistake of a plugin is a result of the check
             problem = str(error) if isinstance(error, AssertionError) else raised(error)
         title = rule.__name__.replace("_", " ")
-        results.append({"rule": title, "kept": not problem, "problem": problem})
+        results.append({"rule": title, "pass": not problem, "problem": problem})
         if not as_json:
-            out().print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
+            out().print("[red]fail[/]" if problem else "[green]pass[/]", end=" ")
             say(f"{title}: {problem}" if problem else title)
     remark = "" if is_traffic or any(each["problem"] for each in results) else remark_on(name)
     if as_json:
@@ -129,7 +130,7 @@ def check(
     elif remark:
         say(f"remark {remark}. {MEANING}")
     if any(result["problem"] for result in results):
-        raise typer.Exit(1)
+        raise typer.Exit(FALSE)
 
 
 @app.command()

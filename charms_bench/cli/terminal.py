@@ -17,22 +17,38 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from charms_bench.errors import InputError
+from charms_bench.streams import QUIET
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from charms_bench.report.table import Table
 
+FALSE, MISTAKE, UNKNOWN, OUR_BUG = 1, 2, 3, 70
+"""Exit codes; a command that a signal ends has 128 and the signal's number."""
+EXITS = {
+    0: "success, and everything that was checked is true",
+    FALSE: "something that was checked is false (check, verify, audit)",
+    MISTAKE: "a mistake in an option, a file or a plugin",
+    UNKNOWN: "nothing false, but something cannot be checked (audit)",
+    OUR_BUG: "a bug of charms-bench, with a traceback",
+    130: "stopped by Ctrl-C",
+    141: "the reader of the output has left",
+    143: "stopped by SIGTERM",
+}
 app = typer.Typer(
     name="charms-bench",
     no_args_is_help=True,
     rich_markup_mode=None,
-    add_completion=False,
     pretty_exceptions_enable=False,
+    epilog="Exit codes: " + "; ".join(f"{code}: {what}" for code, what in EXITS.items()) + ".",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 
+ANYWHERE = ("--quiet", "--verbose")
+"""Options of charms-bench itself, which may also follow the name of a command."""
+VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
 _ANSWER: ContextVar[TextIO | None] = ContextVar("_ANSWER", default=None)
 """Where `print_json` prints; None is standard output."""
 
@@ -143,8 +159,16 @@ def options(
             help="Print the version and exit.",
         ),
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option(ANYWHERE[0], help="Print results and errors, but no progress.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option(ANYWHERE[1], help="Print where in the code an error was raised.")
+    ] = False,
 ) -> None:
     """Benchmark driving behaviour on highway-env's motorway."""
+    QUIET.set(quiet)
+    VERBOSE.set(verbose)
 
 
 @contextmanager

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.markup import escape
 
+from charms_bench.streams import QUIET
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -22,7 +24,8 @@ def printable(text: str) -> str:
 
 def note(text: str) -> None:
     """Prints a message beside the results, on standard error."""
-    Console(stderr=True, emoji=False).print(printable(text), highlight=False, soft_wrap=True)
+    if not QUIET.get():
+        Console(stderr=True, emoji=False).print(printable(text), highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -34,6 +37,9 @@ def progress(unit: str, total: int, console: Console | None = None) -> Iterator[
         total: How many there are.
         console: Where to show it.
     """
+    if QUIET.get():
+        yield lambda what, count: None
+        return
     # FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
     interactive = None if sys.stderr.isatty() else False
     console = console or Console(stderr=True, emoji=False, force_interactive=interactive)

@@ -213,14 +213,14 @@ def test_agents_are_listed_with_role_version_and_distribution() -> None:
 @pytest.mark.parametrize(
     ("name", "code", "message"),
     [
-        ("outside_policy", 0, "kept   policy decides for each vehicle independently"),
+        ("outside_policy", 0, "pass policy decides for each vehicle independently"),
         ("outside_policy", 0, "remark chose a lane that does not exist in "),
-        ("outside_model", 0, "kept   model does not change the scene"),
-        ("outside_traffic", 0, "kept   traffic follows its rng"),
+        ("outside_model", 0, "pass model does not change the scene"),
+        ("outside_traffic", 0, "pass traffic follows its rng"),
         (
             "outside_misshapen",
             1,
-            "broken policy returns one action per vehicle: for row 0 of 336, decide",
+            "fail policy returns one action per vehicle: for row 0 of 336, decide",
         ),
         ("outside_raising", 1, "raised ValueError: out of petrol"),
     ],
@@ -401,6 +401,28 @@ def test_a_terminal_gets_a_progress_bar(suite_file: Path, copied_run: Path) -> N
     assert running.wait() == 0
     assert b"episodes" in seen
     assert "━".encode() in seen
+
+
+def test_a_bug_of_ours_has_its_own_exit_code_and_a_traceback(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("charms_bench.runs.packaged.packaged_suites", lambda: 1 / 0)
+    called = charms_bench("suites", cwd=tmp_path)
+    assert called.returncode == 70
+    assert "ZeroDivisionError" in called.stderr
+    assert "This is a bug of charms-bench. Please report it" in called.stderr
+
+
+def test_quiet_leaves_out_progress_and_verbose_says_where_an_error_was_raised(
+    suite_file: Path, tmp_path: Path
+) -> None:
+    words = ("run", suite_file, "--workers", 1, "--output", tmp_path / "run")
+    assert charms_bench(*words, "--quiet").stderr == ""
+    assert "6 episodes" not in charms_bench("--quiet", *words).stderr
+    assert "Traceback" not in charms_bench("run", tmp_path / "none.yaml").stderr
+    told = charms_bench("run", tmp_path / "none.yaml", "--verbose").stderr
+    assert "none.yaml: no such file" in told
+    assert "in suite_file" in told
 
 
 @pytest.mark.parametrize(

@@ -103,7 +103,7 @@ def test_what_a_plugin_prints_past_python_is_not_on_standard_output(home: Path) 
         text=True,
         check=True,
     )
-    assert {each["kept"] for each in json.loads(done.stdout)} == {True}
+    assert {each["pass"] for each in json.loads(done.stdout)} == {True}
     for printed in ("among the results", "past Python", "past the redirection", "late"):
         assert printed in done.stderr
 

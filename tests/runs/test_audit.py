@@ -353,7 +353,7 @@ def test_a_file_of_nothing_is_named_and_what_readers_made_is_not(folder: Path) -
         (folder / "run" / name).parent.mkdir(exist_ok=True)
         (folder / "run" / name).write_text("x")
     answer = audited(folder)
-    assert answer.returncode == 2, answer
+    assert answer.returncode == 3, answer
     assert "unknown  files     notes.txt: is not a file of a run" in answer.stdout
     assert "x.gif" not in answer.stdout
 
@@ -442,7 +442,7 @@ def test_other_libraries_and_other_agents_are_named_and_nothing_is_called_false(
     change_keys(folder)
     change_manifest(folder, change)
     answer = audited(folder)
-    assert answer.returncode == 2, answer
+    assert answer.returncode == 3, answer
     assert f"libraries: numpy is {np.__version__}, expected 1.0; install these" in answer.stdout
     assert "idm_mobil: is not the agent of the run: code_sha256 is " in answer.stdout
     assert "false" not in answer.stdout.replace("nothing false", "")
@@ -466,7 +466,7 @@ def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     change_manifest(tmp_path, lambda manifest: manifest.update(commit="1234abcd"))
     answer = audited(tmp_path)
-    assert answer.returncode == 2
+    assert answer.returncode == 3
     what = "charms_bench.world.lanes is not the code of the run, which was charms-bench"
     assert f"modules: {what} {harness.__version__}" in answer.stdout
     assert "install commit 1234abcd" in answer.stdout
@@ -476,7 +476,7 @@ def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
 def test_an_old_manifest_that_names_no_code_is_not_called_true(folder: Path) -> None:
     change_manifest(folder, lambda manifest: manifest.pop("modules"))
     answer = audited(folder)
-    assert answer.returncode == 2
+    assert answer.returncode == 3
     assert "the manifest does not name the code of the run" in answer.stdout
 
 
@@ -507,7 +507,7 @@ def test_an_estimation_of_a_rare_event_is_checked_as_far_as_that_goes(tmp_path: 
     made = charms_bench("rare", "suite.yaml", *words, cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     answer = audited(tmp_path)
-    assert answer.returncode == 2
+    assert answer.returncode == 3
     assert "the files of all runs match the hashes in them" in answer.stdout
     path = min((tmp_path / "run" / "runs").iterdir())
     path.write_text(path.read_text().replace("1", "2", 1))
