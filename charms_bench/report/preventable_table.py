@@ -77,6 +77,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     def column(_: str, name: str) -> Column:
         return Column(
             name=name,
+            label=f"{name[0].upper()}{name[1:]}".replace("_", " "),
             definition=shares.get(name, ""),
             counted="episodes",
             interval="Wilson's score interval of a share of episodes",

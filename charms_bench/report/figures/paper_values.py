@@ -39,5 +39,5 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
         panel.spines["left"].set_visible(False)
         panel.margins(x=0.12)
         panel.locator_params(axis="x", nbins=4)
-        panel.set_title(table.columns[place].name, fontsize=9)
+        panel.set_title(table.columns[place].title, fontsize=9)
     return figure

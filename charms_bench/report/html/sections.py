@@ -7,6 +7,7 @@ from pathlib import Path
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from charms_bench.metrics.labels import set_label_of
 from charms_bench.people.reference import read_references
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -60,7 +61,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
     shown = [
-        replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
+        replace(block, title=" and ".join(dict.fromkeys(set_label_of(each.group) for each in block.columns)))
         for block in chosen.blocks(COLUMNS + 1)
     ]
     if tables.preventable is not None:
