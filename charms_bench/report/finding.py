@@ -48,32 +48,28 @@ def finding(
 
 def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
     found = _sorted((ego, number) for (ego, _), number in rates.items())
-    best, number = found[0]
+    number = found[0][1]
     tied = [name for name, each in found if each.value == number.value]
     if len(tied) == len(found):
         return f"All {len(found)} agents crashed equally often: {_rate(number)} each."
     following = found[len(tied)]
-    if len(tied) > 1:
-        return (
-            f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)} each. The next is "
-            f"{following[0]} with {_rate(following[1])}."
-        )
     traffic = suite.traffics[0].title
-    value, low, high, p = _paired(cells[following[0], traffic], cells[best, traffic])
+    # Of agents that share the lowest rate, the one that is hardest to separate from the next.
+    tests = [_paired(cells[following[0], traffic], cells[name, traffic]) for name in tied]
+    value, low, high, p = max(tests, key=lambda test: test[-1])
     pairs = _pairs(suite)
     return (
-        f"{best} crashed in the fewest episodes: {_rate(number)}. {following[0]} is next with "
-        f"{_rate(following[1])}. The difference is {100 * value:.1f} percentage points (95 % "
+        f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}{' each' * (len(tied) > 1)}"
+        f". {following[0]} is next with {_rate(following[1])}. The difference is {100 * value:.1f} percentage points (95 % "
         f"interval {100 * low:.1f} to {100 * high:.1f}), and the paired test "
-        f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible pairs."
+        f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible "
+        f"pair{'s' * (pairs > 1)})."
     )
 
 
 def _verdict(p: float) -> str:
     said = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
-    if p < 1 - CONFIDENCE:
-        return f"separates the two ({said})"
-    return f"does not separate the two ({said}): either may be better"
+    return f"{'separates' if p < 1 - CONFIDENCE else 'does not separate'} them ({said}"
 
 
 def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
