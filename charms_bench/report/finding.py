@@ -60,15 +60,15 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
     pairs = _pairs(suite)
     return (
         f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}{' each' * (len(tied) > 1)}"
-        f". {following[0]} is next with {_rate(following[1])}. The difference is {100 * value:.1f} percentage points (95 % "
-        f"interval {100 * low:.1f} to {100 * high:.1f}), and the paired test "
+        f". {following[0]} is next with {_rate(following[1])}. The difference is {_percent(value)} percentage points (95 % "
+        f"interval {_percent(low)} to {_percent(high)}), and the paired test "
         f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible "
         f"pair{'s' * (pairs > 1)})."
     )
 
 
 def _verdict(p: float) -> str:
-    said = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    said = "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 1 else "p = 1"
     return f"{'separates' if p < 1 - CONFIDENCE else 'does not separate'} them ({said}"
 
 
@@ -197,7 +197,7 @@ def _rate(number: Number) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.{1 if share >= 0.01 or not share else 2}f}"
+    return f"{100 * share:.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
 
 
 def _listed(names: Sequence[str], most: int = NAMED) -> str:

@@ -92,7 +92,9 @@ def _percentage(numbers: Iterable[Number]) -> str:
 
 def _largest(numbers: Iterable[Number]) -> float:
     found = [each for number in numbers for each in (number.value, number.high, number.reference)]
-    return max((abs(each) for each in found if each is not None and math.isfinite(each)), default=0.0)
+    return max(
+        (abs(each) for each in found if each is not None and math.isfinite(each)), default=0.0
+    )
 
 
 def _two_digits_of_margin(number: Number, factor: float = 1.0) -> str:

@@ -64,7 +64,12 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
 
     def column(group: str, metric: str) -> Column:
         known = replace(first_column(metric), group=group, signed=True)
-        return replace(known, form="margin%" if known.form == "%" else "margin", counted="", interval="paired, as in `charms-bench compare`")
+        return replace(
+            known,
+            form="margin%" if known.form == "%" else "margin",
+            counted="",
+            interval="paired, as in `charms-bench compare`",
+        )
 
     return Table.from_frame(
         frame,

@@ -255,7 +255,9 @@ class Table:
         if len(parts) == 1 and not self.columns[0].group:
             return [self]
         return [
-            replace(self.take(places), title=": ".join(filter(None, (set_label_of(group), quantity))))
+            replace(
+                self.take(places), title=": ".join(filter(None, (set_label_of(group), quantity)))
+            )
             for (group, quantity), places in parts.items()
         ]
 

@@ -51,7 +51,9 @@ def _label_width(table: Table) -> int:
 
 
 def _by_key(table: Table) -> list[tuple[str, ...]]:
-    return list(zip(map(key_label_of, table.keys), *(row.labels for row in table.rows), strict=True))
+    return list(
+        zip(map(key_label_of, table.keys), *(row.labels for row in table.rows), strict=True)
+    )
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:

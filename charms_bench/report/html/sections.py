@@ -7,7 +7,6 @@ from pathlib import Path
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from charms_bench.metrics.labels import set_label_of
 from charms_bench.people.reference import read_references
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -67,10 +66,12 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
-    shown = [
-        replace(block, title=" and ".join(dict.fromkeys(set_label_of(each.group) for each in block.columns)))
-        for block in chosen.blocks(COLUMNS + 1)
-    ]
+    first = {name: place for place, name in enumerate(suite.columns)}
+    parts = sorted(
+        chosen.parts(),
+        key=lambda part: min(first.get(column.name, len(first)) for column in part.columns),
+    )
+    shown = [block for part in parts for block in part.blocks(COLUMNS + 1)]
     if tables.preventable is not None:
         shown.append(tables.preventable)
     if tables.realism is not None:
