@@ -59,11 +59,11 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
     value, low, high, p = max(tests, key=lambda test: test[-1])
     pairs = _pairs(suite)
     return (
-        f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}{' each' * (len(tied) > 1)}"
-        f". {following[0]} is next with {_rate(following[1])}. The difference is {_percent(value)} percentage points (95 % "
-        f"interval {_percent(low)} to {_percent(high)}), and the paired test "
-        f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible "
-        f"pair{'s' * (pairs > 1)})."
+        f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}"
+        f"{' each' * (len(tied) > 1)}. {following[0]} is next with {_rate(following[1])}. The "
+        f"difference is {_percent(value)} percentage points (95\N{NO-BREAK SPACE}% interval "
+        f"{_percent(low)} to {_percent(high)}), and the paired test {_verdict(min(1.0, p * pairs))}, corrected for "
+        f"{pairs:,} possible pair{'s' * (pairs > 1)})."
     )
 
 
@@ -116,7 +116,11 @@ def _of_one(ego: str, found: tuple[str, Number]) -> str:
     traffic, number = found
     if number.value:
         return f"{ego} crashed in {_rate(number)} in {traffic}."
-    limit = "" if number.high is None else f" The 95 % interval ends at {_percent(number.high)} %."
+    limit = (
+        ""
+        if number.high is None
+        else f" The 95\N{NO-BREAK SPACE}% interval ends at {_percent(number.high)} %."
+    )
     return (
         f"{ego} crashed in none of {number.n or 0:,} episodes in {traffic}.{limit} "
         "`charms-bench rare` estimates smaller probabilities."
@@ -188,12 +192,14 @@ def _sorted(rates: Iterable[tuple[str, Number]]) -> Rates:
 
 
 def _rate(number: Number) -> str:
-    said = f"{_percent(number.value or 0.0)} %"
+    said = f"{_percent(number.value or 0.0)}\N{NO-BREAK SPACE}%"
     if number.n:
         said += f" of {number.n:,} episodes"
     if number.low is None or number.high is None:
         return said
-    return f"{said} (95 % interval {_percent(number.low)} to {_percent(number.high)})"
+    return (
+        f"{said} (95\N{NO-BREAK SPACE}% interval {_percent(number.low)} to {_percent(number.high)})"
+    )
 
 
 def _percent(share: float) -> str:

@@ -84,7 +84,7 @@ def _four_digits(numbers: Iterable[Number]) -> str:
 
 
 def _percentage(numbers: Iterable[Number]) -> str:
-    """The form for proportions: three digits of the largest, as a percentage with 1 to 3 decimals."""
+    """The form for proportions: three digits of the largest percentage, 1 to 3 decimals."""
     largest = 100 * _largest(numbers)
     decimals = 2 - math.floor(math.log10(largest)) if largest else 1
     return f".{min(3, max(1, decimals))}%"

@@ -2,8 +2,8 @@
 
 What the suite declares decides which one it is. Human driving to compare with: the distances from
 it. A reference driver: the preventable collisions, egos down and scenarios across. Pairs: in how
-many metrics each two egos differ. Several egos in several traffic models: the matrix of the suite's first metric that has one. In
-every other suite, it is the table of the suite's first columns.
+many metrics each two egos differ. Several egos in several traffic models: the matrix of the suite's
+first metric that has one. In every other suite, it is the table of the suite's first columns.
 """
 
 from dataclasses import replace

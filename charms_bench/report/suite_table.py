@@ -137,17 +137,9 @@ def across(table: Table, place: int, title: str, factor: float) -> Table:
     egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
     column = replace(table.columns[place], group="", unit="", form=".1f")
     columns = tuple(replace(column, name=each, label=each) for each in traffics)
-    numbers = {row.labels: _scaled(row.numbers[place], factor) for row in table.rows}
+    numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
     rows = tuple(
         Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
         for ego in egos
     )
     return Table(table.name, title, ("ego \\ traffic",), columns, rows)
-
-
-def _scaled(number: Number, factor: float) -> Number:
-    """A number without its reference value, times a factor."""
-    value, low, high = (
-        None if each is None else each * factor for each in (number.value, number.low, number.high)
-    )
-    return Number(value, low, high, number.n)

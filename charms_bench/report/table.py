@@ -61,6 +61,13 @@ class Number:
     marked: bool = False
     """Whether the number stands out, for the reason that the table's note gives."""
 
+    def scaled(self, factor: float) -> "Number":
+        """The number times a factor, without its reference value."""
+        value, low, high = (
+            None if each is None else each * factor for each in (self.value, self.low, self.high)
+        )
+        return replace(self, value=value, low=low, high=high, reference=None)
+
 
 Cell = Number | str
 

@@ -1,6 +1,7 @@
 """Tables in a terminal: as numbers side by side (`grid`), or drawn to scale (`drawn`)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import chain
 
 from rich import box
@@ -41,7 +42,10 @@ def compact(table: Table, width: int = 100) -> Group:
     shown = table.take(range(len(widths)))
     more = ", ".join(column.heading for column in table.columns[len(widths) :])
     below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
-    return Group(_grid(shown, stacked=True, wrapped=labels > width // 2, widths=widths), *below)
+    above = [Text(table.title)] * bool(table.title)
+    shown = replace(shown, title="")
+    found = _grid(shown, stacked=True, wrapped=labels > width // 2, widths=widths)
+    return Group(*above, found, *below)
 
 
 def _label_width(table: Table) -> int:
@@ -61,11 +65,11 @@ def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
 
     If it is `stacked`, an interval and a reference value stand under the value; else the interval
     has a column of its own, and all columns stand in one block. Labels that take more than half of
-    the width are wrapped.
+    the width, or a third of it if the table is not stacked, are wrapped.
     """
     by_row = (row.labels for row in table.rows)
     labels = sum(max(map(len, each)) for each in zip(*by_row, strict=True))
-    room = min(labels, width // 2)
+    room = min(labels, width // 2 if stacked else width // 3)
     side_by_side = max(1, (width - room - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
     found = [
         _grid(block, stacked, wrapped=labels > room)
@@ -94,7 +98,7 @@ def _grid(
             column.title,
             justify="left" if is_text else "right",
             overflow="fold",
-            width=widths and widths[i],
+            width=None if widths is None else widths[i],
         )
         if has_interval[i]:
             made.add_column("95 % interval", justify="right")

@@ -10,7 +10,6 @@ from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.svg import in_page
 
-
 BEFORE_S = 3.0
 """A replay opens so long before its critical moment."""
 

@@ -39,8 +39,8 @@ class Picture:
     svg: Markup
     wide: bool = False
     """Whether it needs the width of the page."""
-    narrow: Markup = Markup()
-    """The same figure for a narrow page; if empty, the figure scrolls there."""
+    narrow: Markup | None = None
+    """The same figure for a narrow page; without it, the figure scrolls there."""
 
 
 @dataclass(frozen=True)

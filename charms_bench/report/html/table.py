@@ -60,7 +60,7 @@ def bar(cell: Cell, scale: Scale) -> Markup:
     # Numbers alone are filled in: no text of a table reaches a style.
     return Markup(
         '<span class="bar" aria-hidden="true"><i style="left:{}%;right:{}%"></i>'
-        '<b style="left:{}%"></b></span>'
+        '<em style="left:{}%"></em></span>'
     ).format(low, 100 - high, value)
 
 
