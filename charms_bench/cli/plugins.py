@@ -23,7 +23,7 @@ DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
 
 @app.command()
 def agents(as_json: Json = False) -> None:
-    """List the installed agents and traffics.
+    """List the installed agents and traffic models.
 
     The plugins are not imported. A name that two distributions claim cannot be used.
     """
@@ -52,7 +52,7 @@ def traffic(
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Print the shares of agents that a traffic assigns to its vehicles."""
+    """Print the proportions of agents that a traffic model assigns to its vehicles."""
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.shares import SAMPLED, shares
     from charms_bench.report.figures.drawing import check_figure
@@ -119,7 +119,7 @@ def check(
         title = rule.__name__.replace("_", " ")
         results.append({"rule": title, "kept": not problem, "problem": problem})
         if not as_json:
-            out().print("[red]broken[/]" if problem else "[green]kept[/]  ", end=" ")
+            out().print("[red]fail[/]" if problem else "[green]pass[/]", end=" ")
             say(f"{title}: {problem}" if problem else title)
     if as_json:
         print_json(results)

@@ -78,8 +78,9 @@ KEYS = {
     "traffic": "traffic model",
     "ego \\ traffic": "ego \\ traffic model",
     "metric_set": "metric set",
+    "dhw": "headway",
 }
-"""By name of a key, which is what the labels of rows are."""
+"""By name of a key, which is what the labels of rows are, or of a quantity."""
 _THRESHOLD = r"(\d+(?:_\d+)?)"
 
 
@@ -95,7 +96,7 @@ def label_of(metric: str) -> str:
 
 
 def key_label_of(key: str) -> str:
-    """The heading of a key."""
+    """The heading of a key or a quantity."""
     return KEYS.get(key, key)
 
 

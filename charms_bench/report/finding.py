@@ -62,8 +62,8 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
         f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}"
         f"{' each' * (len(tied) > 1)}. {following[0]} is next with {_rate(following[1])}. The "
         f"difference is {_percent(value)} percentage points (95\N{NO-BREAK SPACE}% interval "
-        f"{_percent(low)} to {_percent(high)}), and the paired test {_verdict(min(1.0, p * pairs))}, corrected for "
-        f"{pairs:,} possible pair{'s' * (pairs > 1)})."
+        f"{_percent(low)} to {_percent(high)}), and the paired test "
+        f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible pair{'s' * (pairs > 1)})."
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 
 from charms_bench.errors import InputError, suggestion
-from charms_bench.metrics.labels import set_label_of
+from charms_bench.metrics.labels import key_label_of, set_label_of
 
 LONG = {
     name: name
@@ -263,7 +263,8 @@ class Table:
             return [self]
         return [
             replace(
-                self.take(places), title=": ".join(filter(None, (set_label_of(group), quantity)))
+                self.take(places),
+                title=": ".join(filter(None, (set_label_of(group), key_label_of(quantity)))),
             )
             for (group, quantity), places in parts.items()
         ]

@@ -75,7 +75,9 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     if tables.preventable is not None:
         shown.append(tables.preventable)
     if tables.realism is not None:
-        shown += tables.realism.parts()
+        first, *rest = tables.realism.parts()
+        # The note is about all of them.
+        shown = [first, *(replace(each, note="") for each in rest), *shown]
     parts = tables.metrics.without_constant_keys().parts()
     more = [block for part in parts for block in part.blocks(COLUMNS)]
     more += [] if tables.pairs is None else [tables.pairs]
@@ -145,10 +147,10 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
             "narrower than its disc is hidden by it."
         )
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
-    caption = "Egos down, traffic models across. Darker fields have higher values."
+    caption = f"Egos down, {_place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
         figure = draw_matrices([matrix], first=k)
-        found.append(_picture(f"{key}-matrix-{k}", "Cross-play", caption, figure))
+        found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
         of_egos = tradeoff is OF_EGOS
