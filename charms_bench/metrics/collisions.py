@@ -28,8 +28,8 @@ CRASHED_AT_FAULT = per_episode(
     "crashed_at_fault",
     "",
     AT_FAULT,
-    "proportion of episodes in which the ego crashes and is at fault: it leaves the road, strikes a "
-    "vehicle ahead, cuts in, or began last to move out of its lane",
+    "proportion of episodes in which the ego crashes and is at fault: it leaves the road, strikes "
+    "a vehicle ahead, cuts in, or began last to move out of its lane",
     interval="wilson",
 )
 TRAFFIC_CRASHED = per_episode(

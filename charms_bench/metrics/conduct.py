@@ -64,8 +64,8 @@ def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
         Metric(
             name=f"{prefix}pet_below_2s_{side}",
             unit="",
-            description=f"proportion of the post-encroachment times of at most 5 s that are below 2 s, "
-            f"{when} {who}",
+            description="proportion of the post-encroachment times of at most 5 s that are below "
+            f"2 s, {when} {who}",
             rests_on="encroachments",
             sums=(of(f"pet_{side}"), of(f"pet_below_2s_{side}")),
             interval="share",

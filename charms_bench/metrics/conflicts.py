@@ -49,14 +49,15 @@ def conflict_beginnings(driving: Sample, threshold_s: float) -> tuple[Metric, ..
     """The proportions of conflicts by the manoeuvre that began them."""
     conflicts = driving.among("conflicts", _begins(threshold_s))
     by_another = (
-        "proportion of conflicts within 2 s after another vehicle's lane change, into or out of the "
-        "ego's lane, by which the ego got its leader"
+        "proportion of conflicts within 2 s after another vehicle's lane change, into or out of "
+        "the ego's lane, by which the ego got its leader"
     )
     return (
         conflicts.share(
             "conflicts_by_ego",
             CHANGER == EGO,
-            "proportion of conflicts within 2 s after a lane change by which the ego got its leader",
+            "proportion of conflicts within 2 s after a lane change by which the ego got its "
+            "leader",
         ),
         conflicts.share("conflicts_by_another", CHANGER == ANOTHER, by_another),
         conflicts.share(

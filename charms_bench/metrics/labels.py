@@ -7,7 +7,7 @@ import re
 from functools import cache
 
 LABELS = {
-    "collision_rate": "Crashes per step",
+    "collision_rate": "Crashes per decision",
     "crashed_episodes": "Crashed episodes",
     "crashed_at_fault": "Crashed at fault",
     "crashed": "Crashed",
@@ -46,7 +46,7 @@ LABELS = {
     "acc_mean": "Mean positive acceleration",
     "acc_std": "Acceleration, std",
     "harsh_acc_rate": "Harsh acceleration",
-    "harsh_acc_rate_all_steps": "Harsh acceleration, all steps",
+    "harsh_acc_rate_all_steps": "Harsh acceleration, all decisions",
     "harsh": "Harsh acceleration",
     "jerk_rms": "Jerk, RMS",
     "yaw_std": "Steering angle, std",

@@ -14,6 +14,7 @@ from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import CONFIDENCE
 
 CRASHED, SPEED = "crashed_episodes", "speed_mean"
+INTERVAL = "95\N{NO-BREAK SPACE}% interval"
 NAMED = 3
 """Agents or traffic models that a sentence names at most."""
 Cells = Mapping[tuple[str, str], CellRows]
@@ -61,9 +62,9 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
     return (
         f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}"
         f"{' each' * (len(tied) > 1)}. {following[0]} is next with {_rate(following[1])}. The "
-        f"difference is {_percent(value)} percentage points (95\N{NO-BREAK SPACE}% interval "
-        f"{_percent(low)} to {_percent(high)}), and the paired test "
-        f"{_verdict(min(1.0, p * pairs))}, corrected for {pairs:,} possible pair{'s' * (pairs > 1)})."
+        f"difference is {_percent(value)} percentage points ({INTERVAL} {_percent(low)} to "
+        f"{_percent(high)}), and the paired test {_verdict(min(1.0, p * pairs))}, corrected for "
+        f"{pairs:,} possible pair{'s' * (pairs > 1)})."
     )
 
 
@@ -116,11 +117,7 @@ def _of_one(ego: str, found: tuple[str, Number]) -> str:
     traffic, number = found
     if number.value:
         return f"{ego} crashed in {_rate(number)} in {traffic}."
-    limit = (
-        ""
-        if number.high is None
-        else f" The 95\N{NO-BREAK SPACE}% interval ends at {_percent(number.high)} %."
-    )
+    limit = "" if number.high is None else f" The {INTERVAL} ends at {_percent(number.high)} %."
     return (
         f"{ego} crashed in none of {number.n or 0:,} episodes in {traffic}.{limit} "
         "`charms-bench rare` estimates smaller probabilities."
@@ -197,9 +194,7 @@ def _rate(number: Number) -> str:
         said += f" of {number.n:,} episodes"
     if number.low is None or number.high is None:
         return said
-    return (
-        f"{said} (95\N{NO-BREAK SPACE}% interval {_percent(number.low)} to {_percent(number.high)})"
-    )
+    return f"{said} ({INTERVAL} {_percent(number.low)} to {_percent(number.high)})"
 
 
 def _percent(share: float) -> str:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from charms_bench.metrics.labels import key_label_of, set_label_of
 from charms_bench.report.formatting import NOTHING, Written, write_cells
-from charms_bench.report.table import Table
+from charms_bench.report.table import Column, Table
 
 
 def markdown(table: Table, full: bool = False) -> str:
@@ -51,8 +51,8 @@ def document(table: Table, introduction: Sequence[str] = ()) -> str:
     legends: set[str] = set()
     for part in table.parts():
         legend = [
-            f"- {column.title} (`{column.name.replace('`', '')}`): "
-            f"{column.definition}." + f" n: {column.counted}." * bool(column.counted)
+            f"- {_named(column)}: {column.definition}."
+            + f" n: {column.counted}." * bool(column.counted)
             for column in part.columns
         ]
         legend = [line for line in map(without_html, legend) if line not in legends]
@@ -62,6 +62,14 @@ def document(table: Table, introduction: Sequence[str] = ()) -> str:
         paragraphs += [f"## {without_html(part.title + which)}", markdown(part, full=True).rstrip()]
         paragraphs += ["\n".join(legend)] if legend else []
     return "\n\n".join(paragraphs) + "\n"
+
+
+def _named(column: Column) -> str:
+    """The heading of a column, its unit, and the name that commands and CSV files use."""
+    name = f"`{column.name.replace('`', '')}`"
+    if column.heading == column.name.replace("_", " "):
+        return f"{name} ({column.unit})" if column.unit else name
+    return f"{column.title} ({name})"
 
 
 def _cell(cell: Written, in_line: bool) -> str:

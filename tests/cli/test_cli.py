@@ -213,13 +213,13 @@ def test_agents_are_listed_with_role_version_and_distribution() -> None:
 @pytest.mark.parametrize(
     ("name", "code", "message"),
     [
-        ("outside_policy", 0, "kept   policy decides for each vehicle independently"),
-        ("outside_model", 0, "kept   model does not change the scene"),
-        ("outside_traffic", 0, "kept   traffic follows its rng"),
+        ("outside_policy", 0, "pass policy decides for each vehicle independently"),
+        ("outside_model", 0, "pass model does not change the scene"),
+        ("outside_traffic", 0, "pass traffic follows its rng"),
         (
             "outside_misshapen",
             1,
-            "broken policy returns one action per vehicle: for row 0 of 336, decide",
+            "fail policy returns one action per vehicle: for row 0 of 336, decide",
         ),
         ("outside_raising", 1, "raised ValueError: out of petrol"),
     ],

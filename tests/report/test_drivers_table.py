@@ -71,4 +71,6 @@ def test_a_run_has_the_table_and_opens_it_again(tmp_path: Path) -> None:
     charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
     stored = open_run(tmp_path / "runs" / "small").tables["small-drivers"]
     assert [row.labels[-1] for row in stored.rows] == ["ego", "idm_mobil", "stackelberg"]
-    assert stored.columns[0].definition.startswith("share of the driver's vehicles that collide")
+    assert stored.columns[0].definition.startswith(
+        "proportion of the driver's vehicles that collide"
+    )

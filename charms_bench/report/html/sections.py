@@ -66,10 +66,10 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
-    first = {name: place for place, name in enumerate(suite.columns)}
+    order = {name: place for place, name in enumerate(suite.columns)}
     parts = sorted(
         chosen.parts(),
-        key=lambda part: min(first.get(column.name, len(first)) for column in part.columns),
+        key=lambda part: min(order.get(column.name, len(order)) for column in part.columns),
     )
     shown = [block for part in parts for block in part.blocks(COLUMNS + 1)]
     if tables.preventable is not None:
@@ -149,7 +149,7 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
     caption = f"Egos down, {_place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
-        figure = draw_matrices([matrix], first=k)
+        figure = draw_matrices([replace(matrix, title="")], first=k)
         found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
