@@ -103,10 +103,10 @@ def test_an_episode_is_found_and_simulated_again(run: charms_bench.Run) -> None:
 
 def test_a_notebook_shows_a_run_and_a_table(run: charms_bench.Run) -> None:
     shown = run._repr_html_()
-    assert "speed mean" in shown
+    assert "Mean speed" in shown
     assert "Stackelberg" in shown
-    assert "acc std" not in shown, "the suite prints other columns"
-    assert "acc std" in run.table._repr_html_()
+    assert "Acceleration, std" not in shown, "the suite prints other columns"
+    assert "Acceleration, std" in run.table._repr_html_()
     assert repr(run).endswith("2 egos x 1 traffics, 6 episodes each>")
 
 

@@ -49,7 +49,7 @@ EGO = {
     "acceleration std, m/s²": ("acc_std", ".3f"),
     "yaw std": ("yaw_std", ".4f"),
     "harsh": ("harsh_acc_rate", ".4f"),
-    "harsh, all steps": ("harsh_acc_rate_all_steps", ".4f"),
+    "harsh, all decisions": ("harsh_acc_rate_all_steps", ".4f"),
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
     "planar conflicts per 1,000 km": ("planar_conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".2f"),
@@ -78,11 +78,11 @@ EGO_STD = {"ego's speed std": ("speed_std", ".2f")}
 EGO_TTC = {"ego's TTC < 3 s, closing": ("ttc_below_3s_closing", ".4f")}
 ENVIRONMENT = {**TRAFFIC, **EGO_STD, **EGO_TTC}
 EDGE_CASES = {
-    "gaps lost": ("gaps_lost_per_1000km", ",.1f"),
+    "aborted lane changes": ("gaps_lost_per_1000km", ",.1f"),
     "conflicts": ("conflicts_to_per_1000km", ",.1f"),
     "near misses": ("near_misses_to_per_1000km", ",.1f"),
     "hard braking": ("hard_braking_to_per_1000km", ",.1f"),
-    "traffic: gaps lost": ("traffic_gaps_lost_per_1000km", ",.1f"),
+    "traffic: aborted lane changes": ("traffic_gaps_lost_per_1000km", ",.1f"),
     "traffic: conflicts": ("traffic_conflicts_to_per_1000km", ",.1f"),
     "traffic: crashes": ("traffic_crashes_per_1000km", ",.1f"),
 }
@@ -164,7 +164,7 @@ def preventable(run: Path) -> str:
     whole = tables_of(run).preventable
     assert whole is not None
     table = whole.take([i for i, each in enumerate(whole.columns) if each.name != "crashed"])
-    return markdown(table.named(*(column.name.replace("_", " ") for column in table.columns)))
+    return markdown(table)
 
 
 def avoidability(run: Path) -> str:

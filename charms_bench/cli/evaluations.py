@@ -28,6 +28,8 @@ from charms_bench.errors import InputError, RunFolderError
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
 EXIT_CODES = {"true": 0, "false": FALSE, "unknown": UNKNOWN}
+HEADLINE_WIDTH = 100
+"""Characters that the table at the end of a run takes at most."""
 VERDICTS = {
     "true": "everything that was checked is true",
     "false": "is not true",
@@ -170,13 +172,20 @@ def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False)
     if as_json:
         print_json(table.frame().to_dicts())
         return
+    from charms_bench.report.headline import headline
+    from charms_bench.report.stored import stored_tables
+    from charms_bench.report.terminal import compact
+
     if run.suite.title:
         say(run.suite.title)
-    print_table(table.without_constant_keys() if everything else run.summary, stacked=True)
-    preventable = f"{run.suite.suite}-preventable"
-    if not everything and preventable in run.tables:
-        print_table(run.tables[preventable], stacked=True)
-    say(f"Written: {', '.join(map(shown, run.files))}")
+    if everything:
+        print_table(table.without_constant_keys(), stacked=True)
+    else:
+        chosen = headline(run.suite, stored_tables(run.path, run.suite))
+        width = min(out().width, HEADLINE_WIDTH)
+        out().print(compact(chosen, width), width=width)
+    folder = shown(run.path)
+    say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
 
 @app.command()

@@ -24,7 +24,7 @@ DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
 
 @app.command()
 def agents(as_json: Json = False) -> None:
-    """List the installed agents and traffics.
+    """List the installed agents and traffic models.
 
     The plugins are not imported. A name that two distributions claim cannot be used.
     """
@@ -53,7 +53,7 @@ def traffic(
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Print the shares of agents that a traffic assigns to its vehicles."""
+    """Print the proportions of agents that a traffic model assigns to its vehicles."""
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.shares import SAMPLED, shares
     from charms_bench.report.figures.drawing import check_figure

@@ -33,6 +33,18 @@ def what_happened(replay: Replay, kind: Kind | None = None, since: int = 1) -> s
 
     Events before the decision `since`, at which the episode must still run, are left out.
     """
+    words, frame = _event(replay, kind, since)
+    return words if frame is None else f"{words}, at t = {replay.t_s[frame]:.1f} s"
+
+
+def critical_time_s(replay: Replay, since: int = 1) -> float:
+    """Returns when the most critical event of an episode happens; 0 if there is none."""
+    _, frame = _event(replay, None, since)
+    return 0.0 if frame is None else float(replay.t_s[frame])
+
+
+def _event(replay: Replay, kind: Kind | None, since: int) -> tuple[str, int | None]:
+    """The most critical event, or the one of a kind, in words, and its frame."""
     if kind is None:
         measured = criticality(replay.episodes, replay.steps, replay.settings, since)
         kind = measured["kind"].item()
@@ -79,7 +91,7 @@ def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
     return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
 
 
-def _abandoned_change(replay: Replay, since: int) -> str:
+def _abandoned_change(replay: Replay, since: int) -> tuple[str, int | None]:
     start = replay.frame_of(since - 1)
     changes = [change for change in abandoned_changes(replay) if change.ended > start]
     taken = [change for change in changes if change.taker is not None]
@@ -91,57 +103,57 @@ def _abandoned_change(replay: Replay, since: int) -> str:
         ahead = replay.x[change.ended, change.taker] - replay.x[change.ended, replay.ego]
         where = "ahead" if ahead >= 0 else "behind"
         words += f" when vehicle {change.taker} took the gap, {abs(ahead):.0f} m {where}"
-    return f"{words}, {_at(replay, change.ended)}"
+    return words, change.ended
 
 
-def _collision(replay: Replay, _: int) -> str:
+def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
     ego = replay.ego
     if replay.ending == "off_road":
-        return f"left the road at {replay.speed[-1, ego]:.1f} m/s, {_at(replay, -1)}"
+        return f"left the road at {replay.speed[-1, ego]:.1f} m/s", -1
     frame = int(replay.crashed[:, ego].argmax())
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
     other, _ = vehicle_hit(x, y, ego, replay.settings.constants)
-    faster, when = speed[ego] - speed[other], _at(replay, frame)
+    faster = speed[ego] - speed[other]
     if replay.ending == "rear_end" and x[other] > x[ego]:
         how = f"at {speed[ego]:.1f} m/s, {_faster(faster)} than it"
-        return f"hit vehicle {other} from behind {how}, {when}"
+        return f"hit vehicle {other} from behind {how}", frame
     if replay.ending == "rear_end":
         how = f"at {speed[other]:.1f} m/s, {_faster(-faster)} than the ego"
-        return f"was hit from behind by vehicle {other} {how}, {when}"
+        return f"was hit from behind by vehicle {other} {how}", frame
     side = _side(y[other] - y[ego])
     to_the_right = speed * np.sin(replay.heading[frame])
     towards = np.sign(y[other] - y[ego]) * to_the_right
     if max(towards[ego], -towards[other]) <= DRIFT_MPS:
-        return f"clipped vehicle {other} on the {side}, {_faster(faster)} than it, {when}"
+        return f"clipped vehicle {other} on the {side}, {_faster(faster)} than it", frame
     if towards[ego] >= -towards[other]:
-        return f"steered to the {side} into vehicle {other} at {speed[ego]:.1f} m/s, {when}"
-    return f"vehicle {other} steered into the ego from the {side} at {speed[other]:.1f} m/s, {when}"
+        return f"steered to the {side} into vehicle {other} at {speed[ego]:.1f} m/s", frame
+    how = f"from the {side} at {speed[other]:.1f} m/s"
+    return f"vehicle {other} steered into the ego {how}", frame
 
 
-def _near_miss(replay: Replay, since: int) -> str:
+def _near_miss(replay: Replay, since: int) -> tuple[str, int | None]:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     rows = rows.filter(pl.col("step") >= since)
     if rows["ttc_s"].is_null().all():
-        return "never closed in on a vehicle"
+        return "never closed in on a vehicle", None
     row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
     frame = replay.frame_of(row["step"])
     return (
         f"TTC {row['ttc_s']:.1f} s behind vehicle {ego_view(replay).leader[frame]}, "
         f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:.1f} m away "
-        f"(DRAC {row['drac_mps2']:.1f} m/s²), {_at(replay, frame)}"
-    )
+        f"(DRAC {row['drac_mps2']:.1f} m/s²)"
+    ), frame
 
 
-def _hard_braking(replay: Replay, since: int) -> str:
+def _hard_braking(replay: Replay, since: int) -> tuple[str, int | None]:
     rows = join_rows(replay.episodes, replay.steps, replay.settings)
     imposed = rows.select(pl.when(pl.col("step") >= since).then("imposed_braking_mps2"))
     changed = int(imposed.to_series().arg_max() or 0)
     row, before = rows.row(changed, named=True), rows.row(changed - 1, named=True)
     return (
         f"changed to the {_side(row['lane'] - before['lane'])} lane, where the new follower, "
-        f"vehicle {row['follower']}, braked at {row['imposed_braking_mps2']:.1f} m/s², "
-        f"{_at(replay, replay.frame_of(row['step']))}"
-    )
+        f"vehicle {row['follower']}, braked at {row['imposed_braking_mps2']:.1f} m/s²"
+    ), replay.frame_of(row["step"])
 
 
 def _side(to_the_right: float) -> str:
@@ -150,7 +162,3 @@ def _side(to_the_right: float) -> str:
 
 def _faster(by: float) -> str:
     return f"{abs(by):.1f} m/s {'faster' if by >= 0 else 'slower'}"
-
-
-def _at(replay: Replay, frame: int) -> str:
-    return f"at t = {replay.t_s[frame]:.1f} s"

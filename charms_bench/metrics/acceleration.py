@@ -19,12 +19,12 @@ PAPER_ACC_STD = LOGGED.deviation("acc_std", "m/s²", ACCELERATION, "acceleration
 PAPER_HARSH_ACC_RATE = LOGGED.share(
     "harsh_acc_rate",
     HARSH,
-    "share of logged steps in which the ego accelerates or brakes by more than 2.5 m/s²",
+    "proportion of logged steps in which the ego accelerates or brakes by more than 2.5 m/s²",
 )
 PAPER_HARSH_ACC_RATE_ALL_STEPS = STEPS.share(
     "harsh_acc_rate_all_steps",
     HARSH,
-    "share of all steps in which the ego accelerates or brakes by more than 2.5 m/s²",
+    "proportion of all steps in which the ego accelerates or brakes by more than 2.5 m/s²",
 )
 
 
@@ -34,11 +34,11 @@ def acc_std(driving: Sample) -> Metric:
 
 
 def harsh_acc_rate(driving: Sample) -> Metric:
-    """The share of time in which the ego accelerates or brakes harshly."""
+    """The proportion of time in which the ego accelerates or brakes harshly."""
     return driving.share(
         "harsh_acc_rate",
         HARSH,
-        "share of time in which the ego accelerates or brakes by more than 2.5 m/s²",
+        "proportion of time in which the ego accelerates or brakes by more than 2.5 m/s²",
     )
 
 

@@ -21,22 +21,22 @@ CRASHED_EPISODES = per_episode(
     "crashed_episodes",
     "",
     ENDED_BADLY,
-    "share of episodes in which the ego collides or leaves the road",
+    "proportion of episodes in which the ego collides or leaves the road",
     interval="wilson",
 )
 CRASHED_AT_FAULT = per_episode(
     "crashed_at_fault",
     "",
     AT_FAULT,
-    "share of episodes in which the ego crashes and is at fault: it leaves the road, strikes a "
-    "vehicle ahead, cuts in, or began last to move out of its lane",
+    "proportion of episodes in which the ego crashes and is at fault: it leaves the road, strikes "
+    "a vehicle ahead, cuts in, or began last to move out of its lane",
     interval="wilson",
 )
 TRAFFIC_CRASHED = per_episode(
     "traffic_crashed",
     "",
     pl.first("traffic_crashed"),
-    "share of the other vehicles that collide or leave the road within an episode",
+    "proportion of the other vehicles that collide or leave the road within an episode",
     rests_on="vehicles",
     counts=pl.first("traffic_vehicles"),
     interval="share",
@@ -82,7 +82,7 @@ REAR_END_STRIKING = per_episode(
     "rear_end_striking",
     "",
     ~STRUCK,
-    "share of the ego's rear-end collisions in which the ego struck its leader",
+    "proportion of the ego's rear-end collisions in which the ego struck its leader",
     rests_on="rear-end collisions",
     counts=STRUCK.is_not_null(),
     interval="wilson",

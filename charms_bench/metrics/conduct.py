@@ -64,8 +64,8 @@ def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
         Metric(
             name=f"{prefix}pet_below_2s_{side}",
             unit="",
-            description=f"share of the post-encroachment times of at most 5 s that are below 2 s, "
-            f"{when} {who}",
+            description="proportion of the post-encroachment times of at most 5 s that are below "
+            f"2 s, {when} {who}",
             rests_on="encroachments",
             sums=(of(f"pet_{side}"), of(f"pet_below_2s_{side}")),
             interval="share",
@@ -79,7 +79,7 @@ def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
         Metric(
             name=f"{prefix}rss_{side}",
             unit="",
-            description=f"share of the driving time of {who} in which {what} by RSS",
+            description=f"proportion of the driving time of {who} in which {what} by RSS",
             rests_on="vehicles",
             sums=(of("vehicles"), of("time_s"), of(f"rss_{side}_s")),
         )
@@ -105,7 +105,7 @@ OF_DRIVERS = (
     Metric(
         name="crashed",
         unit="",
-        description=f"share of {_VEHICLES} that collide or leave the road within an episode",
+        description=f"proportion of {_VEHICLES} that collide or leave the road within an episode",
         rests_on="vehicles",
         sums=(pl.col("vehicles"), pl.col("crashed")),
         interval="share",
@@ -113,7 +113,7 @@ OF_DRIVERS = (
     Metric(
         name="crashed_at_fault",
         unit="",
-        description=f"share of {_VEHICLES} that crash within an episode and are at fault",
+        description=f"proportion of {_VEHICLES} that crash within an episode and are at fault",
         rests_on="vehicles",
         sums=(pl.col("vehicles"), pl.col("at_fault")),
         interval="share",
@@ -126,7 +126,7 @@ OF_DRIVERS = (
         "speed_mean", "m/s", "distance_m", f"distance of {_VEHICLES} divided by their time"
     ),
     _per_vehicle_time(
-        "harsh", "", "harsh_s", "share of time accelerating or braking by more than 2.5 m/s²"
+        "harsh", "", "harsh_s", "proportion of time accelerating or braking by more than 2.5 m/s²"
     ),
     Metric(
         name="lane_changes_per_km",

@@ -25,12 +25,12 @@ def _begins(threshold_s: float) -> pl.Expr:
 
 
 def conflict_episodes(driving: Sample, threshold_s: float) -> Metric:
-    """The share of episodes with a conflict."""
+    """The proportion of episodes with a conflict."""
     return per_episode(
         "conflict_episodes",
         "",
         driving.only(TTC.lt(threshold_s)).any(),
-        f"share of episodes in which the bumper-to-bumper TTC falls below {threshold_s:g} s",
+        f"proportion of episodes in which the bumper-to-bumper TTC falls below {threshold_s:g} s",
         interval="wilson",
     )
 
@@ -46,22 +46,23 @@ def conflicts_per_1000km(driving: Sample, threshold_s: float) -> Metric:
 
 
 def conflict_beginnings(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
-    """The shares of conflicts by the manoeuvre that began them."""
+    """The proportions of conflicts by the manoeuvre that began them."""
     conflicts = driving.among("conflicts", _begins(threshold_s))
     by_another = (
-        "share of conflicts within 2 s after another vehicle's lane change, into or out of the "
-        "ego's lane, by which the ego got its leader"
+        "proportion of conflicts within 2 s after another vehicle's lane change, into or out of "
+        "the ego's lane, by which the ego got its leader"
     )
     return (
         conflicts.share(
             "conflicts_by_ego",
             CHANGER == EGO,
-            "share of conflicts within 2 s after a lane change by which the ego got its leader",
+            "proportion of conflicts within 2 s after a lane change by which the ego got its "
+            "leader",
         ),
         conflicts.share("conflicts_by_another", CHANGER == ANOTHER, by_another),
         conflicts.share(
             "conflicts_by_closing_in",
             CHANGER == 0,
-            "share of conflicts with a leader that the ego has had for longer than 2 s",
+            "proportion of conflicts with a leader that the ego has had for longer than 2 s",
         ),
     )

@@ -28,9 +28,9 @@ def time_headway_mean(driving: Sample) -> Metric:
 
 
 def time_headway_below(driving: Sample, threshold_s: float) -> Metric:
-    """The share of time in which the time headway is below a threshold."""
+    """The proportion of time in which the time headway is below a threshold."""
     return driving.share(
         f"time_headway_below_{in_name(threshold_s)}s",
         HEADWAY.lt(threshold_s),
-        f"share of time with a time headway below {threshold_s:g} s",
+        f"proportion of time with a time headway below {threshold_s:g} s",
     )

@@ -71,10 +71,10 @@ def imposed_braking_mean(driving: Sample) -> Metric:
 
 
 def imposed_braking_above(driving: Sample, limit_mps2: float) -> Metric:
-    """The share of lane changes that make the new follower brake harder than the limit."""
+    """The proportion of lane changes that make the new follower brake harder than the limit."""
     return _imposing(driving).share(
         f"imposed_braking_above_{in_name(limit_mps2)}",
         IMPOSED.gt(limit_mps2),
-        "share of lane changes after which the new follower brakes by more than "
+        "proportion of lane changes after which the new follower brakes by more than "
         f"{limit_mps2:g} m/s² within 2 s",
     )

@@ -21,7 +21,7 @@ share: Wilson's interval with the effective sample size, for events that are cor
     episodes.
 rate: The same for events per time or distance; the first sum is the largest number of events that
     an episode may have.
-wilson: For a share of episodes, each of which is one trial.
+wilson: For a proportion of episodes, each of which is one trial.
 garwood: For the rate of an event that happens at most once per episode and ends it.
 """
 
@@ -43,7 +43,7 @@ class Metric:
 
     name: str
     unit: str
-    """Empty for a share."""
+    """Empty for a proportion."""
     description: str
     rests_on: str
     """What `n` counts: steps, episodes, lane changes, ..."""

@@ -15,12 +15,12 @@ PLANAR_TTC = pl.col("planar_ttc")
 
 
 def planar_conflict_episodes(driving: Sample, threshold_s: float) -> Metric:
-    """The share of episodes with a planar conflict."""
+    """The proportion of episodes with a planar conflict."""
     return per_episode(
         "planar_conflict_episodes",
         "",
         driving.only(PLANAR_TTC.lt(threshold_s)).any(),
-        f"share of episodes in which the planar TTC falls below {threshold_s:g} s",
+        f"proportion of episodes in which the planar TTC falls below {threshold_s:g} s",
         interval="wilson",
     )
 

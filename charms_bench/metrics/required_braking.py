@@ -30,9 +30,9 @@ def drac_max(driving: Sample) -> Metric:
 
 
 def drac_above(driving: Sample, limit_mps2: float) -> Metric:
-    """The share of time in which more braking than the limit would be required."""
+    """The proportion of time in which more braking than the limit would be required."""
     return driving.share(
         f"drac_above_{in_name(limit_mps2)}",
         DRAC.gt(limit_mps2),
-        f"share of time with a DRAC above {limit_mps2:g} m/s²",
+        f"proportion of time with a DRAC above {limit_mps2:g} m/s²",
     )

@@ -48,7 +48,7 @@ class Sample(NamedTuple):
         return Metric(name, unit, description, self.name, sums, root_mean_square)
 
     def share(self, name: str, happens: pl.Expr, description: str) -> Metric:
-        """The share of the rows in which a condition holds."""
+        """The proportion of the rows in which a condition holds."""
         sums = (self.where.sum(), (self.where & happens).sum())
         return Metric(name, "", description, self.name, sums, interval="share")
 

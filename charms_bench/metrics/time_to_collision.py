@@ -27,12 +27,12 @@ REAR_TTC = pl.col("rear_ttc_s")
 PAPER_TTC_BELOW_3S = LOGGED.share(
     "ttc_below_3s",
     PAPER_TTC < TTC_THRESHOLD_S,
-    "share of logged steps with a centre-to-centre TTC below 3 s",
+    "proportion of logged steps with a centre-to-centre TTC below 3 s",
 )
 PAPER_TTC_BELOW_3S_CLOSING = CLOSING.share(
     "ttc_below_3s_closing",
     PAPER_TTC < TTC_THRESHOLD_S,
-    "share with a centre-to-centre TTC below 3 s among the logged steps in which the ego is "
+    "proportion with a centre-to-centre TTC below 3 s among the logged steps in which the ego is "
     "faster than its leader",
 )
 
@@ -52,20 +52,20 @@ def ttc_min(driving: Sample) -> Metric:
 
 
 def ttc_below(driving: Sample, threshold_s: float) -> Metric:
-    """The share of time in which the TTC is below a threshold."""
+    """The proportion of time in which the TTC is below a threshold."""
     return driving.share(
         f"ttc_below_{in_name(threshold_s)}s",
         TTC.lt(threshold_s),
-        f"share of time with a bumper-to-bumper TTC below {threshold_s:g} s",
+        f"proportion of time with a bumper-to-bumper TTC below {threshold_s:g} s",
     )
 
 
 def rear_ttc_below(driving: Sample, threshold_s: float) -> Metric:
-    """The share of time in which the follower's TTC with the ego is below a threshold."""
+    """The proportion of time in which the follower's TTC with the ego is below a threshold."""
     return driving.share(
         f"rear_ttc_below_{in_name(threshold_s)}s",
         REAR_TTC.lt(threshold_s),
-        f"share of time with a bumper-to-bumper TTC of the follower below {threshold_s:g} s",
+        f"proportion of time with a bumper-to-bumper TTC of the follower below {threshold_s:g} s",
     )
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.metrics import MetricSet
+from charms_bench.metrics.labels import set_label_of
+from charms_bench.report.definitions import installed_column
 from charms_bench.report.table import Column, Number, Row, Table
 from charms_bench.runs.pairing import Pair
 from charms_bench.statistics.intervals import CONFIDENCE, resample
@@ -115,14 +117,25 @@ def by_pair(table: Table) -> list[Table]:
     found = [
         replace(
             shown,
-            title=f"{first} minus {second}, in {traffic}: {metric_set}",
+            title=f"{first} minus {second}, in {traffic}: {set_label_of(metric_set)}",
             keys=KEYS[-1:],
-            rows=tuple(rows),
+            rows=tuple(_headed(row, metric_set) for row in rows),
             note="",
         )
         for (first, second, traffic, metric_set), rows in groups.items()
     ]
     return [*found[:-1], replace(found[-1], note=table.note)]
+
+
+def _headed(row: Row, metric_set: str) -> Row:
+    """A row with the heading of its metric, and proportions in percent."""
+    column = installed_column(metric_set, row.labels[0])
+    if column.form != "%":
+        return replace(row, labels=(column.title,))
+    numbers = (number.scaled(100.0) for number in row.numbers[:3])
+    *_, p, detectable = row.numbers
+    cells = (*numbers, p, detectable.scaled(100.0))
+    return replace(row, labels=(f"{column.heading} (%)",), cells=cells)
 
 
 def to_dicts(table: Table) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 from charms_bench.errors import CharmsBenchError
 from charms_bench.metrics import METRIC_SETS, MetricSet
+from charms_bench.metrics.labels import label_of
 from charms_bench.metrics.metric import Interval
 from charms_bench.report.table import Column
 from charms_bench.runs.metric_sets import asked_by, metric_sets
@@ -14,7 +15,7 @@ INTERVALS: Mapping[Interval, str] = {
     "bootstrap": RESAMPLED,
     "share": "Wilson's score interval with the effective sample size of correlated observations",
     "rate": "score interval of a Poisson rate with the effective number of correlated events",
-    "wilson": "Wilson's score interval of a share of episodes",
+    "wilson": "Wilson's score interval of a proportion of episodes",
     "garwood": "Garwood's exact interval of a Poisson rate",
 }
 
@@ -29,6 +30,8 @@ def columns_of(metric_set: MetricSet) -> dict[str, Column]:
             counted=metric.rests_on,
             interval=INTERVALS[metric.interval],
             group=metric_set.label,
+            form="" if metric.unit else "%",
+            label=label_of(metric.name),
         )
         for metric in metric_set.metrics
     }
@@ -45,6 +48,7 @@ def installed_column(label: str, metric: str) -> Column:
         counted="unknown",
         interval="unknown",
         group=label,
+        label=label_of(metric),
     )
     return _installed(label).get(metric, unknown)
 

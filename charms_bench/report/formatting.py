@@ -39,15 +39,18 @@ def write_cells(table: Table) -> list[list[Written]]:
 
 def write_column(column: Column, cells: Sequence[Cell]) -> list[Written]:
     """The cells of a column as text."""
-    form = column.form or _four_digits(cell for cell in cells if isinstance(cell, Number))
+    numbers = [cell for cell in cells if isinstance(cell, Number)]
+    form = _percentage(numbers) if column.form == "%" else column.form or _four_digits(numbers)
     if column.signed:
         form = f"+{form}"
     return [Written(cell) if isinstance(cell, str) else _written(cell, form) for cell in cells]
 
 
 def _written(number: Number, form: str) -> Written:
+    if form.endswith("margin%"):
+        form = form.replace("margin%", _two_digits_of_margin(number, 100.0) + "%")
     if form.endswith("margin"):
-        form = form.replace("margin", _two_digits_of_margin(number))
+        form = form.replace("margin", _two_digits_of_margin(number) + "f")
     if form == "p":
         small = number.value is not None and number.value < 0.001
         return Written("<0.001" if small else _text(number.value, ".3f") or NOTHING)
@@ -74,23 +77,38 @@ def _text(number: float | None, form: str) -> str:
 
 def _four_digits(numbers: Iterable[Number]) -> str:
     """The form for a column: four digits of its largest number, three of one below 1."""
-    found = [each for number in numbers for each in (number.value, number.high, number.reference)]
-    known = [abs(each) for each in found if each is not None and math.isfinite(each)]
-    largest = max(known, default=0.0)
+    largest = _largest(numbers)
     magnitude = math.floor(math.log10(largest)) if largest else 0
     decimals = min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
     return f"{',' * (largest >= 10_000)}.{decimals}f"
 
 
-def _two_digits_of_margin(number: Number) -> str:
-    """The form for a number: two digits of the half-width of its interval, which limits it."""
+def _percentage(numbers: Iterable[Number]) -> str:
+    """The form for proportions: three digits of the largest percentage, 1 to 3 decimals."""
+    largest = 100 * _largest(numbers)
+    decimals = 2 - math.floor(math.log10(largest)) if largest else 1
+    return f".{min(3, max(1, decimals))}%"
+
+
+def _largest(numbers: Iterable[Number]) -> float:
+    found = [each for number in numbers for each in (number.value, number.high, number.reference)]
+    return max(
+        (abs(each) for each in found if each is not None and math.isfinite(each)), default=0.0
+    )
+
+
+def _two_digits_of_margin(number: Number, factor: float = 1.0) -> str:
+    """The form for a number: two digits of the half-width of its interval, which limits it.
+
+    It is without the letter of its type, and for the number times a factor.
+    """
     value, high = number.value, number.high
     if value is None or high is None or high <= value or not math.isfinite(high - value):
-        return _three_digits(value or 0.0)
-    return f".{max(0, 1 - math.floor(math.log10(high - value)))}f"
+        return _three_digits((value or 0.0) * factor)
+    return f".{max(0, 1 - math.floor(math.log10((high - value) * factor)))}"
 
 
 def _three_digits(value: float) -> str:
     """The form for a number without an interval."""
     magnitude = math.floor(math.log10(abs(value))) if value and math.isfinite(value) else 2
-    return f".{min(5, max(0, 2 - magnitude))}f"
+    return f".{min(5, max(0, 2 - magnitude))}"

@@ -4,8 +4,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
+from charms_bench.metrics.labels import key_label_of, set_label_of
 from charms_bench.report.formatting import NOTHING, Written, write_cells
-from charms_bench.report.table import Table
+from charms_bench.report.table import Column, Table
 
 
 def markdown(table: Table, full: bool = False) -> str:
@@ -16,10 +17,10 @@ def markdown(table: Table, full: bool = False) -> str:
     """
     texts = write_cells(table)
     reported = [any(row[i].reference for row in texts) for i in range(len(table.columns))]
-    header, reference = list(table.keys), _as_text(table.reference)
+    header, reference = [key_label_of(key) for key in table.keys], _as_text(table.reference)
     for column, has_reference in zip(table.columns, reported, strict=True):
         beside = f" ({reference})" * (has_reference and not full)
-        header.append(_as_text(column.name) + beside)
+        header.append(_as_text(column.title) + beside)
         header += [f"{reference} (difference)"] * (has_reference and full)
     counted = [{cell.n for cell in cells} for cells in texts]
     has_n = full and all(len(each) == 1 for each in counted) and {""} != set().union(*counted)
@@ -50,15 +51,25 @@ def document(table: Table, introduction: Sequence[str] = ()) -> str:
     legends: set[str] = set()
     for part in table.parts():
         legend = [
-            f"- `{column.name.replace('`', '')}`{f' ({column.unit})' if column.unit else ''}: "
-            f"{column.definition}." + f" n: {column.counted}." * bool(column.counted)
+            f"- {_named(column)}: {column.definition}."
+            + f" n: {column.counted}." * bool(column.counted)
             for column in part.columns
         ]
         legend = [line for line in map(without_html, legend) if line not in legends]
         legends.update(legend)
-        paragraphs += [f"## {without_html(part.title)}", markdown(part, full=True).rstrip()]
+        group = part.columns[0].group if part.columns else ""
+        which = f" (`{group}`)" if set_label_of(group) != group else ""
+        paragraphs += [f"## {without_html(part.title + which)}", markdown(part, full=True).rstrip()]
         paragraphs += ["\n".join(legend)] if legend else []
     return "\n\n".join(paragraphs) + "\n"
+
+
+def _named(column: Column) -> str:
+    """The heading of a column, its unit, and the name that commands and CSV files use."""
+    name = f"`{column.name.replace('`', '')}`"
+    if column.heading == column.name.replace("_", " "):
+        return f"{name} ({column.unit})" if column.unit else name
+    return f"{column.title} ({name})"
 
 
 def _cell(cell: Written, in_line: bool) -> str:

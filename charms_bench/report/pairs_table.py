@@ -63,8 +63,15 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of pairs from its long frame."""
 
     def column(group: str, metric: str) -> Column:
-        known = replace(first_column(metric), group=group, form="margin", signed=True)
-        return replace(known, counted="", interval="paired, as in `charms-bench compare`")
+        known = first_column(metric)
+        return replace(
+            known,
+            group=group,
+            form="margin%" if known.form == "%" else "margin",
+            signed=True,
+            counted="",
+            interval="paired, as in `charms-bench compare`",
+        )
 
     return Table.from_frame(
         frame,

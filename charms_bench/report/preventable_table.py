@@ -49,7 +49,7 @@ def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> list[dict[str, NDArray[
 
 
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
-    """The shares of preventable and other collisions of every cell, with 95 % intervals."""
+    """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
     records = []
     for cell, kinds in zip(cells, kinds_of(suite, cells), strict=True):
         for name, each in {"crashed": crashed(cell), **kinds}.items():
@@ -63,23 +63,25 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of preventable collisions from its long frame."""
     references = " and ".join(suite.preventable_by)
     shares = {
-        "crashed": "share of episodes in which the ego collides or leaves the road",
-        "preventable": f"share of episodes in which it does so and {references} "
+        "crashed": "proportion of episodes in which the ego collides or leaves the road",
+        "preventable": f"proportion of episodes in which it does so and {references} "
         f"{'do' if len(suite.preventable_by) > 1 else 'does'} not",
         **{
-            ONLY + name: f"share of episodes in which it does so and, of {references}, only {name} "
+            ONLY
+            + name: f"proportion of episodes in which it does so and, of {references}, only {name} "
             "does not"
             for name in suite.preventable_by
         },
-        "not_preventable": f"share of episodes in which it and {references} do so",
+        "not_preventable": f"proportion of episodes in which it and {references} do so",
     }
 
     def column(_: str, name: str) -> Column:
         return Column(
             name=name,
+            label=f"{name[0].upper()}{name[1:]}".replace("_", " "),
             definition=shares.get(name, ""),
             counted="episodes",
-            interval="Wilson's score interval of a share of episodes",
+            interval="Wilson's score interval of a proportion of episodes",
             form=".1%",
         )
 

@@ -3,8 +3,8 @@
 Two quantities of all vehicles (`engine.following`), each with three distances
 (`statistics.divergence`). The paper reports KL from the human data, on bins it does not state;
 here they are 1 m/s and 5 m. Jensen-Shannon uses the same bins, Wasserstein those of the rows. Two
-more rows say which distances are possible: that of a perfect simulator, from so few recorded
-drivers, and that of the recorded drivers themselves within the profile's range of speeds.
+more rows say which distances are possible: the sampling-noise floor of so few recorded drivers, and
+the distance of the recorded drivers themselves within the profile's range of speeds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,13 +40,18 @@ LONG = {
 COARSE_BIN = {"speed": 1.0, "dhw": 5.0}
 """Width of the bins of KL and Jensen-Shannon, m/s and m."""
 TITLE = {"speed": "Speed while following", "dhw": "Headway at the start of a lane change"}
+LABELS = {
+    f"{distance}_{quantity}": f"{of}, {what}"
+    for distance, of in (("kl", "KL"), ("js", "Jensen-Shannon"), ("wasserstein", "Wasserstein"))
+    for quantity, what in (("speed", "speed"), ("dhw", "headway"))
+}
 DISTANCES = {
-    "kl": "Kullback-Leibler divergence of the simulated from the human shares, KL(human || "
-    f"simulated), in nats, with {PSEUDO_COUNT:g} counts added to every bin of both. Where people "
-    "do what no simulated vehicle does, it grows with the number of episodes. Bins are "
+    "kl": "Kullback-Leibler divergence of the simulated from the human proportions, KL(human || "
+    f"simulated), in nats, with {PSEUDO_COUNT:g} counts added to every bin of both. Where human "
+    "drivers do what no simulated vehicle does, it grows with the number of episodes. Bins are "
     f"{COARSE_BIN['speed']:g} m/s and {COARSE_BIN['dhw']:g} m wide",
     "js": "Jensen-Shannon divergence in bits, in the same bins, not smoothed: 0 for the same "
-    "shares, 1 if no bin is shared",
+    "proportions, 1 if no bin is shared",
     "wasserstein": "First Wasserstein distance, m/s or m: how far one distribution has to be "
     f"moved, on average, to become the other. Its bins are {BIN:g} m/s and {BIN:g} m wide",
 }
@@ -55,20 +60,22 @@ COUNTED = "simulated vehicles, each at a decision"
 """What n counts."""
 RESAMPLED = (
     "from resampled episodes and resampled human recordings, of the distance expected with as many "
-    "recordings; for a perfect simulator, the range of 95 % of its distances"
+    "recordings; for the sampling-noise floor, the range of 95 % of such distances"
 )
-PERFECT = "(perfect simulator)"
+FLOOR = "(sampling-noise floor)"
+FLOOR_BEFORE = "(perfect simulator)"
+"""What the tables of earlier versions call it."""
 WITHIN_LIMITS = "(speed limits of the profile)"
 OVERSHOOT_MPS = 0.4
 """A vehicle leaves the profile's range of speeds by as much in one step of 1/15 s, at 6 m/s²; then
 the profile pulls it back."""
 NOTE = (
-    f"The row {PERFECT} has the median distance of a simulator that drives exactly like people, "
-    "which is not 0 because few people were recorded, and the range of 95 % of such distances. "
+    f"The row {FLOOR} has the median distance of traffic that drives exactly like human drivers, "
+    "which is not 0 because few drivers were recorded, and the range of 95 % of such distances. "
     f"The row {WITHIN_LIMITS} has the smallest possible distance of speeds to which the profile "
-    "limits vehicles; no traffic can be nearer, except for the smoothing of KL. A traffic is "
-    "marked as the nearest to human driving if its interval lies below that of every other "
-    "traffic, and the distance of the next nearest lies above the range of a perfect simulator."
+    "limits vehicles; no traffic model can be nearer, except for the smoothing of KL. A traffic "
+    "model is marked as the nearest to human driving if its interval lies below that of every "
+    "other traffic model, and the distance of the next nearest lies above the sampling-noise floor."
 )
 """What the additional rows are, and which numbers are marked."""
 
@@ -137,7 +144,7 @@ def realism_table(
                 truth, samples = perfect_samples(units, rng)
                 for metric, scored in distances(samples, n * truth, quantity).items():
                     scores = np.quantile(scored, [0.5, 0.025, 0.975]).tolist()
-                    records.append((PERFECT, reference.name, metric, *scores, n))
+                    records.append((FLOOR, reference.name, metric, *scores, n))
     places = {reference.name: place for place, reference in enumerate(references)}
     order = pl.col("reference").replace_strict(places)
     return from_frame(long_frame(records, KEYS, LONG).sort(order, maintain_order=True), suite)
@@ -169,9 +176,9 @@ def _as_many(counts: Floats, n: int) -> Floats:
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of realism from its long frame; the nearest traffics are marked, see `NOTE`."""
     table = Table.from_frame(
-        frame,
+        frame.with_columns(pl.col("traffic").replace(FLOOR_BEFORE, FLOOR)),
         f"{suite.suite}-realism",
-        "Distance of traffics from human driving",
+        "Distance of traffic models from human driving",
         KEYS,
         LONG,
         _column,
@@ -192,11 +199,11 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
 
 def _nearest(column: Mapping[str, Number]) -> str | None:
     """The traffic that is nearest to human driving, if the data separate it; see `NOTE`."""
-    perfect = column.get(PERFECT, Number()).high
+    perfect = column.get(FLOOR, Number()).high
     ranked = sorted(
         (number.value, name)
         for name, number in column.items()
-        if name not in (PERFECT, WITHIN_LIMITS) and number.value is not None
+        if name not in (FLOOR, WITHIN_LIMITS) and number.value is not None
     )
     if len(ranked) < 2 or perfect is None or ranked[1][0] <= perfect:
         return None
@@ -210,6 +217,7 @@ def _column(reference: str, metric: str) -> Column:
     distance, _, quantity = metric.partition("_")
     return Column(
         name=metric,
+        label=LABELS.get(metric, ""),
         definition=DISTANCES.get(distance, "Unknown distance"),
         counted=COUNTED,
         interval=RESAMPLED,

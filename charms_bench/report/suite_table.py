@@ -121,27 +121,25 @@ def matrices(table: Table) -> list[Table]:
         for i, column in enumerate(table.columns)
         if column.group.startswith("standard-")
     }
-    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
-    if len(egos) < 2 or len(traffics) < 2:
+    if any(len({row.labels[i] for row in table.rows}) < 2 for i in (0, 1)):
         return []
     found = []
     for metric, (title, factor) in MATRICES.items():
         if metric not in places:
             continue
-        column = replace(table.columns[places[metric]], group="", form=".1f")
-        columns = tuple(replace(column, name=traffic) for traffic in traffics)
-        numbers = {row.labels: _scaled(row.numbers[places[metric]], factor) for row in table.rows}
-        rows = tuple(
-            Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
-            for ego in egos
-        )
-        found.append(Table(f"{table.name}-{metric}", title, ("ego \\ traffic",), columns, rows))
+        matrix = across(table, places[metric], title, factor)
+        found.append(replace(matrix, name=f"{table.name}-{metric}"))
     return found
 
 
-def _scaled(number: Number, factor: float) -> Number:
-    """A number without its reference value, times a factor."""
-    value, low, high = (
-        None if each is None else each * factor for each in (number.value, number.low, number.high)
+def across(table: Table, place: int, title: str, factor: float) -> Table:
+    """The column at a place as a matrix, egos down and traffics across, times a factor."""
+    egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
+    column = replace(table.columns[place], group="", unit="", form=".1f")
+    columns = tuple(replace(column, name=each, label=each) for each in traffics)
+    numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
+    rows = tuple(
+        Row((ego,), tuple(numbers.get((ego, traffic), Number()) for traffic in traffics))
+        for ego in egos
     )
-    return Number(value, low, high, number.n)
+    return Table(table.name, title, ("ego \\ traffic",), columns, rows)

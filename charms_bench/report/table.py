@@ -12,6 +12,7 @@ from typing import Any
 import polars as pl
 
 from charms_bench.errors import InputError, suggestion
+from charms_bench.metrics.labels import key_label_of, set_label_of
 
 LONG = {
     name: name
@@ -60,6 +61,13 @@ class Number:
     marked: bool = False
     """Whether the number stands out, for the reason that the table's note gives."""
 
+    def scaled(self, factor: float) -> "Number":
+        """The number times a factor, without its reference value."""
+        value, low, high = (
+            None if each is None else each * factor for each in (self.value, self.low, self.high)
+        )
+        return replace(self, value=value, low=low, high=high, reference=None)
+
 
 Cell = Number | str
 
@@ -70,7 +78,7 @@ class Column:
 
     name: str
     unit: str = ""
-    """Empty for a share."""
+    """Empty for a proportion."""
     definition: str = ""
     counted: str = ""
     """What `Number.n` counts."""
@@ -81,10 +89,29 @@ class Column:
     quantity: str = ""
     """What is measured, where a group has columns of several quantities."""
     form: str = ""
-    """How numbers are written: a format specification such as `.1%`; `margin` for two digits of the
-    half-width of the interval; `p` for p-values; empty for four digits of the column's largest."""
+    """How numbers are written: a format specification such as `.1%`; `%` for percentages with three
+    digits of the column's largest; `margin` for two digits of the half-width of the interval, and
+    `margin%` for the same of percentages; `p` for p-values; empty for four digits of the column's
+    largest."""
     signed: bool = False
     """Whether the numbers are differences, which are written with their sign."""
+    label: str = ""
+    """The heading in views; if empty, it has the words of the name."""
+
+    @property
+    def heading(self) -> str:
+        """What a view calls the column, without its unit."""
+        return self.label or self.name.replace("_", " ")
+
+    @property
+    def heading_unit(self) -> str:
+        """The unit beside the heading; a rate's heading says it itself."""
+        return "" if self.unit.startswith("1/") else self.unit
+
+    @property
+    def title(self) -> str:
+        """What a view calls the column, with its unit: `Mean speed (m/s)`."""
+        return self.heading + (f" ({self.heading_unit})" if self.heading_unit else "")
 
 
 @dataclass(frozen=True)
@@ -219,9 +246,15 @@ class Table:
         )
 
     def named(self, *names: str) -> "Table":
-        """The table with these names of its columns."""
+        """The table with these names of its columns, which are also their headings."""
         pairs = zip(self.columns, names, strict=True)
-        return replace(self, columns=tuple(replace(each, name=name) for each, name in pairs))
+        renamed = (replace(each, name=name, label=name, unit="") for each, name in pairs)
+        return replace(self, columns=tuple(renamed))
+
+    def without_groups(self) -> "Table":
+        """The table as one part, whatever groups its columns belong to."""
+        columns = (replace(each, group="", quantity="") for each in self.columns)
+        return replace(self, columns=tuple(columns))
 
     def parts(self) -> list["Table"]:
         """A table for each group and quantity, titled by them, with their columns."""
@@ -229,8 +262,11 @@ class Table:
         if len(parts) == 1 and not self.columns[0].group:
             return [self]
         return [
-            replace(self.take(places), title=": ".join(filter(None, title)))
-            for title, places in parts.items()
+            replace(
+                self.take(places),
+                title=": ".join(filter(None, (set_label_of(group), key_label_of(quantity)))),
+            )
+            for (group, quantity), places in parts.items()
         ]
 
     def _parts(self) -> dict[tuple[str, str], list[int]]:

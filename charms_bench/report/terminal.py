@@ -1,16 +1,19 @@
 """Tables in a terminal: as numbers side by side (`grid`), or drawn to scale (`drawn`)."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
+from itertools import chain
 
 from rich import box
 from rich.console import Console, Group
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.bars import INTERVAL, REFERENCE, VALUE, Scale, bar
 from charms_bench.report.formatting import Written, write_cells, write_column
-from charms_bench.report.table import Number, Table
+from charms_bench.report.table import Column, Number, Table
 
 COLUMN_WIDTH = 16
 """Characters that a column of numbers needs: its interval and the space around it."""
@@ -19,6 +22,45 @@ NARROWEST, WIDEST = 8, 44
 GAP = 2
 LINES = 20
 """Lines of the rows in the beginning of a table."""
+MOST = 8
+"""Columns of a compact table."""
+
+
+def compact(table: Table, width: int = 100) -> Group:
+    """The first columns of a table that fit side by side into a width, at most `MOST` of them.
+
+    Columns that do not fit are named below.
+    """
+    labels = _label_width(table)
+    left, widths = width - min(labels, width // 2) - 4, []
+    texts = write_cells(table)
+    for i, column in enumerate(table.columns[:MOST]):
+        cells = (_stacked(row[i], table.reference).plain for row in texts)
+        lines = [*column.title.split(), *chain.from_iterable(map(str.splitlines, cells))]
+        widths.append(max(map(len, lines)))
+        left -= widths[-1] + 3
+        if left < 0 and i:
+            widths.pop()
+            break
+    shown = table.take(range(len(widths)))
+    more = ", ".join(column.heading for column in table.columns[len(widths) :])
+    below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
+    above = [Text(table.title)] * bool(table.title)
+    shown = replace(shown, title="")
+    found = _grid(shown, stacked=True, wrapped=labels > width // 2, widths=widths)
+    return Group(*above, found, *below)
+
+
+def _label_width(table: Table) -> int:
+    """The characters that the labels of a table need side by side."""
+    keys = (map(len, (key, *labels)) for key, *labels in _by_key(table))
+    return sum(map(max, keys)) + 3 * (len(table.keys) - 1)
+
+
+def _by_key(table: Table) -> list[tuple[str, ...]]:
+    return list(
+        zip(map(key_label_of, table.keys), *(row.labels for row in table.rows), strict=True)
+    )
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
@@ -26,11 +68,11 @@ def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:
 
     If it is `stacked`, an interval and a reference value stand under the value; else the interval
     has a column of its own, and all columns stand in one block. Labels that take more than half of
-    the width are wrapped.
+    the width, or a third of it if the table is not stacked, are wrapped.
     """
     by_row = (row.labels for row in table.rows)
     labels = sum(max(map(len, each)) for each in zip(*by_row, strict=True))
-    room = min(labels, width // 2)
+    room = min(labels, width // 2 if stacked else width // 3)
     side_by_side = max(1, (width - room - 6) // COLUMN_WIDTH) if stacked else len(table.columns)
     found = [
         _grid(block, stacked, wrapped=labels > room)
@@ -82,8 +124,11 @@ def _first_columns(table: Table, width: int) -> Table:
     return table.take(range(min(count, 1)))
 
 
-def _grid(table: Table, stacked: bool, wrapped: bool) -> RichTable:
-    made = RichTable(title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD)
+def _grid(
+    table: Table, stacked: bool, wrapped: bool, widths: Sequence[int] | None = None
+) -> RichTable:
+    title = Text(table.title) if table.title else None
+    made = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     if not stacked:
         made.padding = (0, 1, 0, 0)
     texts = write_cells(table)
@@ -91,12 +136,15 @@ def _grid(table: Table, stacked: bool, wrapped: bool) -> RichTable:
         not stacked and any(row[i].low for row in texts) for i in range(len(table.columns))
     ]
     for key in table.keys:
-        made.add_column(key, no_wrap=not wrapped, overflow="fold")
+        made.add_column(key_label_of(key), no_wrap=not wrapped, overflow="fold")
     for i, column in enumerate(table.columns):
         is_text = any(isinstance(row.cells[i], str) for row in table.rows)
-        # Spaces wrap, underscores do not.
-        name = column.name.replace("_", " ")
-        made.add_column(name, justify="left" if is_text else "right", overflow="fold")
+        made.add_column(
+            column.title,
+            justify="left" if is_text else "right",
+            overflow="fold",
+            width=None if widths is None else widths[i],
+        )
         if has_interval[i]:
             made.add_column("95 % interval", justify="right")
     for row, cells in zip(table.rows, texts, strict=True):
@@ -171,7 +219,7 @@ def _drawn(table: Table, width: int) -> RichTable:
             made.add_row()
         for line, (texts, number) in enumerate(block):
             label, value, interval, reference = map(Text, texts)
-            picture = bar(scale, number) if number else Text() if line else _axis(scale)
+            picture = bar(scale, number) if number else Text() if line else _axis(scale, column)
             label.stylize("" if line else "bold")
             made.add_row(label, value, interval, picture, reference)
     return made
@@ -180,7 +228,7 @@ def _drawn(table: Table, width: int) -> RichTable:
 def _block(table: Table, place: int) -> list[_Line]:
     column, numbers = table.columns[place], table.column(place)
     reported = any(number.reference is not None for number in numbers)
-    head = (column.name, "", column.unit, table.reference if reported else "")
+    head = (column.heading, "", column.heading_unit, table.reference if reported else "")
     lines: list[_Line] = [(head, None)]
     above = None
     for row, number, cell in zip(table.rows, numbers, write_column(column, numbers), strict=True):
@@ -194,7 +242,8 @@ def _block(table: Table, place: int) -> list[_Line]:
     return lines
 
 
-def _axis(scale: Scale) -> Text:
+def _axis(scale: Scale, column: Column) -> Text:
     """The ends of a scale, above its bars."""
-    low, high = f"{scale.low:.4g}", f"{scale.high:.4g}"
+    factor, sign = (100, " %") if column.form.endswith("%") else (1, "")
+    low, high = (f"{factor * end:.4g}{sign}" for end in (scale.low, scale.high))
     return Text(low + high.rjust(scale.width - len(low)), style="dim")

@@ -109,10 +109,12 @@ def test_the_terminal_marks_what_is_separated_and_says_what_that_means() -> None
         for part in by_pair(compared((SAFE, WILD))):
             console.print(grid(part, 100, stacked=False))
     lines = capture.get().splitlines()
-    assert lines[0].startswith("safe minus wilder, in idm: paper-2")
+    assert lines[0].startswith("safe minus wilder, in idm: Metrics of the paper")
     assert max(map(len, lines)) <= 100
     assert "…" not in capture.get()
-    (speed,) = (line for line in lines if line.lstrip().startswith("speed_mean ") and "* " in line)
+    (speed,) = (
+        line for line in lines if line.lstrip().startswith("Mean speed (m/s)") and "* " in line
+    )
     assert "<0.001" in speed
     assert "Episodes: 80." in " ".join(lines)
     assert "is below 0.05" in " ".join(capture.get().split())

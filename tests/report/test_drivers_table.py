@@ -68,8 +68,9 @@ def test_a_run_has_the_table_and_opens_it_again(tmp_path: Path) -> None:
         "egos: [{agent: idm_mobil}]\n"
         "traffics: [{traffic: {mixture: {idm_mobil: 0.5, stackelberg: 0.5}}}]\n"
     )
-    done = charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
-    assert "small-drivers.md" in done.stdout
+    charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
     stored = open_run(tmp_path / "runs" / "small").tables["small-drivers"]
     assert [row.labels[-1] for row in stored.rows] == ["ego", "idm_mobil", "stackelberg"]
-    assert stored.columns[0].definition.startswith("share of the driver's vehicles that collide")
+    assert stored.columns[0].definition.startswith(
+        "proportion of the driver's vehicles that collide"
+    )

@@ -92,7 +92,7 @@ def test_a_matrix_has_egos_down_and_traffics_across(tmp_path: Path) -> None:
     pairs = [(ego, traffic) for ego in ("A", "B|C") for traffic in ("calm", "busy")]
     found = matrices(cells(*pairs))
     text = "".join(map(markdown, found))
-    assert "| ego \\ traffic | calm | busy |" in text
+    assert "| ego \\ traffic model | calm | busy |" in text
     assert "| A | 0.0 [0.0, 0.0] | 1.0 [0.9, 1.1] |" in text
     assert "| B\\|C | 2.0 [1.8, 2.2] | 3.0 [2.7, 3.3] |" in text
     assert "| A | 25.0 [22.5, 27.5] | 26.0 [23.4, 28.6] |" in text

@@ -135,7 +135,7 @@ pairs: true
 def test_a_suite_asks_for_pairs(tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(SUITE)
     done = charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
-    assert "small-pairs.md" in done.stdout
+    assert "In how many of 4 metrics each two egos differ" in done.stdout
     assert "1 pairs differ" in (tmp_path / "runs/small/tables/small-pairs.md").read_text()
 
 

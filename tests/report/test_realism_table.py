@@ -11,9 +11,9 @@ from scipy.spatial.distance import jensenshannon
 from charms_bench.engine.columns import COUNT_SCHEMA
 from charms_bench.people.reference import Reference
 from charms_bench.report.realism_table import (
+    FLOOR,
     KEYS,
     LONG,
-    PERFECT,
     WITHIN_LIMITS,
     distances,
     from_frame,
@@ -116,10 +116,10 @@ def test_intervals_are_from_resampled_episodes_and_resampled_people() -> None:
     assert row["n"] == 40 * EPISODES
 
 
-def test_a_single_recording_gives_no_interval_and_no_perfect_simulator() -> None:
+def test_a_single_recording_gives_no_interval_and_no_noise_floor() -> None:
     table = realism_table(SUITE, [traffic("t", 25.0)], [reference(speed=people(22.0)[:1])]).frame()
     assert table.select("low", "high").null_count().row(0) == (len(table), len(table))
-    assert PERFECT not in table["traffic"].to_list()
+    assert FLOOR not in table["traffic"].to_list()
 
 
 def test_the_traffic_that_drives_like_people_is_nearest_in_all_metrics() -> None:
@@ -130,7 +130,7 @@ def test_the_traffic_that_drives_like_people_is_nearest_in_all_metrics() -> None
     assert long["metric"].n_unique() == 6
     for metric in long["metric"].unique():
         like, unlike, perfect = (
-            only(long, metric=metric, traffic=t) for t in ("like", "unlike", PERFECT)
+            only(long, metric=metric, traffic=t) for t in ("like", "unlike", FLOOR)
         )
         assert like["high"] < unlike["low"]
         assert perfect["low"] < perfect["value"] < perfect["high"] < unlike["value"]
@@ -157,11 +157,11 @@ def test_traffics_that_the_people_do_not_separate_are_not_marked() -> None:
 def test_only_what_the_data_separate_is_marked(
     first: tuple[float, ...], second: tuple[float, ...], perfect: tuple[float, ...], marked: bool
 ) -> None:
-    rows = {"first": first, "second": second, WITHIN_LIMITS: (0.2, 0.1, 0.3), PERFECT: perfect}
+    rows = {"first": first, "second": second, WITHIN_LIMITS: (0.2, 0.1, 0.3), FLOOR: perfect}
     records = [(name, "here", "js_speed", *numbers, 9) for name, numbers in rows.items()]
     frame = pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row")
     found = {row.labels[0]: row.numbers[0].marked for row in from_frame(frame, SUITE).rows}
-    assert found == {"first": marked, "second": False, WITHIN_LIMITS: False, PERFECT: False}
+    assert found == {"first": marked, "second": False, WITHIN_LIMITS: False, FLOOR: False}
 
 
 def test_the_smallest_distances_within_limits_are_those_of_two_speeds() -> None:

@@ -117,7 +117,7 @@ def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> N
     text = document(suite_table(SUITE, cells))
     assert "| 25.00 [24.00, 26.00] | 23.67 (+1.33) |" in text
     assert "| – | 23.73 |" in text
-    assert "- `speed_mean` (m/s): speed in logged steps. n: logged steps." in text
+    assert "- Mean speed (m/s) (`speed_mean`): speed in logged steps. n: logged steps." in text
 
 
 def test_markdown_survives_a_bar_in_a_name() -> None:
@@ -137,18 +137,18 @@ def test_the_terminal_shows_the_columns_of_the_suite_in_100_characters() -> None
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
     assert "…" not in text
     assert "paper 28.892" in text
-    assert "crashed episodes" in text
+    assert "Crashed episodes" in " ".join(text.split())
     assert "tet" not in text
 
 
 def test_the_terminal_shows_what_the_paper_reports_if_nothing_is_asked_for() -> None:
     text = shown(suite_table(SUITE, [cell([25.0], paper={"speed_mean": 23.67})]))
-    assert "speed mean" in text
-    assert "acc std" not in text
+    assert "Mean speed" in text
+    assert "Acceleration" not in text
 
 
 def test_without_columns_and_paper_the_terminal_shows_every_metric() -> None:
-    text = " ".join(shown(suite_table(SUITE, [cell([25.0])])).split())
+    text = " ".join(shown(suite_table(SUITE, [cell([25.0])])).lower().split())
     for metric in ("interaction", "jerk", "tet", "drac"):
         assert metric in text
 

@@ -59,7 +59,7 @@ def test_metrics_are_selected_in_the_order_asked_for_within_their_groups() -> No
 
 
 def test_each_group_is_a_part_with_its_name_as_title() -> None:
-    assert [part.title for part in TABLE.parts()] == ["paper-2", "standard-3"]
+    assert [part.title for part in TABLE.parts()] == ["Metrics of the paper", "Standard metrics"]
     assert [len(part.columns) for part in TABLE.parts()] == [1, 1]
 
 

@@ -26,8 +26,8 @@ def lines(shown: RenderableType, width: int = 80) -> list[str]:
 def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
     shown = lines(drawn(TABLE.select("speed_mean"), 60), width=60)
     assert shown[1:5] == [
-        "paper-2",
-        "speed_mean                 m/s  23.5               31  paper",
+        "Metrics of the paper",
+        "Mean speed                 m/s  23.5               31  paper",
         "  IDM       24.00  23.50–24.50  ━●◇━                    24.2",
         "  CHARMS    30.00  29.00–31.00                 ━━●━━━",
     ]
@@ -35,12 +35,12 @@ def test_every_value_has_its_interval_as_numbers_and_as_a_bar() -> None:
 
 def test_units_are_those_of_the_set_whatever_its_thresholds() -> None:
     shown = lines(drawn(TABLE))
-    place = shown.index("standard-3(ttc_s=2)")
-    assert shown[place + 1].split()[:2] == ["speed_mean", "m/s"]
+    place = shown.index("Standard metrics (ttc_s=2)")
+    assert shown[place + 1].split()[:3] == ["Mean", "speed", "m/s"]
 
 
 def test_what_is_not_defined_is_a_dash_without_a_bar() -> None:
-    shown = lines(drawn(TABLE.select("dhw_mean")))
+    shown = lines(drawn(TABLE.select("dhw_mean"), 80))
     assert next(line for line in shown if "CHARMS" in line).split() == ["CHARMS", "–"]
 
 

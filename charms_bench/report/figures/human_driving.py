@@ -33,7 +33,7 @@ def draw_quantity(
     used = np.flatnonzero(np.max([*areas, *lines], axis=0) * width > SHOWN)
     figure, axes = panels(len(people), 4.2, 3.9)
     for panel, area, (name, counts) in zip(axes, areas, people.items(), strict=True):
-        panel.stairs(area, edges, fill=True, color=GREY, label="people", zorder=1)
+        panel.stairs(area, edges, fill=True, color=GREY, label="human drivers", zorder=1)
         panel.stairs(area, edges, color=EDGE, linewidth=0.8, zorder=1)
         for k, (traffic, line) in enumerate(zip(traffics, lines, strict=True)):
             panel.plot(edges[:-1] + width / 2, line, label=traffic.traffic, **series(k))
@@ -42,7 +42,7 @@ def draw_quantity(
         # On a linear scale, the peak of a traffic that drives at one speed hides the people.
         panel.set_yscale("function", functions=(np.sqrt, np.square))
         panel.set_ylim(0, 1.05 * np.max([*areas, *lines]))
-    axes[0].set_ylabel(f"share of vehicles per {unit}\n(square-root scale)")
+    axes[0].set_ylabel(f"proportion of vehicles per {unit}\n(square-root scale)")
     if len(people) > 1:
         figure.suptitle(TITLE[quantity], fontsize=11)
     named = axes[0].get_legend_handles_labels()

@@ -39,5 +39,7 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
         panel.spines["left"].set_visible(False)
         panel.margins(x=0.12)
         panel.locator_params(axis="x", nbins=4)
-        panel.set_title(table.columns[place].name, fontsize=9)
+        if table.columns[place].form == "%":
+            panel.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+        panel.set_title(table.columns[place].title, fontsize=9)
     return figure

@@ -18,5 +18,5 @@ def draw(found: Mapping[str, float], title: str, path: Path) -> None:
     axes.invert_yaxis()
     axes.margins(x=0.12)
     axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g}%")
-    axes.set(title=title, xlabel="share of vehicles")
+    axes.set(title=title, xlabel="proportion of vehicles")
     save(figure, path)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
+from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.figures.drawing import PAPER, crosses, panels, points, take_text_as_it_is
 from charms_bench.report.table import Number, Table
 from charms_bench.runs.suite import Suite
@@ -37,7 +38,7 @@ OF_EGOS = Tradeoff(
     "speed_mean",
     "mean speed, m/s",
     "crashed_episodes",
-    "episodes crashed; hollow: at fault",
+    "crashed episodes; hollow: at fault",
     0,
     "crashed_at_fault",
 )
@@ -45,7 +46,7 @@ OF_TRAFFICS = Tradeoff(
     "interaction_density",
     "vehicles within 30 m and a lane of the ego",
     "traffic_crashed",
-    "vehicles of the traffic that crash in an episode",
+    "crashed vehicles in traffic",
     1,
 )
 
@@ -56,11 +57,16 @@ def tradeoff_of(suite: Suite) -> Tradeoff:
 
 
 def draw_tradeoff(
-    table: Table, tradeoff: Tradeoff, width: float = 8.6, height: float = 5.2
+    table: Table,
+    tradeoff: Tradeoff,
+    width: float = 8.6,
+    height: float = 5.2,
+    is_narrow: bool = False,
 ) -> Figure:
     """The cells of a suite's table with their 95 % intervals; width and height are in inches.
 
-    Points carry their names, or numbers of a list if there are several groups.
+    Points carry their names, or numbers of a list if there are several groups. A narrow figure has
+    the list and the legend below it, and always numbers.
     """
     groups: dict[str, list[tuple[str, Number, Number]]] = {}
     places = table.places(tradeoff.across, tradeoff.share)
@@ -74,7 +80,9 @@ def draw_tradeoff(
             found_parts = [row.numbers[i].value for i in part]
             parts.setdefault(group, []).extend((x.value, v) for v in found_parts if v is not None)
     names = list(dict.fromkeys(row.labels[tradeoff.named] for row in table.rows))
-    figure, (axes,) = panels(1, width, height)
+    is_numbered = is_narrow or len(groups) > 1
+    below = 0.2 * (len(names) + len(groups)) if is_narrow else 0.0
+    figure, (axes,) = panels(1, width, height + below)
     texts: list[Annotation] = []
     for index, (group, found) in enumerate(groups.items()):
         across, up = ([numbers[i] for _, *numbers in found] for i in (0, 1))
@@ -82,7 +90,7 @@ def draw_tradeoff(
         hollow = np.reshape(parts[group], (-1, 2))
         axes.plot(*hollow.T, linestyle="", markerfacecolor="none", **points(index))
         for name, x, y in found:
-            label = name if len(groups) == 1 else str(names.index(name) + 1)
+            label = str(names.index(name) + 1) if is_numbered else name
             texts.append(axes.annotate(label, (x.value, y.value), fontsize=8, bbox=BACKGROUND))
     # Roots, so that the few crashes of good drivers are not all one point.
     axes.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
@@ -93,12 +101,19 @@ def draw_tradeoff(
     axes.margins(x=0.12)
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
     axes.set(xlabel=tradeoff.across_label, ylabel=f"{tradeoff.share_label}\n(square-root scale)")
-    if len(groups) > 1:
-        listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
+    listed = "\n".join(f"{number}  {name}" for number, name in enumerate(names, 1))
+    text = {"title": key_label_of(table.keys[1 - tradeoff.named]), "title_fontsize": 8}
+    if is_narrow:
+        # The list is an axis label, so that the layout leaves room for it.
+        axes.set_xlabel(f"{tradeoff.across_label}\n\n{listed}", linespacing=1.5, fontsize=8.5)
+        axes.yaxis.label.set_size(8.5)
+        if len(groups) > 1:
+            axes.legend(**text, fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1))
+    elif is_numbered:
         place = {"transform": axes.transAxes, "va": "top"}
         axes.text(1.02, 1.0, listed, fontsize=8, linespacing=1.5, **place)
-        text = {"title": table.keys[1 - tradeoff.named], "title_fontsize": 8, "fontsize": 8}
-        axes.legend(**text, frameon=False, loc="lower left", bbox_to_anchor=(1.0, 0.0))
+        right = {"loc": "lower left", "bbox_to_anchor": (1.0, 0.0)}
+        axes.legend(**text, fontsize=8, frameon=False, **right)
     take_text_as_it_is(figure)
     figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)

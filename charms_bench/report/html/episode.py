@@ -5,10 +5,13 @@ from typing import Any
 from charms_bench.episodes.criticality import criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.episodes.what_happened import what_happened
+from charms_bench.episodes.what_happened import critical_time_s, what_happened
 from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.html.packed import pack
 from charms_bench.report.html.svg import in_page
+
+BEFORE_S = 3.0
+"""A replay opens so long before its critical moment."""
 
 
 def for_page(
@@ -31,7 +34,13 @@ def for_page(
         "episode": replay.episode,
         "criticality": f"{measured['criticality'].item():.2f}",
         "what": what_happened(replay, since=since),
+        "start": f"{max(0.0, critical_time_s(replay, since) - BEFORE_S):.1f}",
         "seconds": f"{replay.t_s[-1]:.1f}",
         "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),
     }
+
+
+def beside(replay: Replay) -> dict[str, Any]:
+    """An episode for the player only, beside another replay of the same episode."""
+    return pack(replay, ego_view(replay))

@@ -4,12 +4,14 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from charms_bench.episodes.edge_cases import ranked
 from charms_bench.episodes.recorded_cell import RecordedCell, find_cell, find_cells
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.report.finding import CRASHED
 from charms_bench.report.html.sources import Evaluation
 
 Place = tuple[int, int, int]
@@ -46,19 +48,57 @@ def _names(run: Evaluation) -> tuple[str, ...]:
     return str(run.path), os.path.relpath(run.path), run.path.name, run.key
 
 
+class Chosen(NamedTuple):
+    """An episode of a report."""
+
+    name: str
+    """What links call it."""
+    place: Place
+    replay: Replay
+
+
 def choose(
     runs: Sequence[Evaluation], top: int, named: Sequence[Place], folder: Path
-) -> list[tuple[str, Replay]]:
+) -> list[Chosen]:
     """The named episodes, then the `top` most critical of all runs, simulated again.
 
-    An episode that two runs share is shown once. Relative paths of networks start at `folder`. The
-    names are those of links.
+    An episode that two runs share is shown once. Relative paths of networks start at `folder`.
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
     """
     wanted = list(dict.fromkeys([*named, *(_most_critical(runs, top) if top else [])]))
-    found: dict[Place, tuple[str, Replay]] = {}
+    return _simulated(runs, wanted, folder)
+
+
+def choose_beside(
+    runs: Sequence[Evaluation], chosen: Sequence[Chosen], folder: Path
+) -> list[Chosen]:
+    """Another ego in each of the chosen episodes, simulated again; those of one ego have none.
+
+    Of the other egos, it is the one that crashes least in this traffic.
+    """
+    wanted = dict.fromkeys(_beside(runs, each.place) for each in chosen)
+    known = {each.place for each in chosen}
+    return _simulated(runs, [place for place in wanted if place and place not in known], folder)
+
+
+def _beside(runs: Sequence[Evaluation], place: Place) -> Place | None:
+    index, cell, seed = place
+    suite, metrics = runs[index].run.suite, runs[index].tables.metrics
+    column = metrics.places(CRASHED)
+    rates = {row.labels[:2]: row.numbers[column[0]].value for row in metrics.rows if column}
+    ranked = [
+        (rates.get((each.ego.title, each.traffic.title)) or 0.0, other)
+        for other, each in enumerate(suite.cells)
+        if other != cell and each.traffic is suite.cells[cell].traffic
+    ]
+    return (index, min(ranked)[1], seed) if ranked else None
+
+
+def _simulated(runs: Sequence[Evaluation], wanted: Sequence[Place], folder: Path) -> list[Chosen]:
+    """The episodes at these places, simulated again."""
+    found: dict[Place, Chosen] = {}
     for index, cell in sorted({place[:2] for place in wanted}):
         seeds = [seed for *place, seed in wanted if (index, cell) == tuple(place)]
         try:
@@ -67,7 +107,7 @@ def choose(
             raise RunFolderError(f"{error}. `--top 0` makes a report without replays") from error
         for each in replays:
             place = (index, cell, each.episode)
-            found[place] = _name(runs, place), each
+            found[place] = Chosen(_name(runs, place), place, each)
     return [found[place] for place in wanted]
 
 

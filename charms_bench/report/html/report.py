@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from charms_bench.errors import InputError
-from charms_bench.report.html.episode import for_page
-from charms_bench.report.html.episodes import asked, choose, futures
+from charms_bench.report.html.episode import beside, for_page
+from charms_bench.report.html.episodes import asked, choose, choose_beside, futures
 from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
@@ -46,10 +46,17 @@ def write_report(
         raise InputError("--episode needs an evaluation; none of these folders holds one")
     named = [asked(text, runs) for text in episodes]
     others = {} if what_if is None else futures(what_if, runs, named, suite_folder)
+    chosen = choose(runs, top, named, suite_folder)
     shown = [
         for_page(name, each, others[name].other if name in others else None)
-        for name, each in choose(runs, top, named, suite_folder)
+        for name, _, each in chosen
     ]
+    packed = {each["id"]: each.pop("packed") for each in shown}
+    for other in (more := choose_beside(runs, chosen, suite_folder)):
+        packed[other.name] = beside(other.replay)
+    for name, (index, _, seed), each in (*chosen, *more):
+        traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
+        packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
     sections = [
         evaluation_section(source, suite_folder)
         if isinstance(source, Evaluation)
@@ -61,7 +68,7 @@ def write_report(
         sections,
         title=sections[0].title if len(sources) == 1 else "Driving behaviour, measured",
         replays=shown,
-        packed={each["id"]: each.pop("packed") for each in shown},
+        packed=packed,
         named=len(named),
         is_report=True,
         has_ghosts=bool(others),

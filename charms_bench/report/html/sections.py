@@ -15,6 +15,7 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
+from charms_bench.report.finding import finding
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
@@ -22,6 +23,8 @@ from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
 from charms_bench.runs.suite import Suite
 
+NARROW_INCHES = (4.2, 4.6)
+"""Width and height of a figure for a phone."""
 COLUMNS = 7
 """Columns of numbers in a table, so that it fits a sheet of paper."""
 
@@ -36,6 +39,8 @@ class Picture:
     svg: Markup
     wide: bool = False
     """Whether it needs the width of the page."""
+    narrow: Markup | None = None
+    """The same figure for a narrow page; without it, the figure scrolls there."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class Section:
     """Tables that are folded away at first."""
     drawn_first: bool = False
     """Whether the figures stand above the tables."""
+    finding: str = ""
+    """What was found, in sentences."""
 
 
 def evaluation_section(source: Evaluation, folder: Path) -> Section:
@@ -59,14 +66,18 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
     suite, tables = source.run.suite, source.tables
     scene, last = suite.scene, suite.seed + suite.episodes - 1
     chosen = one_per_metric(printed(tables.metrics, suite.columns))
-    shown = [
-        replace(block, title=" and ".join(dict.fromkeys(each.group for each in block.columns)))
-        for block in chosen.blocks(COLUMNS + 1)
-    ]
+    order = {name: place for place, name in enumerate(suite.columns)}
+    parts = sorted(
+        chosen.parts(),
+        key=lambda part: min(order.get(column.name, len(order)) for column in part.columns),
+    )
+    shown = [block for part in parts for block in part.blocks(COLUMNS + 1)]
     if tables.preventable is not None:
         shown.append(tables.preventable)
     if tables.realism is not None:
-        shown += tables.realism.parts()
+        first, *rest = tables.realism.parts()
+        # The note is about all of them.
+        shown = [first, *(replace(each, note="") for each in rest), *shown]
     parts = tables.metrics.without_constant_keys().parts()
     more = [block for part in parts for block in part.blocks(COLUMNS)]
     more += [] if tables.pairs is None else [tables.pairs]
@@ -76,7 +87,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
         facts=(
-            f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), 'traffic')}",
+            f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), _place(suite))}",
             f"{suite.episodes:,} episodes each, seeds {suite.seed:,} to {last:,}",
             _scenes(suite),
             f"{scene.duration_s:g} s per episode",
@@ -86,15 +97,22 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         pictures=_pictures(source, folder),
         more=more,
         drawn_first=bool(matrices(tables.metrics)),
+        finding=finding(suite, tables.metrics, tables.realism, source.run.cells),
     )
 
 
 def _scenes(suite: Suite) -> str:
     """What the scenes of a suite look like."""
     scene = suite.scene
-    if all(entry.traffic.scenario for entry in suite.traffics):
+    if _place(suite) == "scenario":
         return f"{scene.lanes} lanes, vehicles placed by scenarios"
     return f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}"
+
+
+def _place(suite: Suite) -> str:
+    """What the traffics of a suite are."""
+    of_scenarios = all(entry.traffic.scenario for entry in suite.traffics)
+    return "scenario" if of_scenarios else "traffic model"
 
 
 def _counted(count: int, what: str) -> str:
@@ -129,17 +147,21 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
             "narrower than its disc is hidden by it."
         )
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
-    caption = "Egos down, traffics across. Darker fields have higher values."
+    caption = f"Egos down, {_place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
-        figure = draw_matrices([matrix], first=k)
-        found.append(_picture(f"{key}-matrix-{k}", "Cross-play", caption, figure))
+        figure = draw_matrices([replace(matrix, title="")], first=k)
+        found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
         of_egos = tradeoff is OF_EGOS
         title = f"{'Speed' if of_egos else 'Density'} against safety"
         caption = "With 95 % intervals." + " Further right and further down is better." * of_egos
         figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
-        found.append(_picture(f"{key}-tradeoff", title, caption, figure, wide=True))
+        picture = _picture(f"{key}-tradeoff", title, caption, figure, wide=True)
+        small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
+        label = f"{title}. {caption}"
+        narrow = in_page(small, f"{key}-tradeoff-narrow", label)
+        found.append(replace(picture, narrow=narrow))
     if pairs is not None and table.places(*PLACED):
         title = "Styles apart: where each stands"
         caption = "Mean speed and mean headway to the leader, with 95 % intervals."
@@ -158,7 +180,7 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         return found
     following = source.run.following()
     references = read_references(suite.references, folder)
-    caption = "Grey: human driving. Lines: traffics."
+    caption = "Grey: human driving. Lines: traffic models."
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})

@@ -9,6 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.bars import Scale
 from charms_bench.report.formatting import Written, write_cells
 from charms_bench.report.table import Cell, Column, Row, Table
@@ -27,9 +28,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["written"] = written
-    made.filters["scales"] = scales
-    made.filters["bar"] = bar
+    made.filters |= {"written": written, "scales": scales, "bar": bar, "key_label": key_label_of}
     return made
 
 
@@ -41,27 +40,28 @@ def written(table: Table) -> list[tuple[Row, list[Written]]]:
     ]
 
 
-def scales(table: Table) -> list[Scale]:
-    """The scale of each column, from 0 to 100 %, on which its bars are drawn."""
-    return [
-        Scale.over(
-            (end for number in table.column(i) for end in (number.value, number.low, number.high)),
-            101,
-            zero=column.signed or column.form.endswith("%"),
-        )
-        for i, column in enumerate(table.columns)
-    ]
+def scales(table: Table) -> list[Scale | None]:
+    """The scale of each column's bars, in percent of their width; None without any interval."""
+    found: list[Scale | None] = []
+    for place, column in enumerate(table.columns):
+        numbers = table.column(place)
+        ends = [end for each in numbers for end in (each.value, each.low, each.high)]
+        has_interval = any(each.low is not None for each in numbers)
+        scale = Scale.over(ends, 101, zero=column.signed or column.form.endswith("%"))
+        found.append(scale if has_interval else None)
+    return found
 
 
 def bar(cell: Cell, scale: Scale) -> Markup:
-    """A number drawn to scale in its interval; empty without an interval."""
+    """A value in its interval, drawn to scale; empty if either is not defined."""
     if isinstance(cell, str) or cell.value is None or cell.low is None or cell.high is None:
-        return Markup()
-    low, value, high = (scale.place(each) for each in (cell.low, cell.value, cell.high))
+        return Markup("")
+    low, value, high = map(scale.place, (cell.low, cell.value, cell.high))
+    # Numbers alone are filled in: no text of a table reaches a style.
     return Markup(
-        '<span class="bar" aria-hidden="true"><i style="left: {}%; width: {}%"></i>'
-        '<b style="left: {}%"></b></span>'
-    ).format(low, high - low, value)
+        '<span class="bar" aria-hidden="true"><i style="left:{}%;right:{}%"></i>'
+        '<em style="left:{}%"></em></span>'
+    ).format(low, 100 - high, value)
 
 
 def _typeset(cell: Cell, text: Written) -> Written:
@@ -76,7 +76,7 @@ def definition_ids(columns: Iterable[Column]) -> dict[Column, str]:
     ids: dict[Column, str] = {}
     said: dict[Column, str] = {}
     for column in columns:
-        same = replace(column, group="", quantity="", form="", signed=False)
+        same = replace(column, group="", quantity="", form="", label="", signed=False)
         if same not in said:
             found = re.sub(r"[^\w.-]", "_", f"is-{column.group}-{column.name}")
             said[same] = unused(found, said.values())
@@ -85,5 +85,5 @@ def definition_ids(columns: Iterable[Column]) -> dict[Column, str]:
 
 
 def notebook(table: Table) -> str:
-    """The table as HTML that needs nothing around it."""
+    """The table with bars of its intervals, as HTML that needs nothing around it."""
     return environment().get_template("notebook.html").render(tables=table.parts())

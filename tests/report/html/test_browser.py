@@ -73,7 +73,7 @@ def opened(page: Any, address: str) -> Any:
 
 def test_a_column_sorts_both_ways_by_its_numbers(page: Any, report: str) -> None:
     table = opened(page, report).locator("section").first.locator("table").first
-    header = table.locator("th", has_text="speed mean")
+    header = table.locator("th", has_text="Mean speed")
     column = "cells => cells.map(row => Number(row.cells[1].dataset.value))"
     for ascending in (True, False):
         header.get_by_role("button").click()

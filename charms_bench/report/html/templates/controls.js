@@ -9,13 +9,20 @@
   const player = part("player"), scrub = part("scrub"), road = new Road(part("road"));
   const [left, right] = [Number(player.dataset.left), Number(player.dataset.right)]; // ends of the axes
   const unpacked = new Map(); // by id, once they are opened
-  let id = null, replay = null, moment = 0, playing = false, before = 0;
+  const roadBeside = new Road(part("road-beside"));
+  let id = null, replay = null, beside = null, last = 0, moment = 0, playing = false, before = 0;
 
   function show() {
-    const frame = Math.min(Math.floor(moment), replay.last);
+    const frame = Math.min(Math.floor(moment), last);
     road.draw(replay, moment);
+    if (beside) {
+      const other = Math.min(Math.floor(moment), beside.last);
+      roadBeside.draw(beside, Math.min(moment, beside.last));
+      const said = Object.entries(readingsOf(beside, other)).map(([name, value]) => `${name} ${value}`);
+      part("beside-reading").textContent = said.join(" · ");
+    }
     const seconds = (frame / replay.hz).toFixed(1);
-    const all = (replay.last / replay.hz).toFixed(1);
+    const all = (last / replay.hz).toFixed(1);
     scrub.value = frame;
     scrub.setAttribute("aria-valuetext", `${seconds} s of ${all} s`);
     part("clock").textContent = `${seconds} / ${all} s`;
@@ -46,13 +53,13 @@
 
   function seek(frame) {
     pause();
-    moment = Math.max(0, Math.min(replay.last, Math.round(frame)));
+    moment = Math.max(0, Math.min(last, Math.round(frame)));
     show();
     tell();
   }
 
   function play() {
-    if (moment >= replay.last) moment = 0;
+    if (moment >= last) moment = 0;
     playing = true;
     before = performance.now();
     part("play").textContent = "Pause";
@@ -68,11 +75,11 @@
     if (!playing) return;
     moment += ((now - before) / 1000) * replay.hz * Number(part("rate").value);
     before = now;
-    if (moment < replay.last) {
+    if (moment < last) {
       show();
       requestAnimationFrame(advance);
     } else {
-      seek(replay.last);
+      seek(last);
     }
   }
 
@@ -81,10 +88,36 @@
     else play();
   }
 
+  async function unpackedOf(wanted) {
+    if (!unpacked.has(wanted)) unpacked.set(wanted, await unpack(packed[wanted]));
+    return unpacked.get(wanted);
+  }
+
+  // The other agents in the same episode.
+  function offerBeside() {
+    const scene = JSON.stringify(packed[id].scene);
+    const others = Object.keys(packed).filter(
+      (each) => each !== id && scene && JSON.stringify(packed[each].scene) === scene);
+    part("beside").replaceChildren(new Option("none", ""),
+      ...others.map((each) => new Option(packed[each].title, each)));
+    part("choose-beside").hidden = !others.length;
+    return setBeside("");
+  }
+
+  async function setBeside(wanted) {
+    beside = wanted ? await unpackedOf(wanted) : null;
+    part("beside").value = wanted;
+    part("beside-view").hidden = !beside;
+    part("beside-title").textContent = beside ? packed[wanted].title : "";
+    last = Math.max(replay.last, beside ? beside.last : 0);
+    moment = Math.min(moment, last);
+    scrub.max = last;
+    show();
+  }
+
   async function open(wanted, seconds) {
     pause();
-    if (!unpacked.has(wanted)) unpacked.set(wanted, await unpack(packed[wanted]));
-    [id, replay] = [wanted, unpacked.get(wanted)];
+    [id, replay, beside] = [wanted, await unpackedOf(wanted), null];
     for (const link of document.querySelectorAll("a.episode")) {
       if (link.dataset.replay !== id) link.removeAttribute("aria-current");
       else link.setAttribute("aria-current", "true");
@@ -94,10 +127,9 @@
     part("player-title").textContent = link.querySelector(".who").textContent;
     part("player-what").textContent = link.querySelector(".what").textContent;
     showLegend();
-    scrub.max = replay.last;
     player.hidden = false;
     moment = Math.max(0, Math.min(replay.last, Math.round(seconds * replay.hz)));
-    show();
+    await offerBeside();
   }
 
   function showLegend() {
@@ -132,6 +164,25 @@
     part("readings").append(pair);
   }
 
+  // Shows the replays of one agent; the first of them opens if the open one is of another.
+  function showOnly(ego) {
+    const links = [...document.querySelectorAll("a.episode")];
+    for (const each of links) each.parentElement.hidden = ego && each.parentElement.dataset.ego !== ego;
+    const isShown = (each) => !each.parentElement.hidden;
+    if (links.some((each) => isShown(each) && each.dataset.replay === id)) return;
+    const first = links.find(isShown);
+    open(first.dataset.replay, Number(first.dataset.start)).then(tell);
+  }
+
+  const only = part("only");
+  if (only) {
+    only.value = "";
+    only.addEventListener("change", () => showOnly(only.value));
+  }
+  part("beside").addEventListener("change", () => {
+    pause();
+    setBeside(part("beside").value);
+  });
   part("play").addEventListener("click", toggle);
   part("back").addEventListener("click", () => seek(Math.ceil(moment) - 1));
   part("forth").addEventListener("click", () => seek(Math.floor(moment) + 1));
@@ -153,7 +204,7 @@
       ArrowLeft: () => seek(Math.ceil(moment) - step),
       ArrowRight: () => seek(Math.floor(moment) + step),
       Home: () => seek(0),
-      End: () => seek(replay.last),
+      End: () => seek(last),
     };
     if (!steers || !(event.key in keys)) return;
     event.preventDefault();
@@ -174,9 +225,11 @@
   });
   document.addEventListener("themechange", () => {
     road.readColours();
+    roadBeside.readColours();
     if (replay) show();
   });
   new ResizeObserver(() => replay && show()).observe(part("road"));
   window.addEventListener("hashchange", follow);
-  follow().then((found) => found || open(document.querySelector("a.episode").dataset.replay, 0));
+  const firstLink = document.querySelector("a.episode");
+  follow().then((found) => found || open(firstLink.dataset.replay, Number(firstLink.dataset.start)));
 })();

@@ -35,7 +35,8 @@ async function readersOf(packed) {
 
 async function unpack(packed) {
   const others = packed.agent.filter((_, vehicle) => vehicle !== packed.ego);
-  const driven = [...new Set(others)].sort((a, b) => a - b);
+  // By name, so that a letter means the same agent beside another replay of the episode.
+  const driven = [...new Set(others)].sort((a, b) => (packed.agents[a] < packed.agents[b] ? -1 : 1));
   const ghosts = packed.ghosts && { ...packed, ...packed.ghosts, ...(await readersOf(packed.ghosts)) };
   const last = Math.max(packed.frames, packed.ghosts ? packed.ghosts.frames : 0) - 1;
   return { ...packed, ...(await readersOf(packed)), last, driven, ghosts };

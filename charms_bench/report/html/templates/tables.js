@@ -1,4 +1,4 @@
-// Sorts tables, shows definitions of numbers, and switches between light and dark.
+// Sorts tables, shows definitions of numbers and what is cut off, and switches between light and dark.
 "use strict";
 
 function valueOf(row, column) {
@@ -69,6 +69,19 @@ if ("showPopover" in card) {
   }
   document.getElementById("card-close").addEventListener("click", () => card.hidePopover());
 }
+
+// What is cut on the right fades there, and a table says that there is more.
+function showCuts() {
+  for (const each of document.querySelectorAll(".scroll, .drawing, .timelines")) {
+    const hidden = each.scrollWidth - each.clientWidth;
+    each.classList.toggle("overflows", hidden > 2);
+    each.classList.toggle("cut-right", hidden - each.scrollLeft > 2);
+  }
+}
+
+document.addEventListener("scroll", showCuts, { capture: true, passive: true });
+document.addEventListener("toggle", showCuts, { capture: true });
+new ResizeObserver(showCuts).observe(document.body);
 
 const theme = document.getElementById("theme");
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");

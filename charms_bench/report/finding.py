@@ -1,0 +1,208 @@
+"""Says in a few sentences what the run of a suite found, and how sure that is.
+
+Who crashes least is chosen after the results are known. So the p-value of its paired test against
+the next agent is multiplied by the number of all pairs that could have been chosen (Bonferroni).
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from charms_bench.report.preventable_table import crashed
+from charms_bench.report.realism_table import FLOOR, WITHIN_LIMITS
+from charms_bench.report.table import Number, Table
+from charms_bench.runs.cells import CellRows
+from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import CONFIDENCE
+
+CRASHED, SPEED = "crashed_episodes", "speed_mean"
+INTERVAL = "95\N{NO-BREAK SPACE}% interval"
+NAMED = 3
+"""Agents or traffic models that a sentence names at most."""
+Cells = Mapping[tuple[str, str], CellRows]
+Rates = list[tuple[str, Number]]
+"""Labels with their proportions of crashed episodes, the smallest first."""
+
+
+def finding(
+    suite: Suite, metrics: Table, realism: Table | None, cells: Callable[[], Sequence[CellRows]]
+) -> str:
+    """What a run found, in sentences; empty if its table does not say how often egos crash.
+
+    `cells` reads its rows, which only the paired test of egos needs.
+    """
+    if realism is not None:
+        return _nearest(realism)
+    places = metrics.places(CRASHED)
+    if places is None:
+        return ""
+    rates = {row.labels[:2]: row.numbers[places[0]] for row in metrics.rows}
+    if any(number.value is None for number in rates.values()):
+        return ""
+    if len(suite.egos) > 1:
+        by_label = {(cell.agent, cell.traffic): cell for cell in cells()}
+        if len(suite.traffics) > 1:
+            return _of_matrix(suite, rates, by_label)
+        return _of_egos(suite, rates, by_label) + _speeds(metrics)
+    ego = suite.egos[0].title
+    found = _sorted((traffic, number) for (_, traffic), number in rates.items())
+    return _of_traffics(ego, found, _places(suite)) if len(found) > 1 else _of_one(ego, found[0])
+
+
+def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
+    found = _sorted((ego, number) for (ego, _), number in rates.items())
+    number = found[0][1]
+    tied = [name for name, each in found if each.value == number.value]
+    if len(tied) == len(found):
+        return f"All {len(found)} agents crashed equally often: {_rate(number)} each."
+    following = found[len(tied)]
+    traffic = suite.traffics[0].title
+    # Of agents that share the lowest rate, the one that is hardest to separate from the next.
+    tests = [_paired(cells[following[0], traffic], cells[name, traffic]) for name in tied]
+    value, low, high, p = max(tests, key=lambda test: test[-1])
+    pairs = _pairs(suite)
+    return (
+        f"{_listed(tied)} crashed in the fewest episodes: {_rate(number)}"
+        f"{' each' * (len(tied) > 1)}. {following[0]} is next with {_rate(following[1])}. The "
+        f"difference is {_percent(value)} percentage points ({INTERVAL} {_percent(low)} to "
+        f"{_percent(high)}), and the paired test {_verdict(min(1.0, p * pairs))}, corrected for "
+        f"{pairs:,} possible pair{'s' * (pairs > 1)})."
+    )
+
+
+def _verdict(p: float) -> str:
+    said = "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 1 else "p = 1"
+    return f"{'separates' if p < 1 - CONFIDENCE else 'does not separate'} them ({said}"
+
+
+def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
+    wins: dict[str, list[str]] = {}
+    apart = tied = 0
+    for entry in suite.traffics:
+        found = _sorted((ego, each) for (ego, name), each in rates.items() if name == entry.title)
+        (best, number), (second, following) = found[:2]
+        if number.value == following.value:
+            tied += 1
+            continue
+        wins.setdefault(best, []).append(entry.title)
+        *_, p = _paired(cells[second, entry.title], cells[best, entry.title])
+        apart += p * _pairs(suite) < 1 - CONFIDENCE
+    count, places = len(suite.traffics), _places(suite)
+    ranked = sorted(wins.items(), key=lambda each: -len(each[1]))
+    sentences = [f"{ego} crashed least in {_listed(where)}" for ego, where in ranked[:NAMED]]
+    more = sum(len(where) for _, where in ranked[NAMED:])
+    sentences += [f"other agents crashed least in {more} {places}"] if more else []
+    sentences += [f"two or more agents share the lowest rate in {tied} of {count}"] if tied else []
+    tested = count - tied
+    if not tested:
+        return f"In each of the {count} {places}, two or more agents share the lowest crash rate."
+    return (
+        f"{'; '.join(sentences)}. The paired test separates the "
+        f"agent that crashed least from the next in {apart} of the {tested} {places} without a tie "
+        f"(p < 0.05, corrected for {_pairs(suite):,} possible pairs)."
+    )
+
+
+def _of_traffics(ego: str, found: Rates, places: str) -> str:
+    (least, low), (most, high) = found[0], found[-1]
+    if low.value == high.value:
+        return f"{ego} crashed equally often in all {len(found)} {places}: {_rate(low)}."
+    overlap = low.high is None or high.low is None or low.high >= high.low
+    return (
+        f"{ego} crashed most often in {most}: {_rate(high)}; and least often in {least}: "
+        f"{_rate(low)}. The two intervals "
+        + ("overlap: the difference may be chance." if overlap else "do not overlap.")
+    )
+
+
+def _of_one(ego: str, found: tuple[str, Number]) -> str:
+    traffic, number = found
+    if number.value:
+        return f"{ego} crashed in {_rate(number)} in {traffic}."
+    limit = "" if number.high is None else f" The {INTERVAL} ends at {_percent(number.high)} %."
+    return (
+        f"{ego} crashed in none of {number.n or 0:,} episodes in {traffic}.{limit} "
+        "`charms-bench rare` estimates smaller probabilities."
+    )
+
+
+def _nearest(realism: Table) -> str:
+    """How often one traffic model is nearest to human driving, by the marks of the table."""
+    wins: dict[str, int] = {}
+    tested = 0
+    for place in range(len(realism.columns)):
+        column = [
+            (row.labels[0], number)
+            for row, number in zip(realism.rows, realism.column(place), strict=True)
+            if row.labels[0] not in (FLOOR, WITHIN_LIMITS) and number.value is not None
+        ]
+        tested += len(column) > 1
+        for name, number in column:
+            if number.marked:
+                wins[name] = wins.get(name, 0) + 1
+    if not tested:
+        return ""
+    separated = sum(wins.values())
+    if not separated:
+        return (
+            f"In none of {tested} comparisons with human driving is one traffic model separated "
+            "from all others as the nearest."
+        )
+    ranked = sorted(wins.items(), key=lambda each: -each[1])
+    who = _listed([f"{name} in {count}" for name, count in ranked], len(ranked))
+    return (
+        f"In {separated} of {tested} comparisons with human driving, one traffic model is nearest "
+        f"and separated from all others: {who}."
+        + (f" In the other {tested - separated}, none is." if tested > separated else "")
+    )
+
+
+def _speeds(metrics: Table) -> str:
+    """The range of mean speeds, because slow driving crashes less."""
+    places = metrics.places(SPEED)
+    numbers = metrics.column(places[0]) if places else []
+    known = [number.value for number in numbers if number.value is not None]
+    if len(known) < 2:
+        return ""
+    return f" Mean speeds range from {min(known):.1f} to {max(known):.1f} m/s."
+
+
+def _paired(first: CellRows, second: CellRows) -> tuple[float, float, float, float]:
+    """The difference of crashed episodes, its interval and the p-value of the paired test."""
+    from charms_bench.statistics.paired import mcnemar, tango  # imports scipy.stats
+
+    ours, theirs = crashed(first), crashed(second)
+    only = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    return (only[0] - only[1]) / ours.size, *tango(*only, ours.size), mcnemar(*only)
+
+
+def _pairs(suite: Suite) -> int:
+    """How many pairs of egos in the same traffic there are."""
+    return len(suite.traffics) * len(suite.egos) * (len(suite.egos) - 1) // 2
+
+
+def _places(suite: Suite) -> str:
+    of_scenarios = all(entry.traffic.scenario for entry in suite.traffics)
+    return "scenarios" if of_scenarios else "traffic models"
+
+
+def _sorted(rates: Iterable[tuple[str, Number]]) -> Rates:
+    return sorted(rates, key=lambda each: each[1].value or 0.0)
+
+
+def _rate(number: Number) -> str:
+    said = f"{_percent(number.value or 0.0)}\N{NO-BREAK SPACE}%"
+    if number.n:
+        said += f" of {number.n:,} episodes"
+    if number.low is None or number.high is None:
+        return said
+    return f"{said} ({INTERVAL} {_percent(number.low)} to {_percent(number.high)})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
+
+
+def _listed(names: Sequence[str], most: int = NAMED) -> str:
+    if len(names) > most:
+        names = [*names[:most], f"{len(names) - most} more"]
+    *firsts, last = names
+    return f"{', '.join(firsts)} and {last}" if firsts else last

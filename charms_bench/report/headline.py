@@ -1,0 +1,84 @@
+"""The table that is the point of a suite, compact enough for one screen.
+
+What the suite declares decides which one it is. Human driving to compare with: the distances from
+it. A reference driver: the preventable collisions, egos down and scenarios across. Pairs: in how
+many metrics each two egos differ. Several egos in several traffic models: the matrix of the suite's
+first metric that has one. In every other suite, it is the table of the suite's first columns.
+"""
+
+from dataclasses import replace
+from itertools import chain
+
+from charms_bench.report.stored import RunTables
+from charms_bench.report.suite_table import MATRICES, across, matrices, one_per_metric, printed
+from charms_bench.report.table import Cell, Column, Number, Row, Table
+from charms_bench.runs.suite import Suite
+
+DISTANCE = "js"
+"""The distance from human driving that is shown: it has bounds, and needs no smoothing."""
+
+
+QUANTITY = {"speed": "Speed", "dhw": "Headway"}
+
+
+def headline(suite: Suite, tables: RunTables) -> Table:
+    """The table that is the point of a suite, from the tables of its run."""
+    if tables.realism is not None:
+        return _realism(tables.realism)
+    if tables.preventable is not None:
+        return _preventable(tables.preventable)
+    if tables.pairs is not None:
+        return pair_matrix(tables.pairs)
+    by_name = {each.name.removeprefix(f"{suite.suite}-"): each for each in matrices(tables.metrics)}
+    for metric in (*suite.columns, *MATRICES):
+        if metric in by_name:
+            return by_name[metric]
+    return _columns(suite, tables.metrics)
+
+
+def pair_matrix(pairs: Table) -> Table:
+    """In how many metrics each two egos differ, from the table of pairs; egos have numbers."""
+    names = list(dict.fromkeys(chain.from_iterable(row.labels for row in pairs.rows)))
+    apart = {row.labels: sum(number.marked for number in row.numbers) for row in pairs.rows}
+    rows = []
+    for k, name in enumerate(names, 1):
+        cells: list[Cell] = [
+            Number(apart.get((name, other), apart.get((other, name)))) for other in names
+        ]
+        rows.append(Row((f"{k} {name}",), tuple(cells)))
+    compared = ", ".join(column.heading for column in pairs.columns)
+    return Table(
+        f"{pairs.name}-matrix",
+        f"In how many of {len(pairs.columns)} metrics each two egos differ",
+        ("ego",),
+        tuple(Column(str(k), form=".0f") for k in range(1, len(names) + 1)),
+        tuple(rows),
+        note=f"They differ in a metric if p < 0.05, corrected over all pairs and metrics by Holm's "
+        f"method. Metrics: {compared}.",
+    )
+
+
+def _preventable(table: Table) -> Table:
+    place = [column.name for column in table.columns].index("preventable")
+    if len({row.labels[1] for row in table.rows}) < 2:
+        return table.without_constant_keys()
+    return replace(across(table, place, f"{table.title}, % of episodes", 100.0), note=table.note)
+
+
+def _realism(table: Table) -> Table:
+    places = [i for i, each in enumerate(table.columns) if each.name.startswith(f"{DISTANCE}_")]
+    chosen = table.take(places)
+    names = (f"{QUANTITY[each.quantity]}, {each.group}" for each in chosen.columns)
+    return replace(
+        chosen.named(*names).without_groups(),
+        title="Distance from human driving: Jensen-Shannon divergence, from 0 (the same) to 1",
+        note="*: nearest to human driving, separated from every other traffic model.",
+    )
+
+
+def _columns(suite: Suite, table: Table) -> Table:
+    """The suite's columns in its own order, one per metric."""
+    found = one_per_metric(printed(table, suite.columns))
+    places = {column.name: i for i, column in enumerate(found.columns)}
+    order = [places[name] for name in suite.columns if name in places] or list(places.values())
+    return replace(found.take(order).without_groups(), title="", note="")
