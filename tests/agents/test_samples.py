@@ -228,7 +228,7 @@ def test_another_table_in_the_cache_is_refused(folder: Path, tmp_path: Path) -> 
     SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
     (path,) = (tmp_path / "cache").iterdir()
     pl.DataFrame({"a": [1]}).write_parquet(path)
-    with pytest.raises(DataError, match="holds other columns; delete it"):
+    with pytest.raises(DataError, match="holds other columns or too many rows; delete it"):
         SampleStore(folder, tmp_path / "cache", SampleSettings()).load()
 
 

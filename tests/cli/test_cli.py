@@ -81,14 +81,15 @@ def test_a_run_prints_its_table_and_says_where_the_rest_is(suite_file: Path) -> 
     assert (suite_file.parent / "runs" / "small" / "tables" / "small.csv").exists()
 
 
-def test_a_suite_with_references_says_where_its_realism_is(suite_file: Path) -> None:
+def test_a_suite_with_references_prints_the_distance_from_human_driving(suite_file: Path) -> None:
     text = suite_file.read_text().replace("  - {agent: stackelberg}\n", "")
     suite_file.write_text(text + "references: [i24, us101]\n")
     output = suite_file.parent / "run"
     result = charms_bench("run", suite_file, "--workers", 1, "--output", output)
     assert result.returncode == 0, result.stderr
+    assert "Distance from human driving" in result.stdout
+    assert f"charms-bench show {output}" in result.stdout
     for name in ("tables/small-realism.md", "figures/small-speed.png", "figures/small-dhw.png"):
-        assert name in result.stdout
         assert (output / name).exists()
 
 

@@ -111,9 +111,9 @@ def test_a_figure_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:
         save(draw_tradeoff(cells(("A", "calm")), OF_EGOS), tmp_path / "t.jpeg")
 
 
-def test_people_are_drawn_beside_every_traffic(tmp_path: Path) -> None:
+def test_human_drivers_are_drawn_beside_every_traffic(tmp_path: Path) -> None:
     counts = np.ones((3, 2, BINS))
     traffics = [TrafficCounts("one", counts), TrafficCounts("other", counts)]
     save(draw_quantity("speed", traffics, {"i24": counts[0, 0]}), tmp_path / "s.svg")
     svg = (tmp_path / "s.svg").read_text()
-    assert all(f"<!-- {name} -->" in svg for name in ("people", "one", "other"))
+    assert all(f"<!-- {name} -->" in svg for name in ("human drivers", "one", "other"))

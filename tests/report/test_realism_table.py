@@ -212,7 +212,7 @@ def test_the_table_is_written_reference_by_reference(tmp_path: Path) -> None:
     assert read["traffic"].to_list()[:6] == ["like"] * 3 + ["un|like"] * 3
     text = path.read_text(encoding="utf-8")
     assert text.startswith("Where people were recorded.")
-    assert text.index("## a: speed") < text.index("## b: speed") < text.index("## b: dhw")
+    assert text.index("## a: speed") < text.index("## b: speed") < text.index("## b: headway")
     assert "| like | **" in text
     assert "| un\\|like | " in text
     assert f"| {40 * EPISODES:,} |" in text, "n, which all distances of a row share"

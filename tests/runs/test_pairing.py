@@ -9,6 +9,7 @@ from command_line import charms_bench
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.metrics.labels import set_label_of
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import run
@@ -137,7 +138,7 @@ def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Finished
     )
     assert result.returncode == 0, result.stderr
     for metric_set in METRIC_SETS:
-        assert f"idm_mobil minus stackelberg, in idm_mobil: {metric_set.label}" in result.stdout
+        assert f"idm_mobil minus stackelberg, in idm_mobil: {set_label_of(metric_set.label)}" in result.stdout
         assert all(metric.name in result.stdout for metric in metric_set.metrics)
     assert max(map(len, result.stdout.splitlines())) <= 100
 
