@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from charms_bench.api import run as run
     from charms_bench.api import search as search
     from charms_bench.api import train as train
+    from charms_bench.api import warm_up as warm_up
     from charms_bench.engine.state import SceneState as SceneState
     from charms_bench.engine.state_file import load_state as load_state
     from charms_bench.engine.state_file import save_state as save_state
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Rare Run audit open_run open_training rare references run search train",
+    "api": "Rare Run audit open_run open_training rare references run search train warm_up",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",

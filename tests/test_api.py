@@ -93,8 +93,8 @@ def test_other_thresholds_need_no_simulation(suite_file: Path, tmp_path: Path) -
 
 
 def test_an_episode_is_found_and_simulated_again(run: charms_bench.Run) -> None:
-    case = run.edge_cases(top=1, agent="Stackelberg")[0]
-    replay = run.replay(case.episode, agent=case.ego)
+    case = run.edge_cases(top=1, ego="Stackelberg")[0]
+    replay = run.replay(case.episode, ego=case.ego)
     assert (replay.episode, replay.cell.ego.title) == (case.episode, "Stackelberg")
     assert replay.trajectories()["vehicle"].n_unique() == 6
     with pytest.raises(InputError, match="agent"):

@@ -1,4 +1,4 @@
-"""Checks avoidability by a plain search: `python tools/check_avoidability.py RUN --agent LABEL`.
+"""Checks avoidability by a plain search: `python tools/check_avoidability.py RUN --ego LABEL`.
 
 For some collisions of an ego that is a policy, all 15,625 sequences of six meta-actions are
 simulated, twice: from the last decision with an escape, and from the decision after it. Nothing is
@@ -90,12 +90,12 @@ def check(cell: RecordedCell, seed: int, step: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition(":")[0])
     parser.add_argument("run", type=Path)
-    parser.add_argument("--agent")
+    parser.add_argument("--ego")
     parser.add_argument("--traffic")
     parser.add_argument("--collisions", type=int, default=10)
     asked = parser.parse_args()
     cell = find_cell(open_finished(asked.run), Path(), asked.agent, asked.traffic)
-    found = open_run(asked.run).avoidability(agent=asked.agent, traffic=asked.traffic)
+    found = open_run(asked.run).avoidability(ego=asked.ego, traffic=asked.traffic)
     known = [each for each in found if each.last_step is not None]
     for each in known[:: max(1, len(known) // asked.collisions)][: asked.collisions]:
         print(f"episode {each.episode}, collision in decision {each.step}", flush=True)

@@ -154,7 +154,7 @@ def edges(run: Path) -> str:
     for case in found:
         listed += f"\n{case.rank:4} {case.ego:13} {case.traffic:9} {case.episode:7} "
         listed += f"{case.criticality:11.2f} {case.what}"
-    first = f'charms-bench replay runs/ego {found[0].episode} --agent "{found[0].ego}"'
+    first = f'charms-bench replay runs/ego {found[0].episode} --ego "{found[0].ego}"'
     replayed = f"This command replays the first of these episodes:\n\n```sh\n{first}\n```\n"
     return f"```text\n{listed}\n```\n\n{replayed}"
 
@@ -176,7 +176,7 @@ def avoidability(run: Path) -> str:
             avoided_by=tuple(name for name in each.avoided_by if name in ours),
             hit_by=tuple(name for name in each.hit_by if name in ours),
         )
-        for each in open_run(run, ROOT / "suites").avoidability(agent="CHARMS")
+        for each in open_run(run, ROOT / "suites").avoidability(ego="CHARMS")
     ]
     return how_late(found, RunFolder(run).suite().scene.decision_hz)
 

@@ -18,3 +18,4 @@ from charms_bench.api.results import Run as Run
 from charms_bench.api.results import open_run as open_run
 from charms_bench.api.training import open_training as open_training
 from charms_bench.api.training import train as train
+from charms_bench.api.warming import warm_up as warm_up

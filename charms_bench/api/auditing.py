@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.warming import warm_up
 from charms_bench.errors import RunFolderError
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.folder import MANIFEST
@@ -57,6 +58,7 @@ def audit(
     suite = folder.suite().model_copy(update={"folder": suite_folder})
     # Before the agents of the run are imported, which could change how tables are computed.
     tables = list(audit_tables(path, suite))
+    warm_up()
     count = len(list((path / CHECKSUMS).glob("*.sha256")))
     with progress("shards", min(shards or count, count) or 1) as tell:
         found = audit_run(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.results import Run
+from charms_bench.api.warming import warm_up
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
 from charms_bench.people.reference import read_references
@@ -14,6 +15,7 @@ from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.document import Document
+from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
@@ -77,6 +79,8 @@ def run(
     check_networks(document, loaded)
     references = read_references(loaded.references, loaded.folder)
     folder = place if output else place / loaded.suite
+    if engine == "batched" and cluster is None:
+        warm_up()
     on_dask = None
     if cluster is not None:
         from charms_bench.runs.cluster import on_cluster
@@ -110,7 +114,8 @@ def run(
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
     except KeyboardInterrupt as interrupt:
-        interrupt.add_note(f"finished shards are in {folder}")
+        if RunFolder(folder).finished():
+            interrupt.add_note(f"finished shards are in {folder}")
         raise
     finally:
         measuring.shutdown(wait=False, cancel_futures=True)

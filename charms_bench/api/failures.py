@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, ScenarioError
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def search(
     suite: PathLike,
-    agent: str | None = None,
+    ego: str | None = None,
     traffic: str | None = None,
     output: PathLike = "found.yaml",
     *,
@@ -31,7 +32,7 @@ def search(
 
     Args:
         suite: The YAML file.
-        agent: Label of an ego of the suite, or the name of an installed agent; needed if the suite
+        ego: Label of an ego of the suite, or the name of an installed agent; needed if the suite
             has several other egos.
         traffic: Label of the scenario; needed if the suite has several.
         output: The file to write, as soon as there is a failure.
@@ -56,9 +57,10 @@ def search(
     references = [each for each in loaded.egos if each.title in loaded.preventable_by]
     entry = loaded.traffics[place]
     scene = loaded.scene.of_scenario(entry.traffic.scenario)
-    cell = Cell(ego=ego_of(document.path, loaded, agent), traffic=entry, scene=scene)
+    cell = Cell(ego=ego_of(document.path, loaded, ego), traffic=entry, scene=scene)
     made = Search(cell, references, loaded.folder)
     made.found = lambda: write_found(made, document, place, path)
+    warm_up()
     try:
         with progress("episodes", budget) as tell:
             made.told = lambda episodes: tell(cell.ego.title, episodes)

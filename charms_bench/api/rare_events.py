@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.document import Document
@@ -94,6 +95,7 @@ def rare(
     check_networks(document, loaded)
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
     folder = place if output else place / name
+    warm_up()
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
             cells = run_rare(

@@ -9,6 +9,7 @@ import polars as pl
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.auditing import audit
+from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, suggestion
 from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
@@ -91,16 +92,16 @@ class Run:
 
         return printed(self.table, self.suite.columns)
 
-    def remarks(self, agent: str | None = None, traffic: str | None = None) -> list[str]:
+    def remarks(self, ego: str | None = None, traffic: str | None = None) -> list[str]:
         """What the tables do not show: egos that often command lanes that do not exist.
 
         Args:
-            agent: Label of the ego; by default all.
+            ego: Label of the ego; by default all.
             traffic: Label of the traffic; by default the first of each ego.
         """
         from charms_bench.report.remarks import remarks
 
-        return remarks(self._finished, agent, traffic)
+        return remarks(self._finished, ego, traffic)
 
     @property
     def files(self) -> list[Path]:
@@ -110,15 +111,15 @@ class Run:
     def compare(
         self,
         other: "Run | None" = None,
-        agents: tuple[str, str] | None = None,
+        egos: tuple[str, str] | None = None,
         metrics: Sequence[str] = (),
         sets: Sequence[str] = (),
     ) -> "Table":
-        """Compares two agents over the same episodes.
+        """Compares two egos over the same episodes.
 
         Args:
-            other: Another run of the same episodes; without one, two agents of this run.
-            agents: Labels of the two egos. The second is of the other run if there is one.
+            other: Another run of the same episodes; without one, two egos of this run.
+            egos: Labels of the two egos. The second is of the other run if there is one.
             metrics: Only these; by default all.
             sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
 
@@ -133,7 +134,7 @@ class Run:
         from charms_bench.runs.metric_sets import metric_sets
         from charms_bench.runs.pairing import pairs_of
 
-        pairs = pairs_of(self._finished, None if other is None else other._finished, agents)
+        pairs = pairs_of(self._finished, None if other is None else other._finished, egos)
         return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
 
     def rescore(self, *sets: str) -> "Table":
@@ -156,7 +157,7 @@ class Run:
         self,
         top: int = 10,
         kind: "Kind | None" = None,
-        agent: str | None = None,
+        ego: str | None = None,
         traffic: str | None = None,
     ) -> "list[EdgeCase]":
         """The most critical episodes, most critical first.
@@ -164,7 +165,7 @@ class Run:
         Args:
             top: How many at most.
             kind: Only episodes of this kind, such as `near-miss`.
-            agent: Label of the ego; by default all.
+            ego: Label of the ego; by default all.
             traffic: Label of the traffic; by default all.
 
         Raises:
@@ -179,17 +180,16 @@ class Run:
         if kind is not None and kind not in IS_OF_KIND:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
-        cells = find_cells(self._finished, self._suite_folder, agent, traffic)
+        cells = find_cells(self._finished, self._suite_folder, ego, traffic)
+        warm_up()
         return Lines(edge_cases(cells, top, kind))
 
-    def replay(
-        self, episode: int, agent: str | None = None, traffic: str | None = None
-    ) -> "Replay":
+    def replay(self, episode: int, ego: str | None = None, traffic: str | None = None) -> "Replay":
         """Simulates an episode again, with the states of all vehicles.
 
         Args:
             episode: Its seed.
-            agent: Label of the ego; needed if the run has several.
+            ego: Label of the ego; needed if the run has several.
             traffic: Label of the traffic; needed if the run has several.
 
         Raises:
@@ -200,7 +200,8 @@ class Run:
         from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.replay import replay
 
-        cell = find_cell(self._finished, self._suite_folder, agent, traffic)
+        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
+        warm_up()
         return ShownReplay.of(replay(cell, [episode])[0])
 
     def dataset(
@@ -208,7 +209,7 @@ class Run:
         format: "Format",
         output: PathLike | None = None,
         *,
-        agent: str | None = None,
+        ego: str | None = None,
         traffic: str | None = None,
         episodes: int | None = None,
     ) -> Path:
@@ -218,7 +219,7 @@ class Run:
             format: `minari`, the ego's observations, actions and rewards, which needs the extra
                 `dataset`; or `highd`, the trajectories of all vehicles in highD's format.
             output: The folder to write; by default one in the run folder.
-            agent: Label of the ego; needed if the run has several.
+            ego: Label of the ego; needed if the run has several.
             traffic: Label of the traffic; needed if the run has several.
             episodes: How many, from the first; by default all.
 
@@ -234,7 +235,8 @@ class Run:
         from charms_bench.episodes.recorded_cell import find_cell
 
         path = None if output is None else absolute(output)
-        cell = find_cell(self._finished, self._suite_folder, agent, traffic)
+        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
+        warm_up()
         with progress("episodes", episodes or self.suite.episodes) as tell:
             title = cell.cell.ego.title
             return write_dataset(cell, format, episodes, path, lambda n: tell(title, n))
@@ -267,13 +269,14 @@ class Run:
         from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.what_if import what_if
 
-        cell = find_cell(self._finished, self._suite_folder, ego, traffic, "ego and traffic")
+        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
+        warm_up()
         return ShownWhatIf.of(what_if(cell, episode, step, agent, vehicle))
 
     def avoidability(
         self,
         episodes: Sequence[int] | None = None,
-        agent: str | None = None,
+        ego: str | None = None,
         traffic: str | None = None,
         budget: int | None = None,
     ) -> "list[Avoidability]":
@@ -281,7 +284,7 @@ class Run:
 
         Args:
             episodes: Seeds of episodes that end with such a collision; by default all of them.
-            agent: Label of the ego; by default all.
+            ego: Label of the ego; by default all.
             traffic: Label of the traffic; by default all.
             budget: The most decisions to simulate in the search for one collision's escape.
 
@@ -294,7 +297,8 @@ class Run:
         from charms_bench.episodes.recorded_cell import find_cell, find_cells
 
         check_positive(budget=budget)
-        which, found = (self._finished, self._suite_folder, agent, traffic), []
+        warm_up()
+        which, found = (self._finished, self._suite_folder, ego, traffic), []
         if episodes is None:
             asked = [(cell, collisions(cell)) for cell in find_cells(*which)]
         else:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.runs.document import Document
@@ -45,6 +46,7 @@ def train(
     folder = absolute(output or Path("runs") / document.path.stem)
     file, recordings = absolute(suite), recordings and absolute(recordings)
     pipeline = load(PIPELINES, name)
+    warm_up()
     try:
         pipeline(file, folder, workers, only, recordings)
     except KeyboardInterrupt as interrupt:

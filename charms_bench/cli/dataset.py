@@ -29,7 +29,7 @@ def dataset(
             "vehicles in highD's format.",
         ),
     ],
-    agent: EgoLabel = None,
+    ego: EgoLabel = None,
     traffic: TrafficLabel = None,
     episodes: Annotated[
         int | None,
@@ -47,7 +47,7 @@ def dataset(
 
     opened = api.open_run(run, suite_folder)
     with interruptible():
-        path = opened.dataset(kind, output, agent=agent, traffic=traffic, episodes=episodes)
+        path = opened.dataset(kind, output, ego=ego, traffic=traffic, episodes=episodes)
     written = episodes or opened.suite.episodes
     if as_json:
         print_json({"format": kind, "episodes": written, "folder": str(path)})

@@ -1,4 +1,4 @@
-"""`verify` and `bench`: the compiled engine beside highway-env."""
+"""`verify`, `bench` and `warm-up`: the compiled engine beside highway-env."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -7,7 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
-from charms_bench.cli.terminal import FALSE, Json, Workers, app, err, print_json, print_records, say
+from charms_bench.cli.terminal import (
+    FALSE,
+    Json,
+    Workers,
+    app,
+    err,
+    interruptible,
+    print_json,
+    print_records,
+    say,
+)
 from charms_bench.errors import InputError
 
 
@@ -34,6 +44,7 @@ def verify(
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
+    from charms_bench.api.warming import warm_up
     from charms_bench.report.progress import progress
     from charms_bench.runs.document import Document
     from charms_bench.runs.suite import check_networks, suite_of
@@ -49,6 +60,7 @@ def verify(
         check_networks(document, loaded)
         cases, count = verification.cases_of(loaded), 10
     count = episodes or count
+    warm_up()
     with progress("episodes", count * len(cases)) as bar:
         results = verification.verify(cases, count, seed, workers, lambda done: bar("", done))
     differing = sum(len(result.differences) for result in results)
@@ -73,6 +85,19 @@ def verify(
         say(f"{total:,} episodes: {verdict}.")
     if differing:
         raise typer.Exit(FALSE)
+
+
+@app.command("warm-up")
+def compile_engine() -> None:
+    """Compile the engine, which otherwise happens in the first run.
+
+    It is compiled once for each installation, for the processor of this machine.
+    """
+    from charms_bench import api
+
+    with interruptible():
+        compiled = api.warm_up()
+    say("The engine is compiled." if compiled else "The engine was compiled before.")
 
 
 @app.command()
@@ -117,7 +142,10 @@ def bench(
     environment step is one decision of the ego. A vehicle update is one simulation step of one
     vehicle.
     """
+    from charms_bench.api.warming import warm_up
     from charms_bench.testing.bench import bench as measure
+
+    warm_up()
 
     def tell(name: str) -> None:
         err().print(f"[dim]{name}[/]", highlight=False)

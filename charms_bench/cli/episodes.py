@@ -36,7 +36,7 @@ def edge_cases(
             help="List only this kind. In an abandoned lane change, another vehicle takes the gap."
         ),
     ] = None,
-    agent: EgoLabel = None,
+    ego: EgoLabel = None,
     traffic: TrafficLabel = None,
     avoidable: Annotated[
         bool,
@@ -58,9 +58,9 @@ def edge_cases(
 
     opened = api.open_run(run, suite_folder)
     if avoidable:
-        _print_avoidability(opened, top, kind, agent, traffic, budget, as_json)
+        _print_avoidability(opened, top, kind, ego, traffic, budget, as_json)
         return
-    found = [asdict(case) for case in opened.edge_cases(top, kind, agent, traffic)]
+    found = [asdict(case) for case in opened.edge_cases(top, kind, ego, traffic)]
     if as_json:
         print_json(found)
         return
@@ -69,7 +69,7 @@ def edge_cases(
         return
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
     print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
-    for remark in opened.remarks(agent, traffic):
+    for remark in opened.remarks(ego, traffic):
         say(remark)
 
 
@@ -77,7 +77,7 @@ def _print_avoidability(
     opened: "Run",
     top: int,
     kind: str | None,
-    agent: str | None,
+    ego: str | None,
     traffic: str | None,
     budget: int,
     as_json: bool,
@@ -88,7 +88,7 @@ def _print_avoidability(
 
     if kind not in (None, "collision"):
         raise InputError(f"--avoidable is about collisions, not --kind {kind}")
-    cases = opened.edge_cases(top, "collision", agent, traffic)
+    cases = opened.edge_cases(top, "collision", ego, traffic)
     egos: dict[tuple[str, str], list[int]] = {}
     for case in cases:
         if case.ending != "off_road":
@@ -114,7 +114,7 @@ def replay(
     episode: Annotated[
         int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
     ],
-    agent: EgoLabel = None,
+    ego: EgoLabel = None,
     traffic: TrafficLabel = None,
     output: Annotated[
         Path | None,
@@ -144,8 +144,8 @@ def replay(
         check_commonroad(commonroad)
         commonroad = absolute(commonroad)
     opened = api.open_run(run, suite_folder)
-    replayed = opened.replay(episode, agent, traffic)
-    ego, around = replayed.cell.ego.title, replayed.cell.traffic.title
+    replayed = opened.replay(episode, ego, traffic)
+    driver, around = replayed.cell.ego.title, replayed.cell.traffic.title
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
     animation = output or opened.path / "replays" / name
     trajectories = animation.with_suffix(".parquet")
@@ -159,11 +159,11 @@ def replay(
         replayed.write_commonroad(commonroad)
         files["commonroad"] = str(commonroad)
     if as_json:
-        facts = {"ego": ego, "traffic": around, "episode": episode, "ending": replayed.ending}
+        facts = {"ego": driver, "traffic": around, "episode": episode, "ending": replayed.ending}
         facts |= {"duration_s": float(replayed.t_s[-1]), "what": what}
         print_json({**facts, **files})
         return
-    say(f"{ego} in {around}, episode {episode}: {what}")
+    say(f"{driver} in {around}, episode {episode}: {what}")
     titles = {"animation": "Animation", "trajectories": "Trajectories", "commonroad": "CommonRoad"}
     for kind, file in files.items():
         say(f"{titles[kind]}: {shown(Path(file))}")
@@ -240,7 +240,7 @@ def what_if(
 @app.command()
 def search(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
-    agent: Annotated[
+    ego: Annotated[
         str | None,
         typer.Option(help="Label of an ego of the suite, or an installed agent."),
     ] = None,
@@ -264,9 +264,7 @@ def search(
     from charms_bench import api
 
     with interruptible():
-        made = api.search(
-            suite, agent, traffic, output, failures=failures, budget=budget, seed=seed
-        )
+        made = api.search(suite, ego, traffic, output, failures=failures, budget=budget, seed=seed)
     if as_json:
         print_json(
             {

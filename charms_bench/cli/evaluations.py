@@ -252,7 +252,7 @@ def compare(
     second: Annotated[
         Path | None, typer.Argument(metavar="[RUN_B]", help="Another run of the same episodes.")
     ] = None,
-    agents: Annotated[
+    egos: Annotated[
         tuple[str, str] | None,
         typer.Option(
             metavar="A B",
@@ -271,15 +271,15 @@ def compare(
     metric_sets: MetricSets = None,
     as_json: Json = False,
 ) -> None:
-    """Test in which metrics two agents differ.
+    """Test in which metrics two egos differ.
 
-    Both agents drive the same episodes, so the tests are paired.
+    Both egos drive the same episodes, so the tests are paired.
     """
     from charms_bench import api
     from charms_bench.report.comparison import by_pair, to_dicts
 
     other = None if second is None else api.open_run(second)
-    table = api.open_run(first).compare(other, agents, metrics or (), metric_sets or ())
+    table = api.open_run(first).compare(other, egos, metrics or (), metric_sets or ())
     if as_json:
         print_json(to_dicts(table))
         return

@@ -105,11 +105,13 @@ def check(
 
     The exit code is 1 if the plugin breaks a rule.
     """
+    from charms_bench.api.warming import warm_up
     from charms_bench.metrics.missing_lanes import MEANING
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
     from charms_bench.testing import agent_rules, traffic_rules
     from charms_bench.testing.driving import remark_on
 
+    warm_up()
     is_traffic = name in plugins(TRAFFIC) and name not in plugins(AGENTS)
     rules = traffic_rules(make_traffic(name)) if is_traffic else agent_rules(make_agent(name))
     results = []

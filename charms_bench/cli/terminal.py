@@ -106,7 +106,7 @@ MetricSets = Annotated[
 ]
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")]
 EgoLabel = Annotated[
-    str | None, typer.Option("--agent", help="Select the ego with this label in the tables.")
+    str | None, typer.Option("--ego", help="Select the ego with this label in the tables.")
 ]
 TrafficLabel = Annotated[
     str | None, typer.Option("--traffic", help="Select the traffic with this label in the tables.")

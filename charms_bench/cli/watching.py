@@ -35,8 +35,10 @@ def watch(
     The episode runs in real time. Without a display, the road is drawn with characters. If the
     output is not a terminal, it has one picture per second of the episode.
     """
+    from charms_bench.api.warming import warm_up
     from charms_bench.envs.watching import Watched
 
+    warm_up()
     watched = Watched(agent, traffic, seed)
     with interruptible():
         window = None if text else _window(f"{agent} in {traffic}")

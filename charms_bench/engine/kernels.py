@@ -238,7 +238,8 @@ def move(
         x[i] += speed[i] * c.dt
     for i in range(x.size):
         speed[i] += acceleration[i] * c.dt
-    steering[:] = 0.0
+    for i in range(x.size):
+        steering[i] = 0.0
     steer(turning, turns, c)
     turn(turning, turns, c)
     direction_x = scene.direction_x[first:after].reshape(-1)
@@ -330,7 +331,8 @@ def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
     """Corrects the neighbours of the k-th vehicle, which has the same x as the one before it."""
     c, x, order = scene.constants, scene.x, scene.order
     i = order[b, k]
-    scene.followers[b, i] = scene.followers[b, order[b, k - 1]]
+    for on in range(c.lanes):
+        scene.followers[b, i, on] = scene.followers[b, order[b, k - 1], on]
     m = k - 1
     while m >= 0 and x[b, order[b, m]] == x[b, i]:
         j = order[b, m]
@@ -466,14 +468,23 @@ def collide(scene: Scene, first: int, after: int) -> None:
                     hits[found, 4], hits[found, 5] = part_x, part_y
                     found += 1
         if found:
-            in_turn = np.argsort(hits[:found, 0] * vehicles + hits[:found, 1])
-            apply_hits(row, scene, hits[in_turn])
+            apply_hits(row, scene, hits[:found])
 
 
 @compiled
 def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
-    """Applies the collisions of scene b; each row is (place, place, now, soon, translation)."""
-    for hit in range(len(hits)):
+    """Applies the collisions of scene b, pair by pair in the order of the vehicles' places.
+
+    Each row of `hits` is (place, place, now, soon, translation), with the lower place first.
+    """
+    vehicles, last = scene.x.shape[1], -1.0
+    for _ in range(len(hits)):
+        hit, pair = 0, np.inf
+        for each in range(len(hits)):
+            of_each = hits[each, 0] * vehicles + hits[each, 1]
+            if last < of_each < pair:
+                hit, pair = each, of_each
+        last = pair
         i, j = int(hits[hit, 0]), int(hits[hit, 1])
         if hits[hit, 3]:
             scene.impact[b, i] = scene.impact[b, j] = True

@@ -54,7 +54,7 @@ class Recording:
         self._was_running = scene.active.copy()
         self._following.note(scene, scenes)
         self._conduct.note(scenes)
-        _note(
+        note_step(
             scene,
             scenes,
             simulation.seeds,
@@ -116,7 +116,7 @@ class Recording:
 
 
 @compiled_of_scenes
-def _note(
+def note_step(
     scene: Scene,
     scenes: Ints,
     seeds: NDArray[np.uint64],

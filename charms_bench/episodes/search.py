@@ -163,7 +163,7 @@ def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
     """
     known = {entry.title: entry for entry in suite.egos if entry.title not in suite.preventable_by}
     if name is None and len(known) != 1:
-        what = f"{len(known)} egos to search failures of; choose one with --agent"
+        what = f"{len(known)} egos to search failures of; choose one with --ego"
         raise InputError(f"{path}: {what}. {suggestion('', known)}")
     if name is None or name in known:
         return known[name] if name is not None else next(iter(known.values()))

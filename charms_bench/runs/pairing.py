@@ -13,39 +13,39 @@ Pair = tuple[CellRows, CellRows]
 
 
 def pairs_of(
-    first: FinishedRun, second: FinishedRun | None, agents: tuple[str, str] | None
+    first: FinishedRun, second: FinishedRun | None, egos: tuple[str, str] | None
 ) -> list[Pair]:
-    """Returns the pairs of cells to compare, one per traffic and pair of agents.
+    """Returns the pairs of cells to compare, one per traffic and pair of egos.
 
     Args:
-        first: The run of the first agent.
-        second: The run of the second agent; None if it is in the first run too.
-        agents: The names of both agents in tables. They are not needed if each run has one ego,
+        first: The run of the first ego.
+        second: The run of the second ego; None if it is in the first run too.
+        egos: The labels of both egos. They are not needed if each run has one ego,
             or if both runs have the same egos.
 
     Raises:
-        InputError: The runs are not of the same episodes, or have no such agents.
+        InputError: The runs are not of the same episodes, or have no such egos.
         RunFolderError: A row cannot be read.
     """
     if second is None:
-        if agents is None:
-            egos = [ego.title for ego in first.suite.egos]
+        if egos is None:
+            known = [ego.title for ego in first.suite.egos]
             raise InputError(
                 f"{first.folder.path}: needs something to compare with; give a second run, or two "
-                f"agents of this one with --agents: {', '.join(egos)}"
+                f"egos of this one with --egos: {', '.join(known)}"
             )
-        return _matched(first, first, [agents])
+        return _matched(first, first, [egos])
     check_same_episodes(first, second)
     ours, theirs = ([ego.title for ego in run.suite.egos] for run in (first, second))
-    if agents is not None:
-        return _matched(first, second, [agents])
+    if egos is not None:
+        return _matched(first, second, [egos])
     if len(ours) == len(theirs) == 1:
         return _matched(first, second, [(ours[0], theirs[0])])
     if set(ours) == set(theirs):
         return _matched(first, second, [(ego, ego) for ego in ours])
     raise InputError(
         f"{first.folder.path} has {', '.join(ours)}, {second.folder.path} has "
-        f"{', '.join(theirs)}: choose one agent of each with --agents"
+        f"{', '.join(theirs)}: choose one ego of each with --egos"
     )
 
 

@@ -122,7 +122,8 @@ def run_rare(
             pilots = finished(tasks)
             made = finished(_runs(tasks, pilots, runs))
         except CharmsBenchError as error:
-            error.add_note(f"finished runs are in {output}; the same command continues there")
+            if any(_file(output, *pilot).exists() for pilot in tasks.items()):
+                error.add_note(f"finished runs are in {output}; the same command continues there")
             raise
     return [
         RareCell(cell, pilots[index, 0], tuple(made[index, run] for run in range(1, runs + 1)))

@@ -117,7 +117,9 @@ def run(
                     folder.write(missing[task], files)
                     finish(missing[task])
             except CharmsBenchError as error:
-                error.add_note(f"finished shards are in {output}; the same command continues there")
+                if folder.finished():
+                    kept = f"finished shards are in {output}"
+                    error.add_note(f"{kept}; the same command continues there")
                 raise
         folder.drop_others(tasks)
     return run

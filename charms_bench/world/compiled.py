@@ -36,6 +36,21 @@ class _Cache(FunctionCache):
         with suppress(OSError):
             super().save_overload(*of)  # type: ignore[no-untyped-call]
 
+    def is_filled(self, processor: Any) -> bool:
+        """Whether a version of the function as it is now is kept, for a processor."""
+        try:
+            keys = self._cache_file._load_index()  # type: ignore[no-untyped-call]
+        except Exception:  # a damaged pickle can raise anything
+            return False
+        return any(key[1] == processor for key in keys)
+
+
+class _InnerCache(_Cache):
+    """The cache of what only compiled code calls, which Python must never find: it would crash."""
+
+    def _index_key(self, *of: Any) -> Any:
+        return (*super()._index_key(*of), "inner")  # type: ignore[no-untyped-call]
+
 
 def compiled(function: F) -> F:
     """Compiles at the first call, caches on disk, releases the GIL; never uses fastmath.
@@ -52,9 +67,28 @@ def inlined(function: F) -> F:
 
 
 def _compiled(function: Any, forceinline: bool = False) -> Any:
-    found: Any = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
+    """A function that Python and compiled code can call; each compiles its own version.
+
+    What makes a function callable from Python unpacks its arguments. For a function of a scene,
+    it takes longer to compile than the function, and compiled code has no use for it.
+    """
+    called = _dispatcher(_Cache, function, forceinline=forceinline)
+    inner = _dispatcher(
+        _InnerCache,
+        function,
+        forceinline=forceinline,
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+    )
+    called.get_call_template, called.get_overload = inner.get_call_template, inner.get_overload
+    return called
+
+
+def _dispatcher(cache: type[FunctionCache], function: Any, **options: bool) -> Any:
+    njit: Any = numba.njit
+    found = njit(nogil=True, error_model="numpy", **options)(function)
     try:
-        found._cache = _Cache(function)  # type: ignore[no-untyped-call]  # as `cache=True` does
+        found._cache = cache(function)  # as `cache=True` does
     except RuntimeError as error:
         raise InputError(
             "compiled code cannot be kept: neither the installed package nor the home folder can "
@@ -105,7 +139,14 @@ def compiled_of_scenes(function: F) -> F:
     def of_scene(scene: Any, *others: Any) -> Any:
         return call(scene.unpacked, *others)
 
+    of_scene.compiled = call  # type: ignore[attr-defined]
     return cast(F, update_wrapper(of_scene, plain))
+
+
+def is_kept(function: Any) -> bool:
+    """Whether an earlier process has compiled a function of a scene, for this processor."""
+    call = function.compiled
+    return bool(call._cache.is_filled(call.targetctx.codegen().magic_tuple()))
 
 
 @inlined

@@ -283,7 +283,7 @@ def test_what_a_traffic_cannot_be_asked_is_one_message(arguments: list[str], mes
 def test_what_is_printed_of_a_run_can_go_into_a_file(
     finished_run: Path, command: str, says: str
 ) -> None:
-    options = ["--agents", "IDM", "stackelberg"] if command == "compare" else []
+    options = ["--egos", "IDM", "stackelberg"] if command == "compare" else []
     result = charms_bench(command, finished_run, *options)
     assert (result.returncode, result.stderr) == (0, "")
     assert says in result.stdout
@@ -374,7 +374,7 @@ def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:
         # A background job starts with Ctrl-C ignored, and so would what it starts.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    while not list(output.glob("episodes/*.parquet")):
+    while not list(output.glob("checksums/*")):
         time.sleep(0.05)
     os.killpg(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=60)

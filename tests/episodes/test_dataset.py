@@ -35,9 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
 def test_recordings_of_the_first_episodes_are_written(
     run: charms_bench.Run, tmp_path: Path
 ) -> None:
-    made = called(
-        "dataset", run.path, "--format", "highd", "--agent", "Keep right", "--episodes", 2
-    )
+    made = called("dataset", run.path, "--format", "highd", "--ego", "Keep right", "--episodes", 2)
     assert made.returncode == 0, made.stderr
     folder = run.path / "datasets" / "keep-right-in-idm_mobil-highd"
     assert str(folder) in made.stdout.replace("\n", "")
@@ -49,7 +47,7 @@ def test_recordings_of_the_first_episodes_are_written(
 
 def test_an_existing_folder_is_never_touched(run: charms_bench.Run, tmp_path: Path) -> None:
     (tmp_path / "kept").mkdir()
-    options = ("--format", "highd", "--agent", "Keep right", "--output", tmp_path / "kept")
+    options = ("--format", "highd", "--ego", "Keep right", "--output", tmp_path / "kept")
     refused = called("dataset", run.path, *options)
     assert refused.returncode == 2
     assert "already exists; delete it, or choose another with --output" in refused.stderr
@@ -65,7 +63,7 @@ def test_an_interrupted_dataset_leaves_nothing(
 
     monkeypatch.setattr(dataset, "drivers", stop)  # after the first recording has been written
     with pytest.raises((KeyboardInterrupt, InputError)):
-        run.dataset("highd", tmp_path / "highd", agent="Keep right")
+        run.dataset("highd", tmp_path / "highd", ego="Keep right")
     assert not list(tmp_path.iterdir())
 
 
@@ -73,7 +71,7 @@ def test_an_interrupted_dataset_leaves_nothing(
     ("options", "message"),
     [
         ({"agent": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
-        ({}, "choose one with agent and traffic"),
+        ({}, "choose one with ego and traffic"),
         ({"agent": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
         ({"agent": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
     ],
@@ -98,7 +96,7 @@ def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:
     with pytest.raises(
         InputError, match=r"no format 'minary'\. Known: minari, highd\. Did you mean"
     ):
-        run.dataset("minary", agent="Keep right")  # type: ignore[arg-type]
+        run.dataset("minary", ego="Keep right")  # type: ignore[arg-type]
 
 
 def test_without_minari_the_message_names_the_extra(

@@ -83,7 +83,7 @@ def test_the_command_prints_a_line_an_episode_or_json(finished: FinishedRun) -> 
 
 
 def test_a_kind_that_did_not_happen_is_no_error(finished: FinishedRun) -> None:
-    options = ["--agent", "idm_mobil", "--kind", "collision"]
+    options = ["--ego", "idm_mobil", "--kind", "collision"]
     result = charms_bench("edge-cases", finished.folder.path, *options)
     assert (result.returncode, "No collision in" in result.stdout) == (0, True)
 
@@ -91,7 +91,7 @@ def test_a_kind_that_did_not_happen_is_no_error(finished: FinishedRun) -> None:
 def test_replay_writes_an_animation_trajectories_and_a_scenario(
     finished: FinishedRun, tmp_path: Path
 ) -> None:
-    options = ("--agent", "[b]Level-k[/b]", "--commonroad", tmp_path / "four.xml", "--json")
+    options = ("--ego", "[b]Level-k[/b]", "--commonroad", tmp_path / "four.xml", "--json")
     result = charms_bench("replay", finished.folder.path, 4, *options)
     assert result.returncode == 0, result.stderr
     made = json.loads(result.stdout)
@@ -110,10 +110,10 @@ def test_replay_writes_an_animation_trajectories_and_a_scenario(
     [
         (
             [],
-            "2 cells have this episode; choose one with agent and traffic. Cells: idm_mobil in",
+            "2 cells have this episode; choose one with ego and traffic. Cells: idm_mobil in",
         ),
-        (["--agent", "idm"], "no ego called 'idm'. Known: idm_mobil, [b]Level-k[/b]."),
-        (["--agent", "idm_mobil", "--output", "a.mp4"], "a.mp4: expected a name that ends in .gif"),
+        (["--ego", "idm"], "no ego called 'idm'. Known: idm_mobil, [b]Level-k[/b]."),
+        (["--ego", "idm_mobil", "--output", "a.mp4"], "a.mp4: expected a name that ends in .gif"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(

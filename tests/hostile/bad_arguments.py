@@ -209,7 +209,7 @@ WORDS: tuple[Sequence[str], ...] = (
     ("report", ".", "--episode", "0"),
     ("compare", "nowhere", "nowhere"),
     ("compare", "."),
-    ("compare", ".", "--agents", "one"),
+    ("compare", ".", "--egos", "one"),
     ("rescore", "nowhere"),
     ("rescore", "suite.yaml"),
     ("rescore", ".", "--set", "nobody"),

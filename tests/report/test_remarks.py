@@ -29,7 +29,7 @@ def test_an_ego_that_always_keeps_right_is_remarked_on(
     assert first.startswith("Keeper in Others: chose a lane that does not exist in ")
     assert "(LANE_LEFT 0 %, LANE_RIGHT " in first
     assert "has no effect" in meaning
-    assert run.remarks(agent="Level 0") == []
+    assert run.remarks(ego="Level 0") == []
     for command in ("show", "edge-cases"):
         said = charms_bench(command, tmp_path / "run").stdout
         assert first in said.splitlines()

@@ -138,7 +138,10 @@ def test_the_command_prints_a_table_of_every_metric(made: Callable[..., Finished
     )
     assert result.returncode == 0, result.stderr
     for metric_set in METRIC_SETS:
-        assert f"idm_mobil minus stackelberg, in idm_mobil: {set_label_of(metric_set.label)}" in result.stdout
+        assert (
+            f"idm_mobil minus stackelberg, in idm_mobil: {set_label_of(metric_set.label)}"
+            in result.stdout
+        )
         assert all(metric.name in result.stdout for metric in metric_set.metrics)
     assert max(map(len, result.stdout.splitlines())) <= 100
 
@@ -161,10 +164,10 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("idm",), "idm: needs something to compare with; give a second run, or two agents of"),
+        (("idm",), "idm: needs something to compare with; give a second run, or two egos of"),
         (("idm", "nowhere"), "nowhere/manifest.json: cannot be read"),
-        (("idm", "both"), "choose one agent of each with --agents"),
-        (("idm", "--agents", "idm_mobil", "idm"), "no ego named 'idm'. Known: idm_mobil"),
+        (("idm", "both"), "choose one ego of each with --egos"),
+        (("idm", "--egos", "idm_mobil", "idm"), "no ego named 'idm'. Known: idm_mobil"),
         (("idm", "idm", "--metric", "speed"), "no metric named 'speed'. Known: collision_rate"),
     ],
 )

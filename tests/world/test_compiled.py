@@ -143,3 +143,35 @@ def test_code_that_cannot_be_kept_names_the_variable(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
     with pytest.raises(InputError, match="set NUMBA_CACHE_DIR to a folder that can"):
         compiled(lambda: 0)
+
+
+BOTH = """\
+import numpy as np
+from charms_bench.world.compiled import compiled
+
+@compiled
+def twice(values):
+    return 2 * values[0]
+
+@compiled
+def more(values):
+    return twice(values) + 1
+
+print(more(np.ones(1)), twice(np.ones(1)), more(np.ones(1)))
+"""
+
+
+def test_python_and_compiled_code_call_the_same_function_also_from_the_cache(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "program.py").write_text(BOTH)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for _ in range(2):
+        ran = subprocess.run(
+            [sys.executable, tmp_path / "program.py"],
+            capture_output=True,
+            text=True,
+            env=environment,
+        )
+        assert (ran.stdout, ran.stderr) == ("3.0 2.0 3.0\n", "")
+    assert len(list((tmp_path / "cache").rglob("program.twice-*.nbc"))) == 2
