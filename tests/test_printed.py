@@ -32,7 +32,7 @@ RESULTS: dict[str, Callable[[Run], object]] = {
     "cells": lambda run: run.cells,
     "table": lambda run: run.table,
     "tables": lambda run: run.tables,
-    "comparison": lambda run: run.compare(agents=("A", "B")),
+    "comparison": lambda run: run.compare(egos=("A", "B")),
     "edge cases": lambda run: run.edge_cases(),
     "replay": lambda run: run.replay(0, "A"),
     "what if": lambda run: run.what_if(0, 2, "idm_mobil", ego="A"),

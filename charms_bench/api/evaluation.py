@@ -1,6 +1,6 @@
 """Runs a suite."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from charms_bench.api.warming import warm_up
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
 from charms_bench.people.reference import read_references
+from charms_bench.plugins.registry import AGENTS, find
 from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
@@ -20,6 +21,7 @@ from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
 from charms_bench.world.files import absolute
+from charms_bench.world.names import name_of_agent
 
 if TYPE_CHECKING:
     from charms_bench.report.run_files import MeasuredCell
@@ -29,6 +31,7 @@ def run(
     suite: PathLike,
     output: PathLike | None = None,
     *,
+    agents: Sequence[str] = (),
     episodes: int | None = None,
     seed: int | None = None,
     workers: int | None = None,
@@ -43,7 +46,8 @@ def run(
 
     Args:
         suite: The YAML file.
-        output: The run folder; by default `runs/NAME`.
+        output: The run folder; by default `runs/NAME`, followed by the `agents`.
+        agents: Installed agents or paths of networks that drive the ego besides the suite's egos.
         episodes: Episodes per cell, instead of the suite's.
         seed: Seed of the first episode, instead of the suite's.
         workers: Processes; by default one per core.
@@ -73,12 +77,16 @@ def run(
         raise InputError(f"{suite}: is a training suite; use charms_bench.train")
     changes = {"episodes": episodes, "seed": seed}
     document.data |= {name: value for name, value in changes.items() if value is not None}
+    added = [_ego(agent) for agent in agents]
+    if added and isinstance(document.data.get("egos"), list):
+        document.data["egos"] = document.data["egos"] + added
     # Before plugins are imported, which can change the current folder.
     place, taken = absolute(output or "runs"), None if rows is None else absolute(rows)
     loaded = suite_of(document)
     check_networks(document, loaded)
     references = read_references(loaded.references, loaded.folder)
-    folder = place if output else place / loaded.suite
+    name = "-".join((loaded.suite, *(name_of_agent(ego["label"]) for ego in added)))
+    folder = place if output else place / name
     if engine == "batched" and cluster is None:
         warm_up()
     on_dask = None
@@ -120,6 +128,20 @@ def run(
     finally:
         measuring.shutdown(wait=False, cancel_futures=True)
     return Run(finished, loaded.folder)
+
+
+def _ego(agent: str) -> dict[str, str]:
+    """The entry of a suite for an installed agent or the path of a network.
+
+    Raises:
+        InputError: There is no such agent or file.
+    """
+    path = Path(agent)
+    if path.suffix != ".onnx":
+        return {"agent": find(AGENTS, agent).name, "label": agent}
+    if not path.is_file():
+        raise InputError(f"{agent}: no such file")
+    return {"agent": str(absolute(path)), "label": path.stem}
 
 
 def _measure(suite: Suite, rows: CellRows) -> "MeasuredCell":

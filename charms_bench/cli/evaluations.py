@@ -77,9 +77,17 @@ def run(
         Path,
         typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists."),
     ],
+    agents: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--agent",
+            help="Installed agent, or ONNX file of a network, that drives the ego besides the "
+            "suite's egos; repeat for more.",
+        ),
+    ] = None,
     episodes: Annotated[
         int | None,
-        typer.Option(min=1, help="Episodes per ego and traffic; overrides the suite."),
+        typer.Option(min=1, help="Episodes per ego and traffic model; overrides the suite."),
     ] = None,
     workers: Workers = None,
     engine: Annotated[
@@ -90,7 +98,8 @@ def run(
         int | None, typer.Option(min=0, help="Seed of the first episode; overrides the suite.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(help="Run folder; the default is runs/SUITE.")
+        Path | None,
+        typer.Option(help="Run folder; the default is runs/SUITE, followed by each --agent."),
     ] = None,
     rows: Annotated[
         Path | None,
@@ -141,14 +150,14 @@ def run(
 
     of_evaluations: dict[str, Any] = {
         "episodes": episodes, "seed": seed, "rows": rows, "shard_limit_s": shard_limit_s,
-        "cluster": cluster, "shorten": shorten or None,
+        "cluster": cluster, "shorten": shorten or None, "agents": agents,
     }  # fmt: skip
     of_trainings = {"only": only, "recordings": recordings}
     is_training = "pipeline" in Document(suite).data
     kinds = ("evaluations", "a training") if is_training else ("trainings", "an evaluation")
     for name, value in (of_evaluations if is_training else of_trainings).items():
         if value is not None:
-            option = name.removesuffix("_s").replace("_", "-")
+            option = {"agents": "agent", "shard_limit_s": "shard-limit"}.get(name, name)
             raise InputError(f"--{option} is for {kinds[0]}; {suite} is {kinds[1]}")
     if is_training:
         from charms_bench import api
@@ -162,7 +171,7 @@ def run(
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
         from charms_bench import api  # takes a while, in which the workers start
 
-        of_evaluations["shorten"] = shorten
+        of_evaluations |= {"shorten": shorten, "agents": agents or ()}
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, made.table, as_json)
 

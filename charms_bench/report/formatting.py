@@ -72,6 +72,8 @@ def _written(number: Number, form: str) -> Written:
 def _text(number: float | None, form: str) -> str:
     if number is None or math.isnan(number):
         return ""
+    if form.endswith("g"):  # without an exponent
+        return f"{float(f'{number:{form}}'):,.10g}"
     return f"{number:{form}}".replace("%", " %").replace("inf", "∞")
 
 
@@ -80,7 +82,7 @@ def _four_digits(numbers: Iterable[Number]) -> str:
     largest = _largest(numbers)
     magnitude = math.floor(math.log10(largest)) if largest else 0
     decimals = min(5, 2 - magnitude) if magnitude < 0 else max(0, 3 - magnitude)
-    return f"{',' * (largest >= 10_000)}.{decimals}f"
+    return f"{',' * (largest >= 1_000)}.{decimals}f"
 
 
 def _percentage(numbers: Iterable[Number]) -> str:

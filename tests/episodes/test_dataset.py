@@ -70,10 +70,10 @@ def test_an_interrupted_dataset_leaves_nothing(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"agent": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
+        ({"ego": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
         ({}, "choose one with ego and traffic"),
-        ({"agent": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
-        ({"agent": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
+        ({"ego": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
+        ({"ego": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
     ],
 )
 def test_what_minari_cannot_hold_is_refused(

@@ -9,7 +9,7 @@ from command_line import charms_bench
 
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS
-from charms_bench.metrics.labels import set_label_of
+from charms_bench.metrics.labels import label_of, set_label_of
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import run
@@ -133,17 +133,17 @@ def test_other_versions_of_the_harness_or_the_traffic_are_refused(
 
 def test_the_command_prints_a_table_of_every_metric(made: Callable[..., FinishedRun]) -> None:
     one, other = made("idm"), made("game", egos=[{"agent": "stackelberg"}])
-    result = charms_bench(
-        "compare", one.folder.path.name, other.folder.path.name, cwd=one.folder.path.parent
-    )
+    command = ("compare", one.folder.path.name, other.folder.path.name)
+    result = charms_bench(*command, cwd=one.folder.path.parent, columns=200)
     assert result.returncode == 0, result.stderr
     for metric_set in METRIC_SETS:
         assert (
             f"idm_mobil minus stackelberg, in idm_mobil: {set_label_of(metric_set.label)}"
             in result.stdout
         )
-        assert all(metric.name in result.stdout for metric in metric_set.metrics)
-    assert max(map(len, result.stdout.splitlines())) <= 100
+        assert all(label_of(metric.name) in result.stdout for metric in metric_set.metrics)
+    narrow = charms_bench(*command, cwd=one.folder.path.parent)
+    assert max(map(len, narrow.stdout.splitlines())) <= 100
 
 
 def test_json_has_a_row_for_every_metric_that_was_asked_for(

@@ -132,7 +132,7 @@ def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
 
 
 def test_agents_in_scenarios_are_compared(run: charms_bench.Run) -> None:
-    table = run.compare(agents=("Careful", "Level 0"), metrics=["crashed_episodes"])
+    table = run.compare(egos=("Careful", "Level 0"), metrics=["crashed_episodes"])
     assert {"Braking", "Traffic"} <= {label for row in table.rows for label in row.labels}
 
 
