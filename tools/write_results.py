@@ -55,6 +55,14 @@ EGO = {
     "lane changes per km": ("lane_changes_per_km", ".2f"),
 }
 """The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
+CRASHED = {"crashed episodes": ("crashed_episodes", ".1%")}
+README = {
+    **CRASHED,
+    "mean speed, m/s": ("speed_mean", ".1f"),
+    "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
+    "lane changes per km": ("lane_changes_per_km", ".1f"),
+}
+README_NAMES = {"CHARMS": "CHARMS (our recipe)", "ppo": "PPO (the script above)"}
 STYLES = {
     "speed, m/s": ("speed_mean", ".2f"),
     "speed std": ("speed_std", ".2f"),
@@ -97,6 +105,22 @@ def of_suite(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
 def ego(run: Path) -> str:
     """The table of egos, with the worst of the conditions of the folder `suites/transfer`."""
     return markdown(with_worst(shown(tables_of(run).metrics, EGO), run.parent))
+
+
+def readme(run: Path) -> str:
+    """The table of the readme, with the crashes in traffic twice as dense."""
+    table = shown(tables_of(run).metrics, README)
+    dense = shown(tables_of(run.parent / "transfer-density-2-0-ppo").metrics, CRASHED)
+    crashed = {row.labels: row.numbers for row in dense.rows}
+    rows = tuple(
+        Row(
+            (README_NAMES.get(row.labels[0], row.labels[0]),),
+            (row.numbers[0], *crashed[row.labels], *row.numbers[1:]),
+        )
+        for row in table.rows
+    )
+    columns = (table.columns[0], Column("at twice the density", form=".1%"), *table.columns[1:])
+    return markdown(replace(table, columns=columns, rows=rows))
 
 
 def tables_of(run: Path) -> RunTables:
@@ -235,6 +259,7 @@ def reproduction(run: Path) -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
+    "readme": ("ego-ppo", readme),
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),

@@ -36,7 +36,10 @@ NOT_RUN = {
     "tox": "tox runs this test",
     "python tools/human_frontier.py suites/train-seeds.yaml NETWORK FOLDER": "takes minutes, and "
     "recordings that are not public",
-    "charms-bench export ppo.zip ppo.onnx": "tests/agents/test_train_your_own.py trains it",
+    "python ppo.py": "tests/agents/test_train_your_own.py trains it",
+    "charms-bench export ppo.zip ppo.onnx": "it is not trained here",
+    "charms-bench run ego --agent ppo.onnx": "it is not trained here",
+    "charms-bench run transfer/density-2.0 --agent ppo.onnx": "it is not trained here",
 }
 """Commands that are not run here, with the reason."""
 SHORTENED = [
