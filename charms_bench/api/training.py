@@ -22,6 +22,8 @@ def train(
     workers: int | None = None,
     only: str | None = None,
     recordings: PathLike | None = None,
+    seed: int | None = None,
+    steps: int | None = None,
 ) -> "Training":
     """Trains the networks of a training suite, or continues; needs the extra `train`.
 
@@ -31,12 +33,15 @@ def train(
         workers: How many stages to train at the same time; by default one per core.
         only: The stage to train, with those that it needs; by default all.
         recordings: The folder of human recordings, instead of the suite's.
+        seed: The seed of every stage, instead of the suite's.
+        steps: The environment steps of every stage that has some, instead of the suite's: fewer
+            for a trial. The networks of other steps stay in the folder.
 
     Raises:
         CharmsBenchError: The suite, the recordings or the folder cannot be used.
         KeyboardInterrupt: The training was interrupted; its note names the folder.
     """
-    check_positive(workers=workers)
+    check_positive(workers=workers, steps=steps)
     document = Document(Path(suite))
     if "pipeline" not in document.data:
         raise InputError(f"{suite}: is not a training suite; use charms_bench.run")
@@ -44,11 +49,11 @@ def train(
     if not isinstance(name, str):
         raise document.error(("pipeline",), f"expected the name of a pipeline, found {name!r}")
     folder = absolute(output or Path("runs") / document.path.stem)
-    file, recordings = absolute(suite), recordings and absolute(recordings)
+    file, recordings = absolute(document.path), recordings and absolute(recordings)
     pipeline = load(PIPELINES, name)
     warm_up()
     try:
-        pipeline(file, folder, workers, only, recordings)
+        pipeline(file, folder, workers, only, recordings, seed, steps)
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"checkpoints are in {folder}")
         raise

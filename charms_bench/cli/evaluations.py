@@ -95,7 +95,11 @@ def run(
         typer.Option(help="Engine; highway-env is the slow reference."),
     ] = "batched",
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the first episode; overrides the suite.")
+        int | None,
+        typer.Option(
+            min=0,
+            help="Seed of the first episode, or the seed of a training; overrides the suite.",
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -135,6 +139,14 @@ def run(
             help="Train only this stage of a training suite, and the stages that it needs."
         ),
     ] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Environment steps of every stage of a training, such as a few for a trial; "
+            "overrides the suite.",
+        ),
+    ] = None,
     recordings: Annotated[
         Path | None,
         typer.Option(help="Folder of human recordings for training; overrides the suite."),
@@ -149,10 +161,10 @@ def run(
     from charms_bench.workers import started_early
 
     of_evaluations: dict[str, Any] = {
-        "episodes": episodes, "seed": seed, "rows": rows, "shard_limit_s": shard_limit_s,
+        "episodes": episodes, "rows": rows, "shard_limit_s": shard_limit_s,
         "cluster": cluster, "shorten": shorten or None, "agents": agents,
     }  # fmt: skip
-    of_trainings = {"only": only, "recordings": recordings}
+    of_trainings = {"only": only, "recordings": recordings, "steps": steps}
     is_training = "pipeline" in Document(suite).data
     kinds = ("evaluations", "a training") if is_training else ("trainings", "an evaluation")
     for name, value in (of_evaluations if is_training else of_trainings).items():
@@ -163,7 +175,7 @@ def run(
         from charms_bench import api
 
         with interruptible():
-            trained = api.train(suite, output, workers=workers, only=only, recordings=recordings)
+            trained = api.train(suite, output, workers=workers, seed=seed, **of_trainings)
         _print_training(trained, as_json)
         return
     can_start = cluster is None and engine == "batched"
@@ -171,7 +183,7 @@ def run(
     with interruptible(), started_early(early, "charms_bench.runs.shard"):
         from charms_bench import api  # takes a while, in which the workers start
 
-        of_evaluations |= {"shorten": shorten, "agents": agents or ()}
+        of_evaluations |= {"seed": seed, "shorten": shorten, "agents": agents or ()}
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
     _print_result(made, made.table, as_json)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import charms_bench
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
@@ -180,6 +181,18 @@ def test_other_settings_are_another_stage(finished: Path, tmp_path: Path) -> Non
     pipeline.run(file, tmp_path, only="first")
     assert only(tmp_path, "first-*").name != only(finished, "first-*").name
     assert not list(tmp_path.glob("second-*"))
+
+
+def test_options_of_the_command_replace_the_seed_and_the_steps_of_a_suite(
+    suite: Path, tmp_path: Path
+) -> None:
+    options = ["--only", "first", "--seed", "9", "--steps", "200", "--workers", "1"]
+    done = charms_bench("run", suite, "--output", tmp_path / "run", *options)
+    assert done.returncode == 0, done.stderr
+    said = manifest(tmp_path / "run", "first")
+    assert (said["seed"], said["steps"]) == (9, 200)
+    refused = charms_bench("run", "ego", "--steps", 200)
+    assert "--steps is for trainings; ego is an evaluation" in refused.stderr
 
 
 def test_a_training_killed_while_writing_goes_on_to_the_same_network(

@@ -34,6 +34,8 @@ def run(
     workers: int | None = None,
     only: str | None = None,
     recordings: Path | None = None,
+    seed: int | None = None,
+    steps: int | None = None,
 ) -> None:
     """Trains the stages of a suite that are not finished, each from its last checkpoint.
 
@@ -46,12 +48,14 @@ def run(
         workers: Most stages to train at a time; by default, the number of cores.
         only: The stage to train, with the stages that it needs; by default, all stages.
         recordings: Folder of human driving; by default, the folder that the suite names.
+        seed: The seed of every stage, instead of the suite's.
+        steps: The environment steps of every stage that has some, instead of the suite's.
 
     Raises:
         KeyboardInterrupt: The training was interrupted; `output` holds checkpoints.
         InputError: The suite, the recordings or the run folder cannot be used.
     """
-    suite = load_training(suite_file)
+    suite = load_training(suite_file, seed, steps)
     suite_sha256 = hashlib.sha256(suite_file.read_bytes()).hexdigest()
     if only is not None and only not in suite.needs:
         raise InputError(f"{suite_file}: no stage named '{only}'; it has: {', '.join(suite.needs)}")

@@ -318,14 +318,19 @@ class TrainingSuite(FrozenModel):
         return tuple(each for each in self.order if each in needed)
 
 
-def load_training(path: Path) -> TrainingSuite:
-    """Reads a training suite.
+def load_training(path: Path, seed: int | None = None, steps: int | None = None) -> TrainingSuite:
+    """Reads a training suite; `seed` and `steps` replace those in the file.
 
     Raises:
         SuiteError: The file is invalid, or a name in it does not exist.
     """
     document = Document(path)
     _resolve_likeness(document)
+    if seed is not None:
+        document.data |= {"seed": seed, "seeds": []}
+    if steps is not None:
+        for stage in document.data["stages"].values():
+            stage["steps"] = steps
     suite = document.validate(TrainingSuite)
     for name, stage in suite.stages.items():
         at = ("stages", name)
