@@ -59,6 +59,27 @@ def _arguments(words: list[str]) -> list[str]:
     return [*first, *(word for word in words[:end] if word not in ANYWHERE), *words[end:]]
 
 
+def _explain(what: str, error: Exception) -> None:
+    if len(what) > MESSAGE_LIMIT:
+        what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
+    err().print("[bold red]error:[/] ", end="")
+    say(what, err())
+    if VERBOSE.get():
+        traceback.print_exception(error)
+
+
+def _of_the_machine(error: Exception) -> str:
+    """What a file system, or the limits of this process, do not permit; empty for other errors."""
+    if isinstance(error, OSError) and error.strerror:
+        where = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
+        return f"{where}{error.strerror}"
+    if isinstance(error, MemoryError):
+        return "not enough memory"
+    if isinstance(error, RuntimeError) and "start new thread" in str(error):
+        return "not enough memory, or too many threads"
+    return ""
+
+
 def main() -> None:
     """Runs the command line; see `terminal.EXITS` for how it ends."""
     gc.set_threshold(100_000)  # most objects live until the end of a command
@@ -71,18 +92,15 @@ def main() -> None:
         finally:
             sys.stdout.flush()  # not when Python exits, where an error would be lost
     except CharmsBenchError as error:
-        what = "; ".join([str(error), *getattr(error, "__notes__", ())])
-        if len(what) > MESSAGE_LIMIT:
-            what = f"{what[: MESSAGE_LIMIT // 2]} ... {what[-MESSAGE_LIMIT // 2 :]}"
-        err().print("[bold red]error:[/] ", end="")
-        say(what, err())
-        if VERBOSE.get():
-            traceback.print_exception(error)
+        _explain("; ".join([str(error), *getattr(error, "__notes__", ())]), error)
         sys.exit(MISTAKE)
     except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
-    except Exception:
+    except Exception as error:
+        if what := _of_the_machine(error):
+            _explain(what, error)
+            sys.exit(MISTAKE)
         traceback.print_exc()
         say("This is a bug of charms-bench. Please report it with the lines above.", err())
         sys.exit(OUR_BUG)

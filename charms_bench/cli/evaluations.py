@@ -164,7 +164,7 @@ def run(
         "episodes": episodes, "rows": rows, "shard_limit_s": shard_limit_s,
         "cluster": cluster, "shorten": shorten or None, "agents": agents,
     }  # fmt: skip
-    of_trainings = {"only": only, "recordings": recordings, "steps": steps}
+    of_trainings: dict[str, Any] = {"only": only, "recordings": recordings, "steps": steps}
     is_training = "pipeline" in Document(suite).data
     kinds = ("evaluations", "a training") if is_training else ("trainings", "an evaluation")
     for name, value in (of_evaluations if is_training else of_trainings).items():

@@ -57,6 +57,7 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._opened: os.stat_result | None = None
 
     @contextmanager
     def opened_for(self, suite: Suite, engine: str) -> Iterator[None]:
@@ -75,6 +76,7 @@ class RunFolder:
                 refuse_another(self.path, "run", {key: manifest.get(key) for key in ours}, ours)
             for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
                 _delete(self.path / folder, PARTIAL)
+            self._opened = os.stat(self.path)
             yield
 
     def write_manifest(self, suite: Suite, engine: str, agents: Mapping[str, Any]) -> None:
@@ -198,14 +200,23 @@ class RunFolder:
         """Writes a finished shard.
 
         Raises:
-            RunFolderError: The folder cannot be written to, or the rows are those of other
-                episodes.
+            RunFolderError: The folder cannot be written to or has been replaced, or the rows are
+                those of other episodes.
         """
+        self._refuse_replaced()
         for kind in KINDS:
             check_seeds(files[kind], shard, self._file(kind, shard.name))
         for kind in KINDS:
             write_bytes(self._file(kind, shard.name), files[kind])
         write_bytes(self._checksums(shard.name), _checksums(shard.name, files))
+
+    def _refuse_replaced(self) -> None:
+        """Checks that this is still the folder that was opened, and that it has no links."""
+        if self._opened and not os.path.samestat(self._opened, os.stat(self.path)):
+            raise RunFolderError(f"{self.path}: was replaced during the run; run the suite again")
+        for folder in (*KINDS, CHECKSUMS):
+            if (self.path / folder).is_symlink():
+                raise RunFolderError(f"{self.path / folder}: became a link during the run")
 
     def take(self, shards: Iterable[Shard], other: Path) -> None:
         """Copies the shards that another run has finished; its cells may be in another order.

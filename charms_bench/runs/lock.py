@@ -36,7 +36,8 @@ def locked(folder: Path) -> Iterator[None]:
             "folder with --output"
         ) from error
     except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        where = error.filename or folder
+        raise RunFolderError(f"{where}: cannot be written: {error.strerror or error}") from error
     try:
         yield
     finally:

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -14,6 +15,7 @@ from bad_run_folders import forged, signed
 from command_line import charms_bench
 
 import charms_bench as harness
+from charms_bench.runs.folder import RunFolder
 
 
 @pytest.fixture(scope="module")
@@ -204,3 +206,56 @@ def test_a_table_that_the_suite_does_not_ask_for_is_not_read(folder: Path) -> No
     (folder / "run" / "tables" / "small-pairs.csv").write_text("We win.")
     assert charms_bench("show", "run", cwd=folder).returncode == 0
     assert charms_bench("audit", "run", "--workers", 1, cwd=folder).returncode == 1
+
+
+@pytest.mark.parametrize("place", ["", "steps", "checksums"])
+def test_a_folder_that_is_replaced_during_a_run_ends_it(
+    place: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    next((folder / "run" / "checksums").iterdir()).unlink()
+    finish = RunFolder.write
+
+    def replace_and_finish(self: Any, *of: Any) -> None:
+        (folder / "run" / place).rename(folder / "moved")
+        (folder / "run" / place).symlink_to(folder / "outside")
+        finish(self, *of)
+
+    monkeypatch.setattr(RunFolder, "write", replace_and_finish)
+    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
+    assert answer.returncode == 2
+    assert "was replaced during the run" in answer.stderr or "became a link" in answer.stderr
+    assert [path.name for path in (folder / "outside").iterdir()] == ["mine.txt"]
+
+
+def test_a_lock_that_cannot_be_one_is_named(folder: Path) -> None:
+    (folder / "run" / ".lock").unlink(missing_ok=True)
+    (folder / "run" / ".lock").mkdir()
+    answer = charms_bench("run", "suite.yaml", "--workers", 1, "--output", "run", cwd=folder)
+    assert (answer.returncode, "run/.lock: cannot be written" in answer.stderr) == (2, True)
+
+
+def test_a_report_of_a_folder_whose_name_is_not_utf8_is_written(folder: Path) -> None:
+    name = os.fsdecode(b"run\xff")
+    (folder / "run").rename(folder / name)
+    answer = charms_bench("report", name, "--top", 0, cwd=folder)
+    assert answer.returncode == 0, answer.stderr
+    assert "run?" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (PermissionError(13, "Permission denied", "run/steps"), "run/steps: Permission denied"),
+        (MemoryError(), "not enough memory"),
+        (RuntimeError("can't start new thread"), "not enough memory, or too many threads"),
+    ],
+)
+def test_what_the_machine_does_not_permit_is_one_line(
+    error: Exception, message: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*of: object) -> None:
+        raise error
+
+    monkeypatch.setattr(RunFolder, "manifest", fail)
+    answer = charms_bench("show", "run", cwd=folder)
+    assert (answer.returncode, answer.stderr) == (2, f"error: {message}\n")

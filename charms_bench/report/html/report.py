@@ -73,7 +73,7 @@ def write_report(
         is_report=True,
         has_ghosts=bool(others),
         provenance=[_provenance(source) for source in sources],
-    ).encode()
+    ).encode(errors="replace")  # the name of a folder need not be UTF-8
     write_bytes(page_path, page)
     return {
         "report": str(output),
