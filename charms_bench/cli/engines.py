@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from charms_bench.cli.terminal import (
-    FALSE,
+    FAIL,
     Json,
     Workers,
     app,
@@ -84,7 +84,7 @@ def verify(
         verdict = f"{differing} of {total:,} episodes differ" if differing else "the engines agree"
         say(f"{total:,} episodes: {verdict}.")
     if differing:
-        raise typer.Exit(FALSE)
+        raise typer.Exit(FAIL)
 
 
 @app.command("warm-up")

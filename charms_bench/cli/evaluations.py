@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
-    FALSE,
+    FAIL,
     UNKNOWN,
     Json,
     MetricSets,
@@ -27,13 +27,13 @@ from charms_bench.errors import InputError, RunFolderError
 
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
-EXIT_CODES = {"true": 0, "false": FALSE, "unknown": UNKNOWN}
+EXIT_CODES = {"pass": 0, "fail": FAIL, "unknown": UNKNOWN}
 HEADLINE_WIDTH = 100
 """Characters that the table at the end of a run takes at most."""
 VERDICTS = {
-    "true": "everything that was checked is true",
-    "false": "is not true",
-    "unknown": "nothing false was found, but not everything can be checked here",
+    "pass": "everything that was checked passes",
+    "fail": "fails",
+    "unknown": "nothing fails, but not everything can be checked here",
 }
 
 
@@ -407,7 +407,7 @@ def audit(
             say(f"{each.verdict:<9}{each.check:<10}{where}{each.what}")
         missed = (
             f"; if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
-            if 0 < found.undrawn < 1 and found.verdict != "false"
+            if 0 < found.undrawn < 1 and found.verdict != "fail"
             else ""
         )
         say(f"{run}: {VERDICTS[found.verdict]}{missed}")

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from charms_bench.cli.terminal import (
-    FALSE,
+    FAIL,
     FigurePath,
     Json,
     app,
@@ -132,7 +132,7 @@ def check(
     elif remark:
         say(f"remark {remark}. {MEANING}")
     if any(result["problem"] for result in results):
-        raise typer.Exit(FALSE)
+        raise typer.Exit(FAIL)
 
 
 @app.command()

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     from charms_bench.report.table import Table
 
-FALSE, MISTAKE, UNKNOWN, OUR_BUG = 1, 2, 3, 70
+FAIL, MISTAKE, UNKNOWN, OUR_BUG = 1, 2, 3, 70
 """Exit codes; a command that a signal ends has 128 and the signal's number."""
 EXITS = {
-    0: "success, and everything that was checked is true",
-    FALSE: "something that was checked is false (check, verify, audit)",
+    0: "success, and everything that was checked passes",
+    FAIL: "something that was checked fails (check, verify, audit)",
     MISTAKE: "a mistake in an option, a file or a plugin",
-    UNKNOWN: "nothing false, but something cannot be checked (audit)",
+    UNKNOWN: "nothing fails, but something cannot be checked (audit)",
     OUR_BUG: "a bug of charms-bench, with a traceback",
     130: "stopped by Ctrl-C",
     141: "the reader of the output has left",

@@ -30,7 +30,7 @@ ROUNDING = 1e-9
 def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     """Yields where the files in `tables` differ from what the rows in the folder give.
 
-    The table of a run with other code may differ for that reason, which is `unknown`. It is `false`
+    The table of a run with other code may differ for that reason, which is `unknown`. It is `fail`
     where that is no explanation; see `_is_false`.
 
     Args:
@@ -72,7 +72,7 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     for name, data in expected.items():
         if name not in unknown and (what := _difference(folder / "tables" / name, data)):
             count += 1
-            wrong = "false" if is_own or _is_false(folder / "tables", name, expected) else "unknown"
+            wrong = "fail" if is_own or _is_false(folder / "tables", name, expected) else "unknown"
             yield Finding("tables", f"tables/{name}", wrong, what)
     if suite.references:
         unknown |= {f"{suite.suite}-realism.{kind}" for kind in ("csv", "md")}
@@ -80,11 +80,11 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
         if path.name not in expected and path.name not in unknown:
             count += 1
             is_suites = re.fullmatch(rf"{suite.suite}(-[a-z]+)?\.(csv|md)", path.name)
-            wrong = "unknown" if is_suites and not is_own else "false"
+            wrong = "unknown" if is_suites and not is_own else "fail"
             yield Finding("tables", f"tables/{path.name}", wrong, "is not a table of this suite")
     if not count:
         what = f"{len(expected)} files, computed again from the rows in the folder, are the same"
-        yield Finding("tables", "", "true", what)
+        yield Finding("tables", "", "pass", what)
 
 
 def _has_other_code(run: FinishedRun) -> bool:

@@ -65,7 +65,7 @@ def audit_run(
     cells = planned_again(folder, suite, folder.finished())
     engine = folder.engine()
     software = list(audit_software(folder.manifest(), suite, engine, cells))
-    good = Finding("software", "", "true", "the code and libraries of the run are installed")
+    good = Finding("software", "", "pass", "the code and libraries of the run are installed")
     yield from software or [good]
     yield from audit_networks(folder)
     yield from audit_files(folder, suite, cells)
@@ -93,7 +93,7 @@ def audit_run(
         if wrong
         else f"{count} of {shards} shards, simulated again, have the same rows"
     )
-    verdict: Verdict = "false" if wrong else "true"
+    verdict: Verdict = "fail" if wrong else "pass"
     undrawn = (shards - count) / shards
     yield Finding("rows", "", verdict, f"{what} (seed {seed})", undrawn)
 
@@ -108,10 +108,10 @@ def _differing_rows(folder: RunFolder, shard: Shard, files: ShardFiles) -> Itera
                 continue
             stored = folder.read_unchecked(kind, shard)
         except RunFolderError as error:
-            yield Finding("rows", where, "false", str(error))
+            yield Finding("rows", where, "fail", str(error))
             continue
         what = "the rows are the same, but the file has other bytes, such as more columns"
-        yield Finding("rows", where, "false", first_difference(stored, again) or what)
+        yield Finding("rows", where, "fail", first_difference(stored, again) or what)
 
 
 def first_difference(stored: pl.DataFrame, again: pl.DataFrame) -> str:
@@ -140,10 +140,10 @@ def audit_rare(folder: Path) -> Iterator[Finding]:
     damaged = damaged_files(folder)
     for path in damaged:
         where = str(path.relative_to(folder))
-        yield Finding("files", where, "false", "does not match the hash in it")
+        yield Finding("files", where, "fail", "does not match the hash in it")
     if not damaged:
         what = "the files of all runs match the hashes in them"
-        yield Finding("files", "", "true", what)
+        yield Finding("files", "", "pass", what)
     what = (
         "are not simulated again; run `charms-bench rare` with the same suite, event, samples and "
         "seed into another folder, and compare the tables"

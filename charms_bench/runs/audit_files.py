@@ -49,10 +49,10 @@ def audit_networks(folder: RunFolder) -> Iterator[Finding]:
                 what = f"has the hash {found}, not the one in its name, which is {name}"
         if what:
             wrong = True
-            yield Finding("networks", f"{NETWORKS}/{path.name}", "false", what)
+            yield Finding("networks", f"{NETWORKS}/{path.name}", "fail", what)
     if not wrong and hashes:
         what = f"{len(hashes)} of {len(hashes)} have the hash in the manifest"
-        yield Finding("networks", "", "true", what)
+        yield Finding("networks", "", "pass", what)
 
 
 def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> Iterator[Finding]:
@@ -62,7 +62,7 @@ def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> It
     yield from found
     if all(each.verdict == "unknown" for each in found):
         what = f"the files of {len(names)} shards match their checksums and have their episodes"
-        yield Finding("files", "", "true", what)
+        yield Finding("files", "", "pass", what)
 
 
 def _shards(
@@ -76,14 +76,14 @@ def _shards(
     for name in sorted(names):
         where, shard = f"{CHECKSUMS}/{name}.sha256", shard_named(name, places)
         if shard is None:
-            yield Finding("files", where, "false", "is not of a shard of the suite")
+            yield Finding("files", where, "fail", "is not of a shard of the suite")
             continue
         other = by_place.setdefault((shard.cell, shard.first_seed), name)
         if other != name:
-            yield Finding("files", where, "false", f"has the episodes of {other}")
+            yield Finding("files", where, "fail", f"has the episodes of {other}")
         for path in folder.damaged_files(shard):
             where = path.relative_to(folder.path).as_posix()
-            yield Finding("files", where, "false", "is missing or does not match its checksum")
+            yield Finding("files", where, "fail", "is missing or does not match its checksum")
         ego = suite.egos[shard.cell // len(suite.traffics)].agent
         agent = f"{hashes.get(ego.name)}.onnx" if is_network(ego.name) else ego.key
         yield from _rows(folder, shard, agent, is_own)
@@ -93,7 +93,7 @@ def _shards(
                 f"the rows of {cells[index].cell.title}, episodes {first} to "
                 f"{first + episodes - 1} are missing"
             )
-            yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "false", what)
+            yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "fail", what)
     if is_own:
         yield from _keys(manifest, by_place, cells)
 
@@ -111,12 +111,12 @@ def _rows(folder: RunFolder, shard: Shard, ego: str, is_own: bool) -> Iterator[F
             columns = pl.read_parquet_schema(BytesIO(folder.content(kind, shard)))
             if is_own and (more := columns.keys() - SCHEMAS[kind].names()):
                 what = f"the code of the run does not write the columns {', '.join(sorted(more))}"
-                yield Finding("files", where, "false", what)
+                yield Finding("files", where, "fail", what)
         except RunFolderError as error:
             what = str(error).removeprefix(f"{folder.path / where}: ")
-            yield Finding("files", where, "false", what)
+            yield Finding("files", where, "fail", what)
     if len(rows) == len(KINDS) and (what := problem_between(rows, ego)):
-        yield Finding("files", f"{CHECKSUMS}/{shard.name}.sha256", "false", what)
+        yield Finding("files", f"{CHECKSUMS}/{shard.name}.sha256", "fail", what)
 
 
 def _keys(
@@ -135,7 +135,7 @@ def _keys(
                     "has a key of other software, agents or settings than the manifest says; "
                     f"expected {name}"
                 )
-                yield Finding("files", f"{CHECKSUMS}/{found}.sha256", "false", what)
+                yield Finding("files", f"{CHECKSUMS}/{found}.sha256", "fail", what)
 
 
 def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
@@ -152,13 +152,13 @@ def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
         top = where.partition("/")[0]
         if not stat.S_ISREG(kind):
             what = "is a link" if stat.S_ISLNK(kind) else "is a pipe or a device"
-            yield Finding("files", where, "false", f"{what}, not a file")
+            yield Finding("files", where, "fail", f"{what}, not a file")
         elif where in expected or top in UNCHECKED or (top == TABLES and where.count("/") == 1):
             continue
         elif top in KINDS:
-            yield Finding("files", where, "false", "is not of a finished shard")
+            yield Finding("files", where, "fail", "is not of a finished shard")
         elif top in (CHECKSUMS, NETWORKS, TABLES):
-            yield Finding("files", where, "false", "is not a file of this run")
+            yield Finding("files", where, "fail", "is not a file of this run")
         else:
             what = "is not a file of a run, and is not checked"
             yield Finding("files", where, "unknown", what)

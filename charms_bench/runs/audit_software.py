@@ -37,7 +37,7 @@ def audit_software(
     sha256 = suite_sha256_of(manifest)
     if manifest.get("suite_sha256") != sha256:
         what = f"is not the hash of the suite in {MANIFEST}, {sha256}"
-        yield Finding("software", "suite_sha256", "false", what)
+        yield Finding("software", "suite_sha256", "fail", what)
     yield from _code(manifest, any(cell.own for cell in cells))
     yield from _agents(manifest, cells)
     ours = RunFolder.manifest_of(suite, engine, {})
@@ -46,7 +46,7 @@ def audit_software(
         one, other = ({name: each.get(name) for name in compared} for each in (manifest, ours))
         for field, said, expected in differing_fields(one, other):
             what = f"is {said!r}; the code of the run writes {expected!r}"
-            yield Finding("software", field, "false", what)
+            yield Finding("software", field, "fail", what)
 
 
 def suite_sha256_of(manifest: Mapping[str, Any]) -> str:
@@ -69,14 +69,14 @@ def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
     """
     recorded, blobs = manifest.get("modules", {}), module_blobs()
     release, made_from = f"charms-bench {manifest.get('charms_bench')}", manifest.get("commit")
-    verdict: Verdict = "false" if is_own else "unknown"
+    verdict: Verdict = "fail" if is_own else "unknown"
     if not recorded:
         what = f"the manifest does not name the code of the run, {release}"
         yield Finding("software", "modules", "unknown", what)
     elif recorded != blobs and made_from and made_from == commit():
         other = [name for name in {**blobs, **recorded} if blobs.get(name) != recorded.get(name)]
         what = f"{_listed(other)}: not the code of commit {made_from}, which the manifest names"
-        yield Finding("software", "modules", "false", what)
+        yield Finding("software", "modules", "fail", what)
     elif other := [name for name in row_modules() if recorded.get(name) != blobs[name]]:
         blob = next((recorded[name] for name in other if name in recorded), "")
         how = f"git log --all --find-object={blob}" if blob else "the history"
@@ -108,12 +108,12 @@ def _agents(manifest: Mapping[str, Any], cells: Sequence[Planned]) -> Iterator[F
         how = differences(identity, recorded.get(name, {})) or "the manifest does not name it"
         if name in own:
             what = f"{how} in the manifest, but shards have the key of the installed agent"
-            yield Finding("software", name, "false", what)
+            yield Finding("software", name, "fail", what)
         else:
             yield Finding("software", name, "unknown", f"is not the agent of the run: {how}")
     if not any(cell.problem for cell in cells):
         for name in sorted(recorded.keys() - installed.keys()):
-            yield Finding("software", name, "false", "is in the manifest, but not in the suite")
+            yield Finding("software", name, "fail", "is in the manifest, but not in the suite")
 
 
 def _listed(names: Collection[str]) -> str:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["true", "false", "unknown"]
-VERDICTS: tuple[Verdict, ...] = ("true", "unknown", "false")
+Verdict = Literal["pass", "fail", "unknown"]
+VERDICTS: tuple[Verdict, ...] = ("pass", "unknown", "fail")
 """From the best to the worst."""
 
 

@@ -91,7 +91,7 @@ FORGED: dict[str, Callable[[Path], object]] = {
 def test_an_audit_names_what_was_forged_without_a_simulation(title: str, folder: Path) -> None:
     FORGED[title](folder / "run")
     findings = harness.audit(folder / "run", shards=1, workers=1).findings
-    assert any(each.check == "files" and each.verdict == "false" for each in findings)
+    assert any(each.check == "files" and each.verdict == "fail" for each in findings)
 
 
 @pytest.mark.parametrize("title", FORGED)

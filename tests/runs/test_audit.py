@@ -133,7 +133,7 @@ def test_a_true_run_is_true(folder: Path) -> None:
     assert answer.returncode == 0, answer
     assert "with a probability" not in answer.stdout
     assert "4 of 4 shards, simulated again, have the same rows" in answer.stdout
-    assert "run: everything that was checked is true" in answer.stdout
+    assert "run: everything that was checked passes" in answer.stdout
 
 
 def test_a_sample_is_drawn_anew_each_time_and_can_be_asked_for(folder: Path) -> None:
@@ -141,7 +141,7 @@ def test_a_sample_is_drawn_anew_each_time_and_can_be_asked_for(folder: Path) -> 
     seeds = {each.what for findings in found for each in findings if each.check == "rows"}
     assert len(seeds) == 2
     again = audit_of(folder, shards=1, seed=7, workers=1)
-    assert again.verdict == "true"
+    assert again.verdict == "pass"
     assert "1 of 4 shards" in again.table.records()[-2]["found"]
     assert "seed 7" in again.table.records()[-2]["found"]
 
@@ -179,7 +179,7 @@ def test_a_changed_digit_is_false_whatever_code_the_manifest_names(
     change_manifest(folder, change)
     answer = audited(folder)
     assert answer.returncode == 1, answer
-    assert "false    tables    tables/small.csv: IDM, idm_mobil" in answer.stdout
+    assert "fail     tables    tables/small.csv: IDM, idm_mobil" in answer.stdout
 
 
 def test_a_digit_changed_in_a_page_is_false_whatever_code_the_manifest_names(folder: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_digit_changed_in_a_page_is_false_whatever_code_the_manifest_names(fol
     change_manifest(folder, lambda manifest: manifest["modules"].update({module: "0" * 40}))
     answer = audited(folder)
     assert answer.returncode == 1, answer
-    assert "false    tables    tables/small.md: line " in answer.stdout
+    assert "fail     tables    tables/small.md: line " in answer.stdout
 
 
 def test_a_table_of_other_metrics_leaves_the_other_tables_checked(folder: Path) -> None:
@@ -366,7 +366,7 @@ def test_a_file_beside_those_of_the_run_is_named(folder: Path, name: str) -> Non
     (folder / "run" / name).write_text("x")
     answer = audited(folder)
     assert answer.returncode == 1, answer
-    assert f"false    files     {name}: is not " in answer.stdout
+    assert f"fail     files     {name}: is not " in answer.stdout
 
 
 @pytest.mark.parametrize("name", ["tables/small.csv", "steps", "manifest.json"])
@@ -445,7 +445,7 @@ def test_other_libraries_and_other_agents_are_named_and_nothing_is_called_false(
     assert answer.returncode == 3, answer
     assert f"libraries: numpy is {np.__version__}, expected 1.0; install these" in answer.stdout
     assert "idm_mobil: is not the agent of the run: code_sha256 is " in answer.stdout
-    assert "false" not in answer.stdout.replace("nothing false", "")
+    assert "fail" not in answer.stdout.replace("nothing fails", "")
 
 
 def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
