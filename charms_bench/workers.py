@@ -39,6 +39,8 @@ LOOK_S = 1.0
 """How often workers are looked at: a copy of a dead worker can keep its connection open."""
 _SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 """Otherwise, a new Python process imports modules from the current folder first."""
+FOR_PARENT = (signal.SIGINT, signal.SIGTERM)
+"""What the terminal or the system sends to a group of processes, of which workers ignore it."""
 _numbers = itertools.count(1)
 """The numbers of tasks; no two tasks of this process have the same number."""
 
@@ -347,15 +349,17 @@ def _starting(environment: Mapping[str, str]) -> Iterator[None]:
     """Lets processes that are started within have these environment variables, and no main module.
 
     Otherwise a new process would import the user's script again, and a script that starts a run
-    would start it again.
+    would start it again. Signals wait until a new process ignores them.
     """
     main = sys.modules["__main__"]
     before = {name: os.environ.get(name) for name in environment}
     sys.modules["__main__"] = ModuleType("__main__")
     os.environ |= environment
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, FOR_PARENT)
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         sys.modules["__main__"] = main
         for name, value in before.items():
             if value is None:
@@ -404,8 +408,9 @@ def _serve(connection: Connection, module: str) -> None:
     gc.set_threshold(100_000)  # else a quarter of the start is spent on collecting live objects
     _end_with_parent()
     write_to_stderr_only()  # standard output is for results, whatever a plugin prints
-    for number in (signal.SIGINT, signal.SIGTERM):  # a signal to the group is for the parent
+    for number in FOR_PARENT:
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, FOR_PARENT)
     process = os.getpid()
     os.register_at_fork(after_in_child=connection.close)
     import_module(module)

@@ -31,12 +31,31 @@ MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""
 
 
+LEAST = {"NUMBA_NUM_THREADS": 1, "POLARS_MAX_THREADS": 1, "SOURCE_DATE_EPOCH": 0}
+"""Environment variables that libraries read when they are imported, and their least values."""
+
+
+def _check_environment() -> None:
+    """Names an environment variable that a library would end the process for.
+
+    Raises:
+        InputError: It is not a number.
+    """
+    for name, least in LEAST.items():
+        value = os.environ.get(name, "")
+        if value and not (value.isascii() and value.isdigit() and int(value[:20]) >= least):
+            raise InputError(
+                f"{name} is {value[:80]!r}; expected a whole number from {least}; unset it"
+            )
+
+
 def _use_own_style() -> None:
     """Lets no `matplotlibrc` of the current folder or of the user's change a figure.
 
     Raises:
         InputError: matplotlib cannot read that of the current folder, which it reads first of all.
     """
+    os.environ["MPLBACKEND"] = "agg"  # commands draw into files
     package = find_spec("matplotlib")
     if package is not None and package.origin is not None:
         defaults = Path(package.origin).parent / "mpl-data" / "matplotlibrc"
@@ -85,6 +104,7 @@ def main() -> None:
     gc.set_threshold(100_000)  # most objects live until the end of a command
     write_reliably()
     try:
+        _check_environment()
         _use_own_style()
         try:
             with ended_by_second_signal():

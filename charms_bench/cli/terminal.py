@@ -127,9 +127,13 @@ def out() -> "Console":
     """Standard output."""
     from rich.console import Console
 
+    class Output(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # for `main`; rich would end the process with exit code 1
+
     # A file has no width of its own; 80 would cut tables.
     has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return Console(emoji=False, width=None if has_width else 120)
+    return Output(emoji=False, width=None if has_width else 120)
 
 
 @cache

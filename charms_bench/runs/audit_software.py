@@ -89,6 +89,9 @@ def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
             f"its rows, install {found}"
         )
         yield Finding("software", "modules", verdict, what)
+    if missing := sorted(set(library_versions()) - set(manifest.get("versions", {}))):
+        what = f"the manifest does not name the version of {_listed(missing)}"
+        yield Finding("software", "libraries", "unknown", what)
     if changed := differences(library_versions(), manifest.get("versions", {})):
         what = f"{changed}; {_KEYS if is_own else 'install these versions'}"
         yield Finding("software", "libraries", verdict, what)

@@ -465,3 +465,35 @@ def test_an_export_does_not_overwrite_its_checkpoint(tmp_path: Path) -> None:
     assert result.returncode == 2
     assert "is also the file to write; choose another name" in result.stderr
     assert (tmp_path / "policy.onnx").read_bytes() == b"a checkpoint"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("NUMBA_NUM_THREADS", "0"), ("POLARS_MAX_THREADS", "abc"), ("SOURCE_DATE_EPOCH", "-1")],
+)
+def test_a_variable_that_a_library_would_fail_at_is_named(
+    name: str, value: str, copied_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, value)
+    answer = in_a_process("show", copied_run, cwd=copied_run.parent)
+    assert answer.returncode == 2
+    assert answer.stderr.startswith(f"error: {name} is '{value}'; expected a whole number from ")
+    assert len(answer.stderr.splitlines()) == 1
+
+
+def test_no_backend_of_matplotlib_changes_a_run(
+    suite_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+    options = ("--workers", 1, "--output", tmp_path / "run")
+    answer = in_a_process("run", suite_file, *options, cwd=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_a_reader_that_leaves_ends_a_command_with_its_own_exit_code(copied_run: Path) -> None:
+    command = [sys.executable, "-m", "charms_bench", "show", str(copied_run), "--all"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    answer = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert (answer.returncode, answer.stderr) == (141, "")
