@@ -113,8 +113,8 @@ def suggestion(name: str, known: Mapping[str, object]) -> str:
     """The known names, and the one that a misspelt name probably means."""
     longer = [each for each in known if name and each.startswith(f"{name}_")]
     close = longer or get_close_matches(name, known, n=1)
-    hint = f" Did you mean '{close[0]}'?" if close else ""
-    return f"Known: {', '.join(known) or 'none'}.{hint}"
+    hint = f"Did you mean '{close[0]}'? " if close else ""
+    return f"{hint}Known: {', '.join(known) or 'none'}."
 
 
 def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
@@ -125,8 +125,9 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     what = first["msg"].removeprefix("Value error, ")
     if first["type"] not in ("missing", "unknown_key"):
         what = f"{what}, found {found}"
-    more = f" ({len(problems) - 1} more)" if len(problems) > 1 else ""
-    return first["loc"], what + more
+    others = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in problems[1:3]]
+    others += [f"{len(problems) - 3} more"] if len(problems) > 3 else []
+    return first["loc"], "; also ".join([what, *others])
 
 
 def _shortened(value: Any) -> str:

@@ -437,10 +437,12 @@ def _answer(work: Callable[[Any], Any], task: object) -> object:
         return work(task)
     except CharmsBenchError as error:
         return error
-    except (SystemExit, KeyboardInterrupt) as error:  # no signal of ours raises these here
-        return AgentError(f"a plugin or a library {raised(error)}")
+    except (OSError, MemoryError) as error:
+        return WorkerError(f"in a worker process: {raised(error)}")
     except Exception:  # not every exception can be pickled
         return RuntimeError(f"in a worker process:\n{traceback.format_exc()}")
+    except BaseException as error:  # no signal of ours raises one here
+        return AgentError(f"a plugin or a library {raised(error)}")
 
 
 def _end_with_parent() -> None:

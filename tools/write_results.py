@@ -58,7 +58,7 @@ EGO = {
 CRASHED = {"crashed episodes": ("crashed_episodes", ".1%")}
 README = {
     **CRASHED,
-    "mean speed, m/s": ("speed_mean", ".1f"),
+    "mean speed near a leader, m/s": ("speed_mean", ".1f"),
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".1f"),
 }

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 @app.command()
 def edge_cases(
     run: RunPath,
-    top: Annotated[int, typer.Option(min=1, help="Maximum number of episodes to list.")] = 10,
+    top: Annotated[
+        int, typer.Option(min=1, max=10_000_000, help="Maximum number of episodes to list.")
+    ] = 10,
     kind: Annotated[
         Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"] | None,
         typer.Option(
@@ -148,7 +150,8 @@ def replay(
     driver, around = replayed.cell.ego.title, replayed.cell.traffic.title
     name = f"{name_of(opened.suite, replayed.cell)}-{episode}.gif"
     animation = output or opened.path / "replays" / name
-    trajectories = animation.with_suffix(".parquet")
+    # Beside a file of the user's choice, this name is no other file's.
+    trajectories = animation.with_suffix(".trajectories.parquet" if output else ".parquet")
     what = replayed.what_happened()
     table = BytesIO()  # polars cannot write to every name that a file can have
     replayed.trajectories().write_parquet(table)

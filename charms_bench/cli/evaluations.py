@@ -290,6 +290,9 @@ def compare(
         ),
     ] = None,
     metric_sets: MetricSets = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Test in which metrics two egos differ.
@@ -300,12 +303,17 @@ def compare(
     from charms_bench.report.comparison import by_pair, to_dicts
 
     other = None if second is None else api.open_run(second)
-    table = api.open_run(first).compare(other, egos, metrics or (), metric_sets or ())
+    run = api.open_run(first)
+    table = run.compare(other, egos, metrics or (), metric_sets or ())
     if as_json:
         print_json(to_dicts(table))
         return
-    for part in by_pair(table):
+    columns = () if everything or metrics or metric_sets else run.suite.columns
+    parts = by_pair(table, columns) if columns else []
+    for part in parts or by_pair(table):
         print_table(part)
+    if parts:
+        say("These are the suite's columns; --all shows every metric.")
 
 
 @app.command()

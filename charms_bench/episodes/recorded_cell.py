@@ -201,8 +201,9 @@ def find_cell(
     cells = find_cells(run, folder, ego, traffic)
     if len(cells) > 1:
         titles = "; ".join(each.cell.title for each in cells)
+        first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
         raise InputError(
-            f"{run.folder.path}: {len(cells)} cells have this episode; choose one with {how}. "
-            f"Cells: {titles}"
+            f"{run.folder.path}: {len(cells)} cells have the episodes {first} to {last}; choose "
+            f"one with {how}. Cells: {titles}"
         )
     return cells[0]

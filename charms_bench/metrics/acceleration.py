@@ -13,13 +13,16 @@ ACCELERATING = LOGGED.among("accelerating steps", ACCELERATION > 0)
 JERK = pl.col("jerk_mps3")
 
 PAPER_ACC_MEAN = ACCELERATING.mean(
-    "acc_mean", "m/s²", ACCELERATION, "mean of the positive accelerations in logged steps"
+    "acc_mean", "m/s²", ACCELERATION, "mean of the positive accelerations with a leader within 50 m"
 )
-PAPER_ACC_STD = LOGGED.deviation("acc_std", "m/s²", ACCELERATION, "acceleration in logged steps")
+PAPER_ACC_STD = LOGGED.deviation(
+    "acc_std", "m/s²", ACCELERATION, "acceleration with a leader within 50 m"
+)
 PAPER_HARSH_ACC_RATE = LOGGED.share(
     "harsh_acc_rate",
     HARSH,
-    "proportion of logged steps in which the ego accelerates or brakes by more than 2.5 m/s²",
+    "proportion of the decisions with a leader within 50 m in which the ego accelerates or "
+    "brakes by more than 2.5 m/s²",
 )
 PAPER_HARSH_ACC_RATE_ALL_STEPS = STEPS.share(
     "harsh_acc_rate_all_steps",

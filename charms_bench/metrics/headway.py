@@ -16,8 +16,8 @@ SHORT_HEADWAY_S = 1.0
 DISTANCE = pl.col("leader_distance")
 HEADWAY = pl.col("time_headway_s")
 
-DHW_MEAN = LOGGED.mean("dhw_mean", "m", DISTANCE, "distance headway in logged steps")
-DHW_STD = LOGGED.deviation("dhw_std", "m", DISTANCE, "distance headway in logged steps")
+DHW_MEAN = LOGGED.mean("dhw_mean", "m", DISTANCE, "distance headway with a leader within 50 m")
+DHW_STD = LOGGED.deviation("dhw_std", "m", DISTANCE, "distance headway with a leader within 50 m")
 
 
 def time_headway_mean(driving: Sample) -> Metric:

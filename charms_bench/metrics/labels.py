@@ -72,6 +72,13 @@ LABELS = {
     "rss_to": "Vehicle behind too close (RSS)",
 }
 """By name of the metric; `{}` stands for a threshold."""
+NEAR_LEADER = {
+    "ttc_below_3s": "TTC below 3 s near a leader",
+    "speed_mean": "Mean speed near a leader",
+    "acc_std": "Acceleration near a leader, std",
+    "harsh_acc_rate": "Harsh acceleration near a leader",
+}
+"""Metrics that the set `paper` measures only with a leader within 50 m, and `standard` always."""
 SETS = {"paper": "Metrics of the paper", "standard": "Standard metrics"}
 """By name of the metric set."""
 KEYS = {
@@ -85,14 +92,16 @@ _THRESHOLD = r"(\d+(?:_\d+)?)"
 
 
 @cache
-def label_of(metric: str) -> str:
-    """The heading of a metric; one without a label keeps the words of its name."""
+def label_of(metric: str, metric_set: str = "") -> str:
+    """The heading of a metric of a set; one without a label keeps the words of its name."""
+    if metric in NEAR_LEADER and metric_set.startswith("paper-"):
+        return NEAR_LEADER[metric]
     for name, label in LABELS.items():
         if found := re.fullmatch(name.replace("{}", _THRESHOLD), metric):
             return label.format(*(each.replace("_", ".") for each in found.groups()))
-    if metric.startswith("traffic_") and (of := label_of(whose := metric[8:])) != _in_words(whose):
+    if metric.startswith("traffic_") and (of := label_of(whose := metric[8:])) != in_words(whose):
         return f"Traffic: {of[0].lower() if of[1].islower() else of[0]}{of[1:]}"
-    return _in_words(metric)
+    return in_words(metric)
 
 
 def key_label_of(key: str) -> str:
@@ -111,5 +120,6 @@ def set_label_of(label: str) -> str:
     return SETS[found[1]] + f" ({found[2]})" * bool(found[2])
 
 
-def _in_words(name: str) -> str:
-    return name.replace("_", " ")
+def in_words(name: str) -> str:
+    """The words of a name, without the unit, which stands beside them."""
+    return re.sub(r"_(s|m|mps|mps2)$", "", name).replace("_", " ")

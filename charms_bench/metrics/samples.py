@@ -70,7 +70,7 @@ class Sample(NamedTuple):
 
 
 STEPS = Sample("steps", pl.col("step").is_not_null())
-LOGGED = Sample("logged steps", pl.col("logged"))
+LOGGED = Sample("decisions near a leader", pl.col("logged"))
 
 
 def driving_after(warm_up_s: float) -> Sample:

@@ -8,8 +8,8 @@ from charms_bench.metrics.samples import LOGGED, Sample
 SPEED = pl.col("speed")
 VEHICLES = pl.first("traffic_vehicles")
 
-PAPER_SPEED_MEAN = LOGGED.mean("speed_mean", "m/s", SPEED, "speed in logged steps")
-PAPER_SPEED_STD = LOGGED.deviation("speed_std", "m/s", SPEED, "speed in logged steps")
+PAPER_SPEED_MEAN = LOGGED.mean("speed_mean", "m/s", SPEED, "speed with a leader within 50 m")
+PAPER_SPEED_STD = LOGGED.deviation("speed_std", "m/s", SPEED, "speed with a leader within 50 m")
 TRAFFIC_SPEED_MEAN = Metric(
     name="traffic_speed_mean",
     unit="m/s",

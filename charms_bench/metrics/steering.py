@@ -8,7 +8,7 @@ from charms_bench.metrics.samples import LOGGED, Sample
 YAW_RATE = pl.col("yaw_rate_radps")
 
 PAPER_YAW_STD = LOGGED.deviation(
-    "yaw_std", "rad", pl.col("steering"), "steering angle in logged steps"
+    "yaw_std", "rad", pl.col("steering"), "steering angle with a leader within 50 m"
 )
 
 

@@ -27,13 +27,14 @@ REAR_TTC = pl.col("rear_ttc_s")
 PAPER_TTC_BELOW_3S = LOGGED.share(
     "ttc_below_3s",
     PAPER_TTC < TTC_THRESHOLD_S,
-    "proportion of logged steps with a centre-to-centre TTC below 3 s",
+    "proportion with a centre-to-centre TTC below 3 s among the decisions with a leader within "
+    "50 m",
 )
 PAPER_TTC_BELOW_3S_CLOSING = CLOSING.share(
     "ttc_below_3s_closing",
     PAPER_TTC < TTC_THRESHOLD_S,
-    "proportion with a centre-to-centre TTC below 3 s among the logged steps in which the ego is "
-    "faster than its leader",
+    "proportion with a centre-to-centre TTC below 3 s among the decisions with a leader within "
+    "50 m in which the ego is faster than its leader",
 )
 
 

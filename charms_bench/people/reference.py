@@ -35,6 +35,8 @@ class ReferenceSpec(FrozenModel):
 
     name: Name | None = None
     recordings: FilePath | None = None
+    label: Name | None = None
+    """Its name in tables; by default its name, or that of the folder."""
 
     @model_validator(mode="before")
     @classmethod
@@ -56,7 +58,7 @@ class ReferenceSpec(FrozenModel):
     @property
     def title(self) -> str:
         """The reference's name in tables."""
-        return self.name or str(self.recordings)
+        return self.label or self.name or str(self.recordings and self.recordings.name)
 
 
 class Reference(FrozenModel):

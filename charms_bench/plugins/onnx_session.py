@@ -206,6 +206,8 @@ def compute(
     rows = len(next(iter(inputs.values())))
     if values.shape != (expected := (rows, width)):
         raise ModelError(f"returns values of shape {values.shape}; expected {expected}")
+    if values.dtype.kind not in "iuf":
+        raise ModelError(f"returns values of type {values.dtype}; expected numbers")
     if np.isnan(values).any():
         raise ModelError("returns values that are NaN")
     return values

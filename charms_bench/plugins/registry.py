@@ -12,6 +12,7 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -217,6 +218,8 @@ def _make(plugin: Plugin, options: Mapping[str, Any] | None, *kinds: type) -> An
     except CharmsBenchError:
         raise
     except PLUGIN_ERRORS as error:
+        if unknown := _unknown_option(factory, options or {}):
+            raise RegistryError(f"{_whose(plugin)} {unknown}") from error
         given = ", ".join(options or ()) or "none"
         raise RegistryError(
             f"{_whose(plugin)} cannot be made (options: {given}): {type(error).__name__}: {error}"
@@ -226,6 +229,20 @@ def _make(plugin: Plugin, options: Mapping[str, Any] | None, *kinds: type) -> An
     return made
 
 
+def _unknown_option(factory: Any, options: Mapping[str, Any]) -> str:
+    """What is wrong with an option that a plugin's factory does not have; empty if it has all."""
+    try:
+        parameters = signature(factory).parameters
+    except (TypeError, ValueError):
+        return ""
+    if any(each.kind is each.VAR_KEYWORD for each in parameters.values()):
+        return ""
+    unknown = next((name for name in options if name not in parameters), None)
+    return (
+        "" if unknown is None else f"has no option '{unknown}'. {suggestion(unknown, parameters)}"
+    )
+
+
 def _problem_of(made: object, *kinds: type) -> str:
     """Why what a plugin has made cannot be used as one of these kinds; empty if it can."""
     is_one = [isinstance(made, kind) for kind in kinds]
@@ -233,6 +250,8 @@ def _problem_of(made: object, *kinds: type) -> str:
         expected = " or a ".join(kind.__name__ for kind in kinds)
         found = "both" if any(is_one) else f"a {type(made).__name__}"
         return f"is {found}, not a {expected}"
+    if isinstance(made, Policy):
+        _ = made.observation, made.actions, made.decision_hz  # properties may raise here
     if isinstance(made, Policy) and not isinstance(made.weights_sha256, str):
         return f"has weights_sha256 {made.weights_sha256!r}; expected a text"
     if isinstance(made, Traffic):

@@ -1,6 +1,6 @@
 """The comparison of two agents over the same episodes: every metric, and which ones differ."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -104,19 +104,22 @@ def defined(value: float) -> float | None:
     return None if np.isnan(value) else value
 
 
-def by_pair(table: Table) -> list[Table]:
+def by_pair(table: Table, metrics: Collection[str] | None = None) -> list[Table]:
     """A table for each pair of agents, traffic and metric set, for people; the last has the note.
 
-    p is the corrected one.
+    p is the corrected one, for the tests of all metrics. If `metrics` are given, only they are
+    shown.
     """
     shown = table.take(range(len(COLUMNS) - 1))
-    shown = shown.named("first", "second", "difference", "p", "detectable")
+    if metrics is not None:
+        rows = tuple(row for row in shown.rows if row.labels[-1] in metrics)
+        shown = replace(shown, rows=rows)
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in shown.rows:
         groups.setdefault(row.labels[:-1], []).append(replace(row, labels=row.labels[-1:]))
     found = [
         replace(
-            shown,
+            shown.named(first, second, "difference", "p", "detectable"),
             title=f"{first} minus {second}, in {traffic}: {set_label_of(metric_set)}",
             keys=KEYS[-1:],
             rows=tuple(_headed(row, metric_set) for row in rows),
@@ -124,7 +127,7 @@ def by_pair(table: Table) -> list[Table]:
         )
         for (first, second, traffic, metric_set), rows in groups.items()
     ]
-    return [*found[:-1], replace(found[-1], note=table.note)]
+    return [*found[:-1], *(replace(each, note=table.note) for each in found[-1:])]
 
 
 def _headed(row: Row, metric_set: str) -> Row:

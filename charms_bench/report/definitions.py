@@ -31,7 +31,7 @@ def columns_of(metric_set: MetricSet) -> dict[str, Column]:
             interval=INTERVALS[metric.interval],
             group=metric_set.label,
             form="" if metric.unit else "%",
-            label=label_of(metric.name),
+            label=label_of(metric.name, metric_set.label),
         )
         for metric in metric_set.metrics
     }
@@ -48,7 +48,7 @@ def installed_column(label: str, metric: str) -> Column:
         counted="unknown",
         interval="unknown",
         group=label,
-        label=label_of(metric),
+        label=label_of(metric, label),
     )
     return _installed(label).get(metric, unknown)
 

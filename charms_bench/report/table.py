@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 
 from charms_bench.errors import InputError, suggestion
-from charms_bench.metrics.labels import key_label_of, set_label_of
+from charms_bench.metrics.labels import in_words, key_label_of, set_label_of
 
 LONG = {
     name: name
@@ -101,7 +101,7 @@ class Column:
     @property
     def heading(self) -> str:
         """What a view calls the column, without its unit."""
-        return self.label or self.name.replace("_", " ")
+        return self.label or in_words(self.name)
 
     @property
     def heading_unit(self) -> str:

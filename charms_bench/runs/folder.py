@@ -364,7 +364,8 @@ class RunFolder:
             raise RunFolderError(
                 f"{self.path}: has {len(lost)} finished shards of a run of {episodes:,} episodes, "
                 f"which a run of {suite.episodes:,} would delete; choose another folder with "
-                f"--output, run with --episodes {episodes}, or delete them with --shorten"
+                f"--output, run with --episodes {episodes}, or delete them with --shorten "
+                "(in Python: output, episodes or shorten)"
             )
 
     def drop_others(self, shards: Iterable[Shard]) -> None:

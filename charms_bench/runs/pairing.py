@@ -34,6 +34,8 @@ def pairs_of(
                 f"{first.folder.path}: needs something to compare with; give a second run, or two "
                 f"egos of this one with --egos: {', '.join(known)}"
             )
+        if egos[0] == egos[1]:
+            raise InputError(f"--egos: '{egos[0]}' cannot be compared with itself; give two egos")
         return _matched(first, first, [egos])
     check_same_episodes(first, second)
     ours, theirs = ([ego.title for ego in run.suite.egos] for run in (first, second))

@@ -135,7 +135,7 @@ def test_a_driver_in_a_scenario_brakes_by_its_parameters(engine: EngineName) -> 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"headway_s": 1}, "'varied' has no parameter 'headway_s'. Known: .*'time_headway_s'"),
+        ({"headway_s": 1}, "'varied' has no parameter 'headway_s'. Did you mean 'time_headway_s'"),
         ({"time_headway_s": "headway"}, "3 is out of range; expected 0.6 to 2 at .* headway 3"),
     ],
 )

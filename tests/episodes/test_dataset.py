@@ -94,7 +94,7 @@ def test_an_ego_with_continuous_actions_is_refused(
 
 def test_an_unknown_format_is_refused(run: charms_bench.Run) -> None:
     with pytest.raises(
-        InputError, match=r"no format 'minary'\. Known: minari, highd\. Did you mean"
+        InputError, match=r"no format 'minary'\. Did you mean 'minari'.*Known: minari, highd"
     ):
         run.dataset("minary", ego="Keep right")  # type: ignore[arg-type]
 

@@ -110,9 +110,12 @@ def test_replay_writes_an_animation_trajectories_and_a_scenario(
     [
         (
             [],
-            "2 cells have this episode; choose one with ego and traffic. Cells: idm_mobil in",
+            "choose one with ego and traffic. Cells: idm_mobil in",
         ),
-        (["--ego", "idm"], "no ego called 'idm'. Known: idm_mobil, [b]Level-k[/b]."),
+        (
+            ["--ego", "idm"],
+            "no ego called 'idm'. Did you mean 'idm_mobil'? Known: idm_mobil, [b]Level-k[/b].",
+        ),
         (["--ego", "idm_mobil", "--output", "a.mp4"], "a.mp4: expected a name that ends in .gif"),
     ],
 )

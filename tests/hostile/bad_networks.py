@@ -23,6 +23,7 @@ def network(
     seen: Sequence[Any] = ("batch", 35),
     valued: Sequence[Any] = ("batch", 5),
     kind: int = FLOAT,
+    out: int | None = None,
     facts: dict[str, str] | None = None,
     **more: Any,
 ) -> Any:
@@ -31,7 +32,7 @@ def network(
         list(nodes),
         "policy",
         [helper.make_tensor_value_info("observations", kind, list(seen))],
-        [helper.make_tensor_value_info("values", kind, list(valued))],
+        [helper.make_tensor_value_info("values", out or kind, list(valued))],
         list(tensors),
         **more,
     )
@@ -229,6 +230,13 @@ MODELS: dict[str, Callable[[], Any]] = {
     "4 values out": lambda: network(valued=("batch", 4)),
     "doubles": lambda: network(kind=TensorProto.DOUBLE),
     "texts in and out": lambda: network(kind=TensorProto.STRING),
+    "texts out": lambda: network(
+        [
+            helper.make_node("MatMul", ["observations", "weights"], ["numbers"]),
+            helper.make_node("Cast", ["numbers"], ["values"], to=TensorProto.STRING),
+        ],
+        out=TensorProto.STRING,
+    ),
     "no nodes": lambda: network(nodes=[]),
     "a node twice": lambda: network(nodes=[LINEAR, LINEAR]),
     "nodes in a circle": lambda: network(

@@ -272,6 +272,24 @@ def decide(self, observations):
         needs_worker=True,
     ),
     _policy(
+        "A policy whose rate raises an error",
+        """
+@property
+def decision_hz(self):
+    raise ValueError("ask me later")
+def decide(self, observations):
+    return np.full(len(observations), IDLE)
+""",
+    ),
+    _policy(
+        "A policy that raises what is no `Exception`",
+        """
+def decide(self, observations):
+    raise GeneratorExit
+""",
+        needs_worker=True,
+    ),
+    _policy(
         "A policy that raises `KeyboardInterrupt`",
         """
 def decide(self, observations):

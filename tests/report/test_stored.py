@@ -21,7 +21,7 @@ def test_a_stored_table_is_the_table_that_was_written(tmp_path: Path) -> None:
     path = write_table(tmp_path, table)
     assert sorted(path.with_suffix(".csv").read_text().splitlines()) == sorted(EGO.splitlines())
     assert stored_tables(tmp_path, SUITE).metrics == table
-    assert (table.columns[0].unit, table.columns[0].counted) == ("m/s", "logged steps")
+    assert (table.columns[0].unit, table.columns[0].counted) == ("m/s", "decisions near a leader")
 
 
 def test_a_set_that_is_not_installed_is_said_to_be_unknown() -> None:

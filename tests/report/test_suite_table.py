@@ -117,7 +117,10 @@ def test_markdown_shows_the_interval_the_papers_figure_and_the_difference() -> N
     text = document(suite_table(SUITE, cells))
     assert "| 25.00 [24.00, 26.00] | 23.67 (+1.33) |" in text
     assert "| – | 23.73 |" in text
-    assert "- Mean speed (m/s) (`speed_mean`): speed in logged steps. n: logged steps." in text
+    assert (
+        "- Mean speed near a leader (m/s) (`speed_mean`): speed with a leader within 50 m. n: "
+        "decisions near a leader."
+    ) in text
 
 
 def test_markdown_survives_a_bar_in_a_name() -> None:

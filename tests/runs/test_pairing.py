@@ -167,8 +167,14 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(
         (("idm",), "idm: needs something to compare with; give a second run, or two egos of"),
         (("idm", "nowhere"), "nowhere/manifest.json: cannot be read"),
         (("idm", "both"), "choose one ego of each with --egos"),
-        (("idm", "--egos", "idm_mobil", "idm"), "no ego named 'idm'. Known: idm_mobil"),
-        (("idm", "idm", "--metric", "speed"), "no metric named 'speed'. Known: collision_rate"),
+        (
+            ("idm", "--egos", "idm_mobil", "idm"),
+            "no ego named 'idm'. Did you mean 'idm_mobil'? Known: idm_mobil",
+        ),
+        (
+            ("idm", "idm", "--metric", "speed"),
+            "no metric named 'speed'. Did you mean 'speed_mean'? Known: collision_rate",
+        ),
     ],
 )
 def test_what_cannot_be_compared_is_said_in_a_sentence(

@@ -203,9 +203,12 @@ def test_a_search_names_what_it_can_search(
 @pytest.mark.parametrize(
     ("instead", "error"),
     [
-        ("time_headway: 1", "22: .*'idm_mobil_varied' has no parameter 'time_headway'. Known: "),
+        (
+            "time_headway: 1",
+            "22: .*'idm_mobil_varied' has no parameter 'time_headway'. Did you mean ",
+        ),
         ("time_headway_s: gap / 10", "22: .*time_headway_s: .* is out of range; expected 0.6 to 2"),
-        ("time_headway_s: gap + gip", "22: .*no parameter named 'gip'. Known: gap, braking"),
+        ("time_headway_s: gap + gip", "22: .*no parameter named 'gip'. Did you mean 'gap'"),
     ],
 )
 def test_wrong_parameters_of_a_driver_are_refused_with_their_line(

@@ -96,10 +96,11 @@ def _sample_store(
     assert suite.human is not None
     folder = recordings or suite_file.parent / suite.human.recordings
     if not folder.is_dir():
-        what = f"no folder '{folder}'; put recordings in highD's format there, or name their folder"
         if recordings is not None:
-            raise InputError(f"--recordings: {what}")
-        raise Document(suite_file).error(("human", "recordings"), f"{what} with --recordings")
+            what = "expected the folder of recordings in highD's format"
+            raise InputError(f"--recordings: no folder '{folder}'; {what}")
+        what = f"no folder '{folder}'; name one in highD's format with --recordings"
+        raise Document(suite_file).error(("human", "recordings"), what)
     store = SampleStore(folder, output / "samples", suite.human.samples, suite.observed)
     store.fingerprint  # noqa: B018  # names unusable recordings before the run folder is made
     return store

@@ -102,7 +102,7 @@ def test_it_says_what_is_in_it(folder: Path) -> None:
         ({"episodes": ["egos:nine"]}, "EPISODE a number; found 'nine'"),
         (
             {"episodes": ["3"]},
-            "2 cells have this episode; choose one with --episode egos:3:EGO:TRAFFIC",
+            "choose one with --episode egos:3:EGO:TRAFFIC",
         ),
         ({"episodes": ["3:nobody"]}, "no ego called 'nobody'"),
         ({"episodes": [f"99:{DOLLARS}"]}, "holds the episodes 0 to 5, not 99"),
