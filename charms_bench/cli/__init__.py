@@ -35,12 +35,20 @@ LEAST = {"NUMBA_NUM_THREADS": 1, "POLARS_MAX_THREADS": 1, "SOURCE_DATE_EPOCH": 0
 """Environment variables that libraries read when they are imported, and their least values."""
 
 
+NUMBA_FILE = ".numba_config.yaml"
+
+
 def _check_environment() -> None:
-    """Names an environment variable that a library would end the process for.
+    """Names what a library would read from the current folder, or end the process for.
 
     Raises:
-        InputError: It is not a number.
+        InputError: There is such a file, or an environment variable is not a number.
     """
+    if os.path.exists(NUMBA_FILE):
+        raise InputError(
+            f"{NUMBA_FILE}: numba would read this file of the current folder; change to another "
+            "folder"
+        )
     for name, least in LEAST.items():
         value = os.environ.get(name, "")
         if value and not (value.isascii() and value.isdigit() and int(value[:20]) >= least):
@@ -117,6 +125,10 @@ def main() -> None:
     except BrokenPipeError:  # the reader has left, as in `charms-bench ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # typer has turned it into exit code 1
+            sys.exit(128 + signal.SIGPIPE)
+        raise
     except Exception as error:
         if what := _of_the_machine(error):
             _explain(what, error)

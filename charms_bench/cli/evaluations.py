@@ -388,7 +388,7 @@ def audit(
     """Check whether the rows, tables and networks of a run are correct.
 
     Some shards are simulated again, and all tables are computed again. The exit code is 0 if
-    every check passes, 1 if a check fails, and 2 if a check cannot be made with the installed
+    every check passes, 1 if a check fails, and 3 if a check cannot be made with the installed
     software.
     """
     from charms_bench import api

@@ -132,6 +132,9 @@ def out() -> "Console":
             raise BrokenPipeError  # for `main`; rich would end the process with exit code 1
 
     # A file has no width of its own; 80 would cut tables.
+    columns = os.environ.get("COLUMNS", "")
+    if not (columns.isdigit() and columns.strip("0")):
+        os.environ.pop("COLUMNS", None)
     has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
     return Output(emoji=False, width=None if has_width else 120)
 

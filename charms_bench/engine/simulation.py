@@ -290,7 +290,7 @@ def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Polic
         )
     hz = policy.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
-    if steps < 1 or steps != round(steps):
+    if not 1 <= steps <= 1e9 or steps != round(steps):
         raise InputError(
             f"agent '{name}' decides {hz} times per second; simulation_hz "
             f"{settings.simulation_hz} is not a multiple of this rate"

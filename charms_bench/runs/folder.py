@@ -11,6 +11,7 @@ import platform
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,7 @@ class RunFolder:
         Raises:
             RunFolderError: A file is not of a shard of the suite, or two are of the same shard.
         """
-        places = places_of(suite, self.engine())
+        places, drivers = places_of(suite, self.engine()), self._drivers(suite)
         found: dict[tuple[int, int], Shard] = {}
         for name in self.finished():
             shard, path = shard_named(name, places), self._checksums(name)
@@ -180,6 +181,7 @@ class RunFolder:
                     f"{path}: is not of a shard of the suite in {MANIFEST}; run the suite again, "
                     "or delete the file"
                 )
+            shard = replace(shard, ego=drivers[shard.cell // len(suite.traffics)])
             other = found.setdefault((shard.cell, shard.first_seed), shard)
             if other != shard:
                 raise RunFolderError(
@@ -187,6 +189,16 @@ class RunFolder:
                     "one of the two"
                 )
         return tuple(found.values())
+
+    def _drivers(self, suite: Suite) -> list[str | None]:
+        """What driver rows call each ego; None for a network that the manifest does not name."""
+        agents = self.manifest().get("agents", {})
+        found: list[str | None] = []
+        for ego in suite.egos:
+            sha256 = agents.get(ego.agent.name, {}).get("weights_sha256")
+            of_network = f"{sha256}.onnx" if sha256 else None
+            found.append(of_network if is_network(ego.agent.name) else ego.agent.key)
+        return found
 
     def has(self, shard: Shard) -> bool:
         """Returns whether the shard was finished; its files may have changed since."""

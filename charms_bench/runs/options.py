@@ -22,6 +22,8 @@ def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
         key, equals, value = part.partition("=")
         if not equals or not key.isidentifier():
             raise InputError(f"{what} '{text}': expected NAME:OPTION=VALUE, found '{part}'")
+        if key in options:
+            raise InputError(f"{what} '{text}': {key} is given twice")
         try:
             options[key] = value_of(value)
         except ValueError as error:

@@ -15,6 +15,7 @@ import pytest
 from command_line import charms_bench
 
 from charms_bench import __version__
+from charms_bench.cli import terminal
 from charms_bench.report.progress import progress
 
 FOR_TERMINALS = {"FORCE_COLOR", "PY_COLORS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"}
@@ -497,3 +498,17 @@ def test_a_reader_that_leaves_ends_a_command_with_its_own_exit_code(copied_run: 
     answer = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
     os.close(writing)
     assert (answer.returncode, answer.stderr) == (141, "")
+
+
+def test_numbas_file_in_the_current_folder_is_named(copied_run: Path) -> None:
+    (copied_run.parent / ".numba_config.yaml").write_text("[[[")
+    answer = in_a_process("show", copied_run, cwd=copied_run.parent)
+    assert answer.returncode == 2
+    assert answer.stderr.startswith("error: .numba_config.yaml: numba would read this file")
+
+
+def test_no_width_hides_a_table(copied_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal.out.cache_clear()
+    monkeypatch.setenv("COLUMNS", "0")
+    assert terminal.out().width == 120
+    terminal.out.cache_clear()

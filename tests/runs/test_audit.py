@@ -317,6 +317,13 @@ def test_the_shards_of_two_egos_that_were_swapped_are_named(folder: Path) -> Non
     assert found[where] == f"the ego is {network.name}, expected idm_mobil"
 
 
+def test_rows_of_two_egos_that_were_swapped_are_not_scored(folder: Path) -> None:
+    swap_shards(folder, shard(folder, "steps", 0), shard(folder, "steps", 1))
+    answer = charms_bench("rescore", "run", cwd=folder)
+    assert answer.returncode == 2
+    assert "the ego is " in answer.stderr
+
+
 def test_a_run_continues_by_simulating_a_swapped_shard_again(folder: Path) -> None:
     before = contents(folder / "run")
     first, second = sorted((folder / "run" / "steps").glob("000-*"))
