@@ -27,7 +27,12 @@ from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.lock import locked
 from charms_bench.runs.manifest import check_fields, read_manifest, refuse_another, refuse_foreign
 from charms_bench.runs.shard import ShardFiles
-from charms_bench.runs.shard_rows import check_seeds, problem_between, rows_in
+from charms_bench.runs.shard_rows import (
+    check_seeds,
+    problem_between,
+    problem_of_egos,
+    rows_in,
+)
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 from charms_bench.world.files import PARTIAL, read_file, read_limited, write_bytes
@@ -270,7 +275,10 @@ class RunFolder:
             raise RunFolderError(
                 f"{path}: does not match its checksum in {checksums}; run the suite again"
             )
-        return rows_in(data, kind, shard, path)
+        rows = rows_in(data, kind, shard, path)
+        if kind == "drivers" and (problem := problem_of_egos(rows, shard.ego)):
+            raise RunFolderError(f"{path}: {problem}; run the suite again")
+        return rows
 
     def content(self, kind: str, shard: Shard) -> bytes:
         """Returns the file of a shard, whether or not it matches its checksum.

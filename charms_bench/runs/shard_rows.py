@@ -136,6 +136,12 @@ def _is_in_order(rows: pl.DataFrame, keys: Sequence[str]) -> bool:
     return bool(rows.select(comes_after.slice(1).all()).item())
 
 
+def problem_of_egos(drivers: pl.DataFrame, ego: str | None) -> str:
+    """What is wrong if driver rows are those of another ego; empty if nothing, or for None."""
+    others = set(drivers.filter("is_ego")["agent"]) - {ego}
+    return f"the ego is {min(others)}, expected {ego}" if ego is not None and others else ""
+
+
 def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
     """Returns what is wrong between the kinds of rows of a shard; empty if nothing is.
 
@@ -148,9 +154,8 @@ def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) ->
     egos = rows["drivers"].filter("is_ego")
     if not np.array_equal(egos["episode"], rows["episodes"]["episode"]):
         return "not every episode has one driver row of its ego"
-    others = set(egos["agent"]) - {ego}
-    if ego is not None and others:
-        return f"the ego is {min(others)}, expected {ego}"
+    if problem := problem_of_egos(rows["drivers"], ego):
+        return problem
     return ""
 
 
