@@ -112,7 +112,8 @@ def named(error: BaseException) -> str:
 def suggestion(name: str, known: Mapping[str, object]) -> str:
     """The known names, and the one that a misspelt name probably means."""
     longer = [each for each in known if name and each.startswith(f"{name}_")]
-    close = longer or get_close_matches(name, known, n=1)
+    folded = {each.casefold(): each for each in known}
+    close = longer or [folded[each] for each in get_close_matches(name.casefold(), folded, n=1)]
     hint = f"Did you mean '{close[0]}'? " if close else ""
     return f"{hint}Known: {', '.join(known) or 'none'}."
 
@@ -123,7 +124,8 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     first = problems[0]
     found = _shortened(first["input"])
     what = first["msg"].removeprefix("Value error, ")
-    if first["type"] not in ("missing", "unknown_key"):
+    is_whole = isinstance(first["input"], dict) and len(first["input"]) > 3
+    if first["type"] not in ("missing", "unknown_key") and not is_whole:
         what = f"{what}, found {found}"
     others = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in problems[1:3]]
     others += [f"{len(problems) - 3} more"] if len(problems) > 3 else []

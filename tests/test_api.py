@@ -97,7 +97,7 @@ def test_an_episode_is_found_and_simulated_again(run: charms_bench.Run) -> None:
     replay = run.replay(case.episode, ego=case.ego)
     assert (replay.episode, replay.cell.ego.title) == (case.episode, "Stackelberg")
     assert replay.trajectories()["vehicle"].n_unique() == 6
-    with pytest.raises(InputError, match="choose one with ego and traffic"):
+    with pytest.raises(InputError, match="choose one with --ego and --traffic"):
         run.replay(case.episode)
 
 

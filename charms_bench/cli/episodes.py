@@ -71,6 +71,8 @@ def edge_cases(
         return
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
     print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
+    hz = opened.suite.scene.decision_hz
+    say(f"There are {hz} decisions per second, which `what-if --at` counts from 1.")
     for remark in opened.remarks(ego, traffic):
         say(remark)
 

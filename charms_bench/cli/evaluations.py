@@ -263,6 +263,8 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
         return
     if training.stages is not None:
         print_table(training.stages, stacked=True)
+        networks = shown(training.path / "networks")
+        say(f"Evaluate a network: charms-bench run ego --agent {networks}/NAME.onnx")
     if curves:
         out().print(drawn_curves(training, out().width))
 
@@ -313,7 +315,10 @@ def compare(
     for part in parts or by_pair(table):
         print_table(part)
     if parts:
-        say("These are the suite's columns; --all shows every metric.")
+        say(
+            f"The table has the suite's columns, {sum(len(each.rows) for each in parts)} of "
+            f"{len(table.rows)} tests; --all shows every metric."
+        )
 
 
 @app.command()

@@ -191,7 +191,7 @@ def find_cell(
     folder: Path,
     ego: str | None,
     traffic: str | None,
-    how: str = "ego and traffic",
+    how: str = "--ego and --traffic",
 ) -> RecordedCell:
     """Returns the only one of `find_cells`.
 

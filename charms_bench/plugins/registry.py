@@ -113,6 +113,9 @@ def _unrivalled(plugin: Plugin) -> Plugin:
 def _unknown(role: str, name: str, known: Mapping[str, object]) -> str:
     drives = role in ("agent", "traffic")
     path = " The path of a network ends in .onnx." * (drives and ("/" in name or "." in name))
+    if drives and name.endswith(".zip"):
+        to = name.removesuffix(".zip")
+        path += f" `charms-bench export {name} {to}.onnx` makes one from this file."
     return f"no {role} named '{name}'. {suggestion(name, known)}{path}"
 
 

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -110,6 +110,7 @@ def run(
             missing[task] = shard
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
+        _note_replaced(suite, folder.finished(), missing.values(), notice)
         simulate_all = cluster or partial(on_this_machine, engine, workers)
         with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
             try:
@@ -123,6 +124,24 @@ def run(
                 raise
         folder.drop_others(tasks)
     return run
+
+
+def _note_replaced(
+    suite: Suite, finished: Iterable[str], missing: Collection[Shard], notice: Notice
+) -> None:
+    """Says which egos' finished shards, by their names, have other keys now."""
+    names = {shard.name for shard in missing}
+    places = {shard.name.rpartition("-")[0]: shard for shard in missing}
+    replaced = Counter(
+        suite.cells[places[place].cell].ego.title
+        for name in finished
+        if name not in names and (place := name.rpartition("-")[0]) in places
+    )
+    for ego, count in replaced.items():
+        notice(
+            f"{ego}: {count} finished shards are replaced, because the agent, the traffic model or "
+            "the software has changed"
+        )
 
 
 def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:

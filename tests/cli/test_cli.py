@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import charms_agents
 import pytest
 from command_line import charms_bench
 
@@ -512,3 +513,17 @@ def test_no_width_hides_a_table(copied_run: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("COLUMNS", "0")
     assert terminal.out().width == 120
     terminal.out.cache_clear()
+
+
+def test_a_network_that_has_changed_is_named_before_its_shards_are_replaced(
+    suite_file: Path, tmp_path: Path
+) -> None:
+    policies = Path(charms_agents.__file__).parent / "policies"
+    words = ("run", suite_file, "--agent", "mine.onnx", "--workers", 1, "--output", "run")
+    said = []
+    for name in ("charms_safe_prosocial", "charms_efficient_egoistic"):
+        shutil.copy(policies / f"{name}.onnx", tmp_path / "mine.onnx")
+        answer = charms_bench(*words, cwd=tmp_path)
+        assert answer.returncode == 0, answer.stderr
+        said.append(answer.stderr)
+    assert ["mine: 1 finished shards are replaced" in each for each in said] == [False, True]

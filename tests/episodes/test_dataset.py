@@ -71,7 +71,7 @@ def test_an_interrupted_dataset_leaves_nothing(
     ("options", "message"),
     [
         ({"ego": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
-        ({}, "choose one with ego and traffic"),
+        ({}, "choose one with --ego and --traffic"),
         ({"ego": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
         ({"ego": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
     ],

@@ -110,7 +110,7 @@ def test_replay_writes_an_animation_trajectories_and_a_scenario(
     [
         (
             [],
-            "choose one with ego and traffic. Cells: idm_mobil in",
+            "choose one with --ego and --traffic. Cells: idm_mobil in",
         ),
         (
             ["--ego", "idm"],

@@ -366,6 +366,6 @@ def test_a_folder_that_became_read_only_is_one_message(suite_file: Path, small_d
     assert ended(start(suite_file, small_disk / "run"))[0] == 0
     remount(small_disk, "ro")
     code, said = ended(start(suite_file, small_disk / "run"))
-    assert (code, "run: cannot be written: Read-only file system" in said) == (2, True), said
+    assert (code, "cannot be written: Read-only file system" in said) == (2, True), said
     code, said = ended(start(suite_file, small_disk / "another"))
     assert (code, "cannot be written: Read-only file system" in said) == (2, True), said
