@@ -58,7 +58,8 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     try:
         # Later versions may add columns.
         rows = pl.read_parquet(BytesIO(data), columns=schema.names(), n_rows=ROWS_LIMIT + 1)
-        wrong = [name for name in schema if rows.schema[name] != schema[name]]
+        found = rows.schema
+        wrong = [name for name in schema if found[name] != schema[name]]
     except pl.exceptions.ColumnNotFoundError:
         wrong = [name for name in schema if name not in pl.read_parquet_schema(BytesIO(data))]
     except (pl.exceptions.PolarsError, OSError) as error:
@@ -129,11 +130,12 @@ def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) ->
 
 def _is_in_order(rows: pl.DataFrame, keys: Sequence[str]) -> bool:
     """Whether every row comes after the one before it; keys further to the left decide first."""
-    comes_after = pl.lit(False)
+    comes_after = np.zeros(max(0, len(rows) - 1), dtype=np.bool_)
     for key in reversed(keys):
-        before = pl.col(key).shift()
-        comes_after = (pl.col(key) > before) | ((pl.col(key) == before) & comes_after)
-    return bool(rows.select(comes_after.slice(1).all()).item())
+        values = rows[key].to_numpy()
+        before, after = values[:-1], values[1:]
+        comes_after = (after > before) | ((after == before) & comes_after)
+    return bool(comes_after.all())
 
 
 def problem_of_egos(drivers: pl.DataFrame, ego: str | None) -> str:
