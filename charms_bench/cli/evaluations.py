@@ -185,13 +185,14 @@ def run(
 
         of_evaluations |= {"seed": seed, "shorten": shorten, "agents": agents or ()}
         made = api.run(suite, output, workers=workers, engine=engine, **of_evaluations)
-    _print_result(made, made.table, as_json)
+    _print_result(made, as_json)
 
 
-def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False) -> None:
-    """The table that a command has made, and where the files are."""
+def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
+    """The headline of a run, or the table that a command has made, and where the files are."""
     if as_json:
-        print_json(table.frame().to_dicts())
+        chosen = run.table if table is None else table
+        print_json(chosen.frame().to_dicts())
         return
     from charms_bench.report.headline import headline
     from charms_bench.report.stored import stored_tables
@@ -199,7 +200,7 @@ def _print_result(run: Any, table: Any, as_json: bool, everything: bool = False)
 
     if run.suite.title:
         say(run.suite.title)
-    if everything:
+    if table is not None:
         print_table(table.without_constant_keys(), stacked=True)
     else:
         chosen = headline(run.suite, stored_tables(run.path, run.suite))
@@ -328,7 +329,7 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
 
     opened = api.open_run(run)
     table = opened.rescore(*(metric_sets or ()))
-    _print_result(opened, table, as_json, everything=bool(metric_sets))
+    _print_result(opened, as_json, table if metric_sets else None)
 
 
 @app.command()
