@@ -277,9 +277,9 @@ class _Worker:
 
     def kill(self) -> None:
         """Kills the process and waits for its end."""
-        self.connection.close()
-        self.process.kill()
+        self.process.kill()  # first: a worker that loses its connection would complain
         self.process.join()
+        self.connection.close()
 
 
 @dataclass(frozen=True)
@@ -415,7 +415,7 @@ def _serve(connection: Connection, module: str) -> None:
     os.register_at_fork(after_in_child=connection.close)
     import_module(module)
     work: Callable[[Any], Any] | None = None
-    with suppress(EOFError):
+    with suppress(EOFError, OSError):  # the parent has closed the connection
         while True:
             received = connection.recv()
             if callable(received):
