@@ -88,6 +88,16 @@ def test_a_kind_that_did_not_happen_is_no_error(finished: FinishedRun) -> None:
     assert (result.returncode, "No collision in" in result.stdout) == (0, True)
 
 
+def test_a_replay_replaces_no_file_beside_the_animation(
+    finished: FinishedRun, tmp_path: Path
+) -> None:
+    (tmp_path / "o.parquet").write_text("mine")
+    options = ("--ego", "idm_mobil", "--output", tmp_path / "o.gif")
+    assert charms_bench("replay", finished.folder.path, 4, *options).returncode == 0
+    assert (tmp_path / "o.parquet").read_text() == "mine"
+    assert (tmp_path / "o.trajectories.parquet").exists()
+
+
 def test_replay_writes_an_animation_trajectories_and_a_scenario(
     finished: FinishedRun, tmp_path: Path
 ) -> None:

@@ -147,6 +147,8 @@ WORDS: tuple[Sequence[str], ...] = (
     ("edge-cases", "suite.yaml"),
     ("edge-cases", "."),
     ("edge-cases", "", "--top", "0"),
+    ("edge-cases", ".", "--top", "9" * 21),
+    ("rescore", ".", "--set", "standard:ttc_s=1,ttc_s=2"),
     ("edge-cases", ".", "--kind", "boring"),
     ("edge-cases", ".", "--avoidable", "--budget", "0"),
     ("watch",),

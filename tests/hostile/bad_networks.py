@@ -259,6 +259,7 @@ MODELS: dict[str, Callable[[], Any]] = {
         [WEIGHTS, constant("nan", np.array([np.nan], np.float32))],
     ),
     "no time between decisions": lambda: network(facts={"decision_hz": "inf"}),
+    "no decision in 10^300 seconds": lambda: network(facts={"decision_hz": "1e-300"}),
     "a rate of no number": lambda: network(facts={"decision_hz": "$(reboot)"}),
     "a rate of 100,000 digits": lambda: network(facts={"decision_hz": "9" * 100_000}),
     "an observation nobody knows": lambda: network(facts={"observation": "lidar"}),

@@ -55,6 +55,7 @@ def test_a_plugins_set_has_its_own_version() -> None:
     [
         (["standrad"], "no metric set named 'standrad'.*Did you mean 'standard'"),
         (["standard:ttc_s"], "'standard:ttc_s': expected NAME:OPTION=VALUE, found 'ttc_s'"),
+        (["standard:ttc_s=1,ttc_s=2"], "ttc_s is given twice"),
         (["standard:ttc_s=[1"], "ttc_s: cannot be read: expected ',' or"),
         (["standard:ttc=2"], r"cannot be made \(options: ttc\): TypeError: .*'ttc'"),
         (["paper:ttc_s=2"], "metric set 'paper' takes no options; given: ttc_s"),
