@@ -124,6 +124,7 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     first = problems[0]
     found = _shortened(first["input"])
     what = first["msg"].removeprefix("Value error, ")
+    # A problem between several fields is not explained by printing all of them.
     is_whole = isinstance(first["input"], dict) and len(first["input"]) > 3
     if first["type"] not in ("missing", "unknown_key") and not is_whole:
         what = f"{what}, found {found}"

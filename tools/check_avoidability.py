@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--traffic")
     parser.add_argument("--collisions", type=int, default=10)
     asked = parser.parse_args()
-    cell = find_cell(open_finished(asked.run), Path(), asked.agent, asked.traffic)
+    cell = find_cell(open_finished(asked.run), Path(), asked.ego, asked.traffic)
     found = open_run(asked.run).avoidability(ego=asked.ego, traffic=asked.traffic)
     known = [each for each in found if each.last_step is not None]
     for each in known[:: max(1, len(known) // asked.collisions)][: asked.collisions]:

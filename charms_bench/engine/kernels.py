@@ -477,6 +477,7 @@ def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
 
     Each row of `hits` is (place, place, now, soon, translation), with the lower place first.
     """
+    # There are few pairs, and NumPy's sorting would take longer to compile than this function.
     vehicles, last = scene.x.shape[1], -1.0
     for _ in range(len(hits)):
         hit, pair = 0, np.inf

@@ -8,5 +8,5 @@ INTERACTION_DENSITY = LOGGED.mean(
     "interaction_density",
     "vehicles",
     pl.col("vehicles_near"),
-    "vehicles within 30 m and at most one lane away with a leader within 50 m, the ego included",
+    "vehicles within 30 m and at most one lane away, the ego included, if a leader is within 50 m",
 )

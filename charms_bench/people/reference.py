@@ -58,7 +58,8 @@ class ReferenceSpec(FrozenModel):
     @property
     def title(self) -> str:
         """The reference's name in tables."""
-        return self.label or self.name or str(self.recordings and self.recordings.name)
+        folder = self.recordings or Path()
+        return self.label or self.name or folder.name or str(folder)
 
 
 class Reference(FrozenModel):

@@ -156,9 +156,7 @@ def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) ->
     egos = rows["drivers"].filter("is_ego")
     if not np.array_equal(egos["episode"], rows["episodes"]["episode"]):
         return "not every episode has one driver row of its ego"
-    if problem := problem_of_egos(rows["drivers"], ego):
-        return problem
-    return ""
+    return problem_of_egos(rows["drivers"], ego)
 
 
 def problem_of_steps(episodes: pl.DataFrame, steps: pl.DataFrame) -> str:

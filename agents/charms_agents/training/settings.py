@@ -328,8 +328,9 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     _resolve_likeness(document)
     if seed is not None:
         document.data |= {"seed": seed, "seeds": []}
-    if steps is not None:
-        for stage in document.data["stages"].values():
+    stages = document.data.get("stages")
+    for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
+        if isinstance(stage, dict):  # anything else is refused below
             stage["steps"] = steps
     suite = document.validate(TrainingSuite)
     for name, stage in suite.stages.items():
