@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from charms_bench.engine.state_file import load_state as load_state
     from charms_bench.engine.state_file import save_state as save_state
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
+    from charms_bench.foundation.compiled import compiled as compiled
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
     from charms_bench.plugins.event import Event as Event
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from charms_bench.world.actions import LANE_LEFT as LANE_LEFT
     from charms_bench.world.actions import LANE_RIGHT as LANE_RIGHT
     from charms_bench.world.actions import SLOWER as SLOWER
-    from charms_bench.world.compiled import compiled as compiled
     from charms_bench.world.kinematics_observation import Kinematics as Kinematics
     from charms_bench.world.scene import Scene as Scene
     from charms_bench.world.scene import SceneSettings as SceneSettings
@@ -52,7 +52,7 @@ _NAMES = {
     "report.table": "Table",
     "report.training_tables": "Training",
     "world.actions": "ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT SLOWER",
-    "world.compiled": "compiled",
+    "foundation.compiled": "compiled",
     "world.kinematics_observation": "Kinematics",
     "world.scene": "Scene SceneSettings",
 }

@@ -8,7 +8,7 @@ from scenes import scene_of
 
 from charms_bench.engine.columns import DRIVER_SUMS
 from charms_bench.engine.conduct import Conduct
-from charms_bench.engine.kernels import locate
+from charms_bench.engine.neighbours import locate
 
 DT = 1 / 3
 """Seconds between two decisions."""

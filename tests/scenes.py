@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from charms_bench.engine.kernels import locate
+from charms_bench.engine.neighbours import locate
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Scene, SceneSettings
 

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 import charms_bench.envs  # registers Ego-v0
 from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.statistics.intervals import wilson
 from charms_bench.statistics.paired import tango
 from charms_bench.testing.verify import random_controls
 from charms_bench.world.actions import ACTIONS, IDLE, SLOWER
-from charms_bench.world.threads import ONE_THREAD
 
 DISABLED = "NPY_DISABLE_CPU_FEATURES"
 DISPATCHED = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])

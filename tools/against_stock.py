@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName
 from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.threads import ONE_THREAD
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.statistics.intervals import wilson
@@ -31,7 +32,6 @@ from charms_bench.statistics.paired import tango
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
-from charms_bench.world.threads import ONE_THREAD
 
 DRIVER = "idm_mobil"
 EPISODES = 50

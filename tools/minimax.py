@@ -1,4 +1,4 @@
-"""Prints the polynomials of `charms_bench/world/maths.py`: `python tools/minimax.py`.
+"""Prints the polynomials of `charms_bench/foundation/maths.py`: `python tools/minimax.py`.
 
 Each interpolates its function at Chebyshev nodes, which is within a factor of about two of the
 best polynomial. Needs mpmath.

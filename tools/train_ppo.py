@@ -28,9 +28,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.world.files import write_bytes
 
 SCENES = 8
 

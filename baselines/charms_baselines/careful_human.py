@@ -34,7 +34,7 @@ import numpy as np
 
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
-from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from charms_bench.world import maths
-from charms_bench.world.compiled import clip, compiled, index, not_zero
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import clip, compiled, index, not_zero
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene
 

@@ -16,7 +16,7 @@ from charms_baselines.idm import (
     on_own_lane,
 )
 from charms_bench import DriverModel
-from charms_bench.world.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles

@@ -20,7 +20,7 @@ from charms_baselines.idm import (
 )
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
-from charms_bench.world.compiled import clip, compiled
+from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from charms_baselines.idm_mobil import IdmMobil, drive_block
 from charms_bench import DriverModel
-from charms_bench.world.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.folder import MANIFEST
-from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.audit import Audit

@@ -10,6 +10,8 @@ from charms_bench.api.results import Run
 from charms_bench.api.warming import warm_up
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.files import absolute
+from charms_bench.foundation.names import name_of_agent
 from charms_bench.people.reference import read_references
 from charms_bench.plugins.registry import AGENTS, find
 from charms_bench.report.progress import note, progress
@@ -20,8 +22,6 @@ from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.lock import locked
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
-from charms_bench.world.files import absolute
-from charms_bench.world.names import name_of_agent
 
 if TYPE_CHECKING:
     from charms_bench.report.run_files import MeasuredCell

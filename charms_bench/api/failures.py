@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, ScenarioError
+from charms_bench.foundation.files import absolute, is_same_file
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Cell, check_networks, suite_of
-from charms_bench.world.files import absolute, is_same_file
 
 if TYPE_CHECKING:
     from charms_bench.episodes.search import Search

@@ -10,11 +10,11 @@ import polars as pl
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import check_networks, suite_of
-from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.table import Table

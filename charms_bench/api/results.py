@@ -11,12 +11,12 @@ from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.auditing import audit
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.episodes.avoidability import Avoidability

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.foundation.files import absolute
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.runs.document import Document
 from charms_bench.runs.folder import MANIFEST
-from charms_bench.world.files import absolute
 
 if TYPE_CHECKING:
     from charms_bench.report.training_tables import Training

@@ -22,7 +22,7 @@ from charms_bench.cli.terminal import (
     say,
 )
 from charms_bench.errors import CharmsBenchError, InputError, named
-from charms_bench.streams import write_reliably
+from charms_bench.foundation.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
 from charms_bench.cli import evaluations, rare, episodes, watching, plugins, engines, data, dataset  # isort: skip # noqa: F401

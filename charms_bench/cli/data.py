@@ -16,13 +16,13 @@ def data(
     as_json: Json = False,
 ) -> None:
     """Summarise recordings of human driving."""
+    from charms_bench.foundation.files import absolute
     from charms_bench.people.highd import find_trios
     from charms_bench.people.survey import survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
-    from charms_bench.world.files import absolute
 
     folder = absolute(folder)
     if figure is not None:

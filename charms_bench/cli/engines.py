@@ -203,10 +203,10 @@ def _bench_scale(
     as_json: bool,
 ) -> None:
     """Measures the compiled engine in different sizes; prints and draws its speeds."""
+    from charms_bench.foundation.files import absolute
     from charms_bench.report.figures.drawing import check_figure, save
     from charms_bench.report.figures.speed import draw_scale
     from charms_bench.testing.bench import scale
-    from charms_bench.world.files import absolute
 
     check_figure(path)
     path = absolute(path)

@@ -139,7 +139,7 @@ def replay(
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
     from charms_bench.episodes.dataset import name_of
-    from charms_bench.world.files import absolute, write_bytes
+    from charms_bench.foundation.files import absolute, write_bytes
 
     if output is not None:
         check_animation(output)
@@ -212,11 +212,11 @@ def what_if(
     """Simulate an episode again, with another agent driving one vehicle."""
     from charms_bench import api
     from charms_bench.episodes.dataset import name_of
+    from charms_bench.foundation.files import absolute
+    from charms_bench.foundation.names import name_of_agent
     from charms_bench.report.html.page import check_page
     from charms_bench.report.html.what_if import write_what_if
     from charms_bench.report.what_if_table import what_if_table
-    from charms_bench.world.files import absolute
-    from charms_bench.world.names import name_of_agent
 
     if output is not None:
         check_page(output)

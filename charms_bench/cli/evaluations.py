@@ -157,8 +157,8 @@ def run(
 
     Finished shards are not simulated again.
     """
+    from charms_bench.foundation.workers import started_early
     from charms_bench.runs.document import Document
-    from charms_bench.workers import started_early
 
     of_evaluations: dict[str, Any] = {
         "episodes": episodes, "rows": rows, "shard_limit_s": shard_limit_s,

@@ -54,13 +54,13 @@ def traffic(
     as_json: Json = False,
 ) -> None:
     """Print the proportions of agents that a traffic model assigns to its vehicles."""
+    from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.shares import SAMPLED, shares
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
     from charms_bench.report.terminal import drawn
-    from charms_bench.world.files import absolute
 
     if figure is not None:
         check_figure(figure)
@@ -198,8 +198,8 @@ def export(
     """
     import yaml
 
+    from charms_bench.foundation.files import absolute, is_same_file
     from charms_bench.plugins.registry import EXPORTERS, load
-    from charms_bench.world.files import absolute, is_same_file
     from charms_bench.world.observations import named_observation
 
     files, to = [absolute(file) for file in files], to and absolute(to)

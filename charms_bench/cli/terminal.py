@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from charms_bench.errors import InputError
-from charms_bench.streams import QUIET
+from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
     from rich.console import Console

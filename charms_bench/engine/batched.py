@@ -5,13 +5,16 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import kernels
+from charms_bench.engine.commands import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.draws import draws_of
+from charms_bench.engine.motion import follow_no_lane
+from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
+from charms_bench.engine.seats import mark_seats, seat, vehicles_of
+from charms_bench.engine.spawning import spawn, spawn_rule
+from charms_bench.engine.stepping import advance
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world import maths
 from charms_bench.world.actions import Actions, controls_of
-from charms_bench.world.profile import Profile
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
@@ -29,8 +32,8 @@ class BatchedEngine:
         self.scene = Scene.empty(settings, scenes, parameters)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self._settings = settings
-        self._spawn_rule = _spawn_rule(settings)
-        self._command_rule = _command_rule(settings.profile)
+        self._spawn_rule = spawn_rule(settings)
+        self._command_rule = command_rule(settings.profile)
         self._models = models
         self._continuous = list(continuous)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
@@ -55,17 +58,17 @@ class BatchedEngine:
             self._seat(rows, traffic)
 
     def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
-        kernels.spawn(self.scene, rows, draws, self._spawn_rule)
+        spawn(self.scene, rows, draws, self._spawn_rule)
         self._seat(rows, traffic)
 
     def _seat(self, rows: Ints, traffic: Ints) -> None:
         scene = self.scene
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
-        kernels.seat(rows, scene.ego, traffic, *seats)
+        seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
             speeds = self._command_rule.speeds
-            kernels.choose_target_speeds(scene, rows, self._is_modelled, speeds)
+            choose_target_speeds(scene, rows, self._is_modelled, speeds)
         self._mark_continuous(rows)
 
     def _mark_continuous(self, rows: Ints) -> None:
@@ -73,15 +76,15 @@ class BatchedEngine:
         if self._continuous:
             marked = self._is_continuous[rows] = np.isin(self.drivers[rows], self._continuous)
             self.scene.target_speed[rows] *= ~marked
-            kernels.follow_no_lane(self.scene, self._is_continuous)
+            follow_no_lane(self.scene, self._is_continuous)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
             self._script.choose(rows, seeds)
         drivers, ego = self.drivers, self.scene.ego
-        kernels.mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
+        mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()
-        kernels.locate(self.scene, rows)
+        locate(self.scene, rows)
         self._mark_continuous(rows)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
@@ -89,7 +92,7 @@ class BatchedEngine:
             control = controls_of(actions)
             self.scene.acceleration[vehicles], self.scene.steering[vehicles] = control
             return
-        kernels.command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
+        command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 
     def advance(self, hold_egos: bool = False) -> None:
         scene = self.scene
@@ -97,7 +100,7 @@ class BatchedEngine:
         if not self._vehicles or self._listed != active:
             self._listed = active
             for agent in self._models:
-                found = kernels.vehicles_of(agent, self.drivers, scene.active)
+                found = vehicles_of(agent, self.drivers, scene.active)
                 others = np.nonzero(~self._is_ego[found])[0]
                 self._vehicles[agent, False] = found
                 self._vehicles[agent, True] = found[0][others], found[1][others]
@@ -105,38 +108,13 @@ class BatchedEngine:
             vehicles = self._vehicles[agent, hold_egos]
             if vehicles[0].size:
                 answers = model.drive(self._shown, vehicles)
-                kernels.obey(scene, vehicles[0], vehicles[1], *answers)
+                obey(scene, vehicles[0], vehicles[1], *answers)
         held = self._is_ego if hold_egos else self._nobody
         if self._script is not None:
             self._script.prescribe(scene, np.nonzero(scene.active)[0])
             held = held | self._script.is_prescribed
         if self._continuous:
             held = held | self._is_continuous
-        kernels.advance(scene, self._is_modelled, held)
+        advance(scene, self._is_modelled, held)
         if self._continuous:
-            kernels.follow_no_lane(scene, self._is_continuous)
-
-
-def _spawn_rule(settings: SceneSettings) -> kernels.SpawnRule:
-    """[`HighwayEnv._create_vehicles` and `Vehicle.create_random`]"""
-    profile, spacing = settings.profile, 1 / settings.density
-    return kernels.SpawnRule(
-        lanes=settings.lanes,
-        ego_slots=settings.ego_slots,
-        ego_speed=profile.ego_speed_mps,
-        ego_spacing=profile.ego_spacing or spacing,
-        spacing=spacing,
-        crowding=maths.exp(-5 / 40 * settings.lanes),
-        speed_low=profile.spawn_speed_low * profile.speed_limit_mps,
-        speed_high=profile.spawn_speed_high * profile.speed_limit_mps,
-    )
-
-
-def _command_rule(profile: Profile) -> kernels.CommandRule:
-    return kernels.CommandRule(
-        speeds=np.array(profile.target_speeds_mps, dtype=np.float64),
-        step=profile.target_speed_step_mps,
-        lowest=profile.target_speed_min_mps,
-        highest=profile.target_speed_max_mps,
-        from_target_lane=profile.lane_command_from == "target_lane",
-    )
+            follow_no_lane(scene, self._is_continuous)

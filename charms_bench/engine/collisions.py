@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 

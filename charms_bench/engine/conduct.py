@@ -24,7 +24,7 @@ from charms_bench.engine.fault import Fault
 from charms_bench.engine.lane_changes import NOBODY, imposed_decisions, note_lane_changes
 from charms_bench.engine.rss import note_rss
 from charms_bench.engine.simulation import Simulation
-from charms_bench.world.compiled import compiled, compiled_of_scenes, index
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 

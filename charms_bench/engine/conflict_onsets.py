@@ -12,7 +12,7 @@ in.
 from typing import Any
 
 from charms_bench.engine.lane_changes import HARD_BRAKING_MPS2
-from charms_bench.world.compiled import compiled, index
+from charms_bench.foundation.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 CONFLICT_TTC_S = 1.5

@@ -9,8 +9,8 @@ number has no effect. An integer from 0 to n - 1 is the integer part of n times 
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.random_words import Words, random_words
-from charms_bench.world.compiled import compiled
+from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.random_words import Words, random_words
 from charms_bench.world.scene import Floats, Ints, SceneSettings
 
 LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)

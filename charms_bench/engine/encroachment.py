@@ -9,7 +9,7 @@ between, the same one included, or after 5 s.
 
 from typing import Any
 
-from charms_bench.world.compiled import compiled, index
+from charms_bench.foundation.compiled import compiled, index
 from charms_bench.world.scene import Ints, Scene
 
 PET_LIMIT_S = 5.0

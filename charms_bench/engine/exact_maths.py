@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from charms_bench.engine import EngineName
-from charms_bench.world import maths
-from charms_bench.world.threads import ONE_THREAD
+from charms_bench.foundation import maths
+from charms_bench.foundation.threads import ONE_THREAD
 
 _OPENBLAS = "OPENBLAS_CORETYPE"
 _CORE_TYPE = "Nehalem"
@@ -43,7 +43,7 @@ def worker_environment(engine: EngineName) -> dict[str, str]:
 
 
 def use_exact_maths(engine: EngineName) -> None:
-    """Makes highway-env's vehicles in this process use `charms_bench.world.maths`.
+    """Makes highway-env's vehicles in this process use `charms_bench.foundation.maths`.
 
     Otherwise their bits would be those of NumPy and of the C library, which both choose their
     functions by the processor. Nothing is changed for the engine `batched`.
@@ -60,7 +60,7 @@ def use_exact_maths(engine: EngineName) -> None:
 
 
 class _Numpy(ModuleType):
-    """NumPy with the elementary functions of `charms_bench.world.maths`, for numbers."""
+    """NumPy with the elementary functions of `charms_bench.foundation.maths`, for numbers."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(np, name)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
-from charms_bench.world.compiled import compiled, compiled_of_scenes, index
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Bools, Ints, Scene
 
 if TYPE_CHECKING:

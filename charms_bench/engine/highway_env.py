@@ -17,8 +17,8 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from charms_bench.engine import kernels
 from charms_bench.engine.draws import ReplayedDraws
+from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.restored_vehicles import RestoredVehicles
 from charms_bench.plugins.agent import DriverModel
@@ -74,7 +74,7 @@ class HighwayEnvEngine:
             self.drivers[row] = np.insert(others, 0, 0)
             self.roads[row] = self._placed(row)
             self._copy_state(row)
-        kernels.locate(self.scene, rows)
+        locate(self.scene, rows)
 
     def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
         self._reset(rows, [ReplayedDraws(each, self._settings) for each in draws], traffic)
@@ -87,12 +87,12 @@ class HighwayEnvEngine:
             self.drivers[row] = np.insert(others, ego, 0)
             self.roads[row] = self._spawn(row, ego, rng)
             self._copy_state(int(row))
-        kernels.locate(self.scene, rows)
+        locate(self.scene, rows)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
             self._script.choose(rows, seeds)
-        kernels.locate(self.scene, rows)
+        locate(self.scene, rows)
         is_continuous = np.isin(self.drivers[rows], self._continuous)
         self.scene.target_speed[rows] *= ~is_continuous
         target_lane, lane = self.scene.target_lane[rows], self.scene.lane[rows]
@@ -134,7 +134,7 @@ class HighwayEnvEngine:
             self.roads[row].step(dt)
             self.scene.timer_s[row] += dt  # for vehicles that keep no timer of their own
             self._copy_state(row)
-        kernels.locate(self.scene, active)
+        locate(self.scene, active)
 
     def _ask(self, model: DriverModel, row: int, places: Ints) -> None:
         """Asks a driver model, and passes its answers to its vehicles."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled, index, inlined
+from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.world.scene import Ints, Scene
 
 TAKEN_RANGE_M = 50.0

@@ -9,7 +9,7 @@ that model moves vehicles along their later paths, which are not known here.
 
 import numpy as np
 
-from charms_bench.world.compiled import compiled, compiled_of_scenes, index, inlined
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.scene import Floats, Ints, Scene
 
 HORIZON_S = 10.0

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import kernels
-from charms_bench.world import maths
-from charms_bench.world.compiled import clip, compiled
+from charms_bench.engine.neighbours import locate
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.world.placement import Placement, place
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Bools, Ints, Scene, SceneSettings
@@ -42,7 +42,7 @@ class Script:
         scene.temperament[rows] = TEMPERAMENT
         scene.order[rows] = scene.rank[rows] = np.arange(scene.x.shape[1])
         scene.active[rows] = True
-        kernels.locate(scene, rows)
+        locate(scene, rows)
 
     def choose(self, rows: Ints, numbers: NDArray[Any]) -> Placement:
         """Prescribes the motion of the points with these numbers in the scenes `rows` (R,)."""

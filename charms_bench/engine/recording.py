@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from charms_bench.engine.collisions import STRUCK
 from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_RECORD, STEP_SCHEMA, table
 from charms_bench.engine.conduct import Conduct
-from charms_bench.engine.following import FollowingCounts
+from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
+from charms_bench.engine.following_counts import FollowingCounts
 from charms_bench.engine.lane_changes import imposed_decisions
 from charms_bench.engine.planar_ttc import planar_ttc
-from charms_bench.engine.simulation import ENDINGS, OFF_ROAD, REAR_END, Simulation
-from charms_bench.world.compiled import compiled_of_scenes
+from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 INTERACTION_RANGE_M = 30.0

@@ -8,7 +8,7 @@ under control, because each is judged as one driver among others.
 
 from typing import Any
 
-from charms_bench.world.compiled import compiled, index, inlined
+from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.world.scene import Ints, Scene
 
 # ad-rss-lib, Appendix-ParameterDiscussion.md.

@@ -13,8 +13,9 @@ from charms_bench.engine.collisions import (
     are_noted,
     note_collisions,
 )
-from charms_bench.engine.kernels import are_off_road, is_on_own_lane, vehicles_of
+from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
 from charms_bench.engine.parameters import Ranges, set_parameters
+from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
     PLUGIN_ERRORS,
@@ -23,17 +24,13 @@ from charms_bench.errors import (
     InputError,
     raised,
 )
+from charms_bench.foundation.compiled import compiled
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTION_KINDS, ActionKind, Actions, problem_of
-from charms_bench.world.compiled import compiled, compiled_of_scenes
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
-
-ENDINGS = ("running", "time", "rear_end", "side", "off_road")
-"""The states of an episode; `Simulation.ending` holds indices."""
-RUNNING, TIME, REAR_END, SIDE, OFF_ROAD = range(len(ENDINGS))
 
 
 class Simulation:
@@ -232,7 +229,7 @@ class Simulation:
         """Counts the decision interval and ends the episodes that are over."""
         self.phase = 0
         ends_off_road = self.settings.profile.offroad_terminal and self._egos_end_episodes
-        _end(self.scene, self.settings.decisions, ends_off_road, self.steps, self.ending)
+        end_episodes(self.scene, self.settings.decisions, ends_off_road, self.steps, self.ending)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives M vehicles their meta-actions (M,), or their continuous actions (M, 2)."""
@@ -347,21 +344,6 @@ class _CheckedModel(DriverModel):
         if what:
             raise self._simulation.blame(self._name, vehicles, f"drive returned {what}", wrong)
         return acceleration, target_lane
-
-
-@compiled_of_scenes
-def _end(scene: Scene, decisions: int, ends_off_road: bool, steps: Ints, ending: Ints) -> None:
-    """Counts a decision interval of the active scenes (B,), and ends those that are over."""
-    for b in range(steps.size):
-        if not scene.active[b]:
-            continue
-        steps[b] += 1
-        if ending[b] == RUNNING and steps[b] >= decisions:
-            ending[b] = TIME
-        is_off_road = not is_on_own_lane(b, scene.ego[b], scene)
-        if ends_off_road and is_off_road and ending[b] in (RUNNING, TIME):
-            ending[b] = OFF_ROAD
-        scene.active[b] = ending[b] == RUNNING
 
 
 @compiled

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from charms_bench.engine.collisions import COLLISIONS
-from charms_bench.engine.simulation import ENDINGS
+from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem
+from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.files import json_of, read_limited, write_bytes
 from charms_bench.world.scene import SceneSettings
 
 FORMAT, VERSION = "charms-bench scene state", 2

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from charms_bench.engine.simulation import ENDINGS, Simulation
+from charms_bench.engine.endings import ENDINGS
+from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from charms_bench.engine.kernels import is_on_own_lane
+from charms_bench.engine.endings import is_on_own_lane
 from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.world.actions import Actions
-from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 COLLISION, RIGHT_LANE, HIGH_SPEED = -1.0, 0.1, 0.4

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION
-from charms_bench.engine.kernels import are_off_road
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, Simulation
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
+from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic

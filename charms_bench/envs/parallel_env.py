@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
+from charms_bench.engine.endings import ENDINGS, RUNNING
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward

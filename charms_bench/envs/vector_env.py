@@ -9,7 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.engine.simulation import RUNNING, Simulation
+from charms_bench.engine.endings import RUNNING
+from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.torch_threads import warn_of_torch_threads

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from charms_bench.engine.simulation import ENDINGS, Simulation
+from charms_bench.engine.endings import ENDINGS
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import drivers_of
 from charms_bench.envs.rendering import moment_of
 from charms_bench.plugins.registry import make_agent

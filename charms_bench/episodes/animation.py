@@ -10,9 +10,9 @@ from PIL import Image
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
-from charms_bench.world.files import write_atomically
-from charms_bench.world.motion import Motion
+from charms_bench.foundation.files import write_atomically
 from charms_bench.world.picture import BRAKE, INDICATOR, WRECK, Moment, picture
+from charms_bench.world.tracks import Motion
 
 HOLD_S = 2.0
 """How long the last picture is shown."""

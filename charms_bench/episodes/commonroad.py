@@ -13,7 +13,7 @@ import numpy as np
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
-from charms_bench.world.files import write_bytes
+from charms_bench.foundation.files import write_bytes
 
 FIRST_VEHICLE = 1001
 """Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""

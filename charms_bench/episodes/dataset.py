@@ -16,10 +16,10 @@ from charms_bench.episodes.minari_dataset import check_name, check_policy, write
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import InputError, RunFolderError, suggestion
+from charms_bench.foundation.files import write_bytes
+from charms_bench.foundation.names import slugs, unused
+from charms_bench.foundation.spreadsheets import in_csv
 from charms_bench.runs.suite import Cell, Suite
-from charms_bench.world.files import write_bytes
-from charms_bench.world.names import slugs, unused
-from charms_bench.world.spreadsheets import in_csv
 
 Format = Literal["minari", "highd"]
 FORMATS: tuple[Format, ...] = ("minari", "highd")

@@ -8,9 +8,9 @@ from typing import Any
 import yaml
 
 from charms_bench.episodes.search import Search
+from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.document import Document
-from charms_bench.world.files import write_bytes
 
 
 def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:

@@ -16,8 +16,8 @@ import polars as pl
 from gymnasium.envs.registration import EnvSpec
 
 from charms_bench import __version__
+from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.recording import Recording
-from charms_bench.engine.simulation import ENDINGS
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.vector_env import spaces_of

@@ -17,8 +17,8 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.plugins.registry import make_agent
 from charms_bench.runs.suite import Cell
-from charms_bench.world.motion import Motion
 from charms_bench.world.scene import Floats, SceneSettings
+from charms_bench.world.tracks import Motion
 
 TRAJECTORY_SCHEMA = pl.Schema(
     {

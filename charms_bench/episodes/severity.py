@@ -3,7 +3,7 @@
 import numpy as np
 
 from charms_bench.engine.simulation import Simulation
-from charms_bench.world.compiled import compiled
+from charms_bench.foundation.compiled import compiled
 from charms_bench.world.scene import Floats, Ints, Scene
 
 TOUCH = -0.1

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import polars as pl
 
 from charms_bench.errors import DataError, suggestion
-from charms_bench.world.files import is_compressed, size_of
+from charms_bench.foundation.files import is_compressed, size_of
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000

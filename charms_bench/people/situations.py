@@ -9,7 +9,7 @@ window are not observed.
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.kernels import locate
+from charms_bench.engine.neighbours import locate
 from charms_bench.errors import DataError
 from charms_bench.people.highd import LANE_WIDTH_M, Recording
 from charms_bench.world.following import FOLLOWING_RANGE_M

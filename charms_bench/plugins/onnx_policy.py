@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, ModelError
+from charms_bench.foundation.files import read_limited
+from charms_bench.foundation.workers import is_child
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.plugins.onnx_session import (
@@ -20,9 +22,7 @@ from charms_bench.plugins.onnx_session import (
     signature_of,
     tried,
 )
-from charms_bench.workers import is_child
 from charms_bench.world.actions import ActionKind, Actions, outputs_of
-from charms_bench.world.files import read_limited
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
 from charms_bench.world.scene import Observations

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import ModelError
-from charms_bench.workers import Died, ask
+from charms_bench.foundation.workers import Died, ask
 from charms_bench.world.actions import ACTIONS
 
 MEMORY_LIMIT_BYTES = 2 * 2**30

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, model_validator
 
+from charms_bench.foundation.fields import FrozenModel, Line
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Placed, Traffic
-from charms_bench.world.fields import FrozenModel, Line
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 
 

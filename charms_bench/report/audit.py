@@ -9,6 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
+from charms_bench.foundation.files import is_compressed, read_file
 from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
@@ -20,7 +21,6 @@ from charms_bench.runs.finding import VERDICTS, Finding, Verdict
 from charms_bench.runs.finished import FinishedRun, open_finished
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import is_compressed, read_file
 
 NUMBER = re.compile(r"[0-9][0-9,.]*")
 ROUNDING = 1e-9

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.markup import escape
 
-from charms_bench.streams import QUIET
+from charms_bench.foundation.streams import QUIET
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -1,6 +1,6 @@
 """The table of realism: how far each traffic is from human driving, reference by reference.
 
-Two quantities of all vehicles (`engine.following`), each with three distances
+Two quantities of all vehicles (`engine.following_counts`), each with three distances
 (`statistics.divergence`). The paper reports KL from the human data, on bins it does not state;
 here they are 1 m/s and 5 m. Jensen-Shannon uses the same bins, Wasserstein those of the rows. Two
 more rows say which distances are possible: the sampling-noise floor of so few recorded drivers, and

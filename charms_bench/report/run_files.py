@@ -6,6 +6,8 @@ from pathlib import Path
 
 import polars as pl
 
+from charms_bench.foundation.files import write_bytes
+from charms_bench.foundation.spreadsheets import in_csv
 from charms_bench.metrics import METRIC_SETS, MetricSet
 from charms_bench.people.reference import Reference
 from charms_bench.report import drivers_table, suite_table
@@ -22,8 +24,6 @@ from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows, TrafficCounts
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import write_bytes
-from charms_bench.world.spreadsheets import in_csv
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import polars as pl
 import polars.selectors as cs
 
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.files import is_compressed, read_file
+from charms_bench.foundation.spreadsheets import from_csv
 from charms_bench.report import (
     drivers_table,
     pairs_table,
@@ -18,8 +20,6 @@ from charms_bench.report import (
 )
 from charms_bench.report.table import Table, long_schema
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import is_compressed, read_file
-from charms_bench.world.spreadsheets import from_csv
 
 TABLE_LIMIT_BYTES = 2**26
 """Far more than a table has of 10,000 cells or a training of many stages."""

@@ -17,13 +17,13 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.fields import FrozenModel, Line
+from charms_bench.foundation.files import read_file
 from charms_bench.report.bars import Scale, line
 from charms_bench.report.stored import holds, read_csv
 from charms_bench.report.table import Column, Table
 from charms_bench.report.terminal import WIDEST
 from charms_bench.runs.folder import MANIFEST_LIMIT_BYTES
-from charms_bench.world.fields import FrozenModel, Line
-from charms_bench.world.files import read_file
 
 STAGES, CURVES, COLUMNS = "stages.csv", "curves.csv", "columns.json"
 Form = Annotated[str, Field(pattern=r"^(,?\.\d[fg%])?$")]

@@ -12,6 +12,7 @@ import polars as pl
 
 from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.files import read_limited
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.finding import Finding
@@ -28,7 +29,6 @@ from charms_bench.runs.planned import Planned
 from charms_bench.runs.shard_rows import problem_between
 from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import Suite
-from charms_bench.world.files import read_limited
 
 UNCHECKED = ("figures", "replays", "datasets")
 """Folders that commands write for readers; their contents are not checked."""

@@ -66,8 +66,8 @@ def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
         worker = get_worker()
         _check_platform(job, worker.address)
 
+        from charms_bench.foundation.files import write_bytes
         from charms_bench.runs.shard import installed, simulate
-        from charms_bench.world.files import write_bytes
 
         task: ShardTask = pickle.loads(pickled)
         networks = {}

@@ -8,8 +8,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from charms_bench.errors import SuiteError, first_problem
+from charms_bench.foundation.files import absolute, read_limited
 from charms_bench.runs.packaged import suite_file
-from charms_bench.world.files import absolute, read_limited
 
 M = TypeVar("M", bound=BaseModel)
 Location = Sequence[str | int]

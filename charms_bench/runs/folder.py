@@ -21,6 +21,7 @@ from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
@@ -35,7 +36,6 @@ from charms_bench.runs.shard_rows import (
 )
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
-from charms_bench.world.files import PARTIAL, read_file, read_limited, write_bytes
 
 FORMAT = 4
 """Version of the format of run folders, as docs/run-folders.md describes it."""

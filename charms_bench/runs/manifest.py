@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
-from charms_bench.world.files import json_of, read_file
+from charms_bench.foundation.files import json_of, read_file
 
 
 class RunFields(BaseModel):

@@ -14,6 +14,8 @@ from pathlib import Path
 
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, InputError
+from charms_bench.foundation.files import json_of, read_limited, write_bytes
+from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.lock import locked
 from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
@@ -21,8 +23,6 @@ from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_o
 from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
-from charms_bench.workers import in_processes
-from charms_bench.world.files import json_of, read_limited, write_bytes
 
 FORMAT = 2
 """Version of the format of these folders."""

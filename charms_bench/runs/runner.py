@@ -10,6 +10,7 @@ from pathlib import Path
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.cells import CellRows
@@ -25,7 +26,6 @@ from charms_bench.runs.shard import (
 )
 from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
-from charms_bench.workers import in_processes
 from charms_bench.world.scene import EVALUATION_SEEDS
 
 SHARD_LIMIT_S = 1800.0

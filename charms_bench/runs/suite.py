@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
+from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
@@ -18,7 +19,6 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
-from charms_bench.world.fields import Finite, FrozenModel, Line, Name
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings

@@ -7,13 +7,13 @@ import numpy as np
 
 from charms_bench.engine.collisions import note_collisions
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.engine.kernels import advance
 from charms_bench.engine.recording import Recording, note_step
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.stepping import advance
+from charms_bench.foundation.compiled import is_kept
+from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.workers import in_processes
-from charms_bench.world.compiled import is_kept
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 

@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from charms_bench.engine import EngineName
-from charms_bench.engine.simulation import RUNNING, Simulation
+from charms_bench.engine.endings import RUNNING
+from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.threads import ONE_THREAD
+from charms_bench.foundation.workers import Pool
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.testing.bench_learners import highway_env_learners, our_learners
-from charms_bench.workers import Pool
 from charms_bench.world.actions import IDLE
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
-from charms_bench.world.threads import ONE_THREAD
 
 _SETTINGS = SceneSettings()
 _SIMULATION_STEPS = _SETTINGS.steps_per_decision

@@ -12,12 +12,12 @@ from pydantic import Field
 from charms_bench.engine import ENGINES
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.fields import FrozenModel
+from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, drivers_of, networks_of
 from charms_bench.runs.document import Document
 from charms_bench.runs.suite import Suite
-from charms_bench.workers import in_processes
 from charms_bench.world.actions import ActionKind
-from charms_bench.world.fields import FrozenModel
 from charms_bench.world.scene import Floats, SceneSettings
 
 TOLERANCE = 1e-6
@@ -130,7 +130,7 @@ def verify(
 ) -> list[Comparison]:
     """Compares the engines over some episodes of each case, starting at a seed.
 
-    highway-env computes with the functions of `charms_bench.world.maths`; see
+    highway-env computes with the functions of `charms_bench.foundation.maths`; see
     `exact_maths.use_exact_maths`. `progress` is called with the number of episodes compared
     since the last call.
     """

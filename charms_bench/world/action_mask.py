@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
-from charms_bench.world.compiled import compiled_of_scenes
 from charms_bench.world.scene import Ints, Scene, Vehicles
 
 ActionMasks = NDArray[np.int8]

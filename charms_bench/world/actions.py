@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.world.compiled import compiled
+from charms_bench.foundation.compiled import compiled
 
 ActionKind = Literal["meta", "continuous"]
 """`meta`: one index into `ACTIONS` per vehicle. `continuous`: an acceleration and a steering angle

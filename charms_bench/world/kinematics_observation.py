@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, field_validator
 
 from charms_bench.errors import suggestion
-from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.world.fields import Finite, FrozenModel
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.fields import Finite, FrozenModel
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 FEATURES = (

@@ -7,6 +7,7 @@ from typing import Any
 
 from numba.extending import register_jitable
 
+from charms_bench.foundation.compiled import compiled
 from charms_bench.world.profile import Constants
 
 NEIGHBOUR_MARGIN_M = 1.0
@@ -44,3 +45,16 @@ def is_reachable(x: Any, y: Any, lane: Any, c: Constants) -> Any:
     exists = (lane >= 0) & (lane < c.lanes)
     on_length = (x >= 0) & (x < c.road_length + END_MARGIN_M)
     return exists & on_length & (abs(y - lane * c.lane_width) <= 2 * c.lane_width)
+
+
+@compiled
+def closest_lane(y: float, lanes: int, lane_width: float) -> int:
+    """`RoadNetwork.get_closest_lane_index` on parallel straight lanes: the first nearest."""
+    best = 0
+    distance = abs(y)
+    for lane in range(1, lanes):
+        other = abs(y - lane * lane_width)
+        if other < distance:
+            best = lane
+            distance = other
+    return best

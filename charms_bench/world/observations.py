@@ -30,9 +30,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from charms_bench.errors import InputError, first_problem, suggestion
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
-from charms_bench.world.compiled import clip, compiled, compiled_of_scenes
-from charms_bench.world.fields import FrozenModel
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 

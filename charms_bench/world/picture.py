@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from charms_bench.world import palette
 from charms_bench.world.actions import ACTIONS
-from charms_bench.world.motion import Motion
 from charms_bench.world.scene import Floats, SceneSettings
+from charms_bench.world.tracks import Motion
 
 FINE = 2
 """Pictures are drawn this many times larger and then reduced, so that edges are smooth."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import ScenarioError, suggestion
-from charms_bench.world.formula import Formula, evaluate
+from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lanes import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from charms_bench.world.fields import Finite, FrozenModel, NonNegative, Positive
+from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
 
 
 class IdmMobilConstants(FrozenModel):

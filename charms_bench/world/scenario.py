@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from charms_bench.world.fields import Finite, FrozenModel, Line, Name, Positive
-from charms_bench.world.formula import Formula
+from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name, Positive
+from charms_bench.foundation.formula import Formula
 
 EGO = "ego"
 """The ego's name in a scenario."""

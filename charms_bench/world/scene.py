@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from charms_bench.errors import suggestion
-from charms_bench.world.compiled import Unpacked, unpacked
-from charms_bench.world.fields import FrozenModel, Positive
+from charms_bench.foundation.compiled import Unpacked, unpacked
+from charms_bench.foundation.fields import FrozenModel, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.scenario import Scenario
 
@@ -120,7 +120,7 @@ class SceneSettings(FrozenModel):
         profile = self.profile
         fastest = max(profile.speed_limit_mps, profile.speed_max_mps, profile.ego_speed_mps)
         spacing = max(profile.ego_spacing or 0.0, 1 / self.density)
-        # Each vehicle spawns at most this far ahead of the furthest before it; see `kernels.spawn`.
+        # Each vehicle spawns at most this far ahead of the furthest before it [`engine.spawning`].
         furthest = 1.1 * spacing * (12 + fastest) * (self.vehicles + 3)
         return max(profile.road_length_m, furthest + fastest * self.duration_s)
 

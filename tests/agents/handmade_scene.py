@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charms_bench.engine.kernels import locate
+from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.traffic import OneAgent

@@ -6,7 +6,7 @@ from typing import Any
 
 from charms_agents.training.curve import Point, point_of, write_csv
 
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, SIDE, TIME
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, SIDE, TIME
 
 
 def episodes(*endings: int) -> list[dict[str, Any]]:

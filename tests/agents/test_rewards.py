@@ -16,7 +16,8 @@ from charms_agents.training.rewards import (
 )
 from handmade_scene import place, simulation_of
 
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, SIDE, TIME, Simulation
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, SIDE, TIME
+from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT
 
 SAFE = Weights(safety=1.0, efficiency=0.8, comfort=0.2)

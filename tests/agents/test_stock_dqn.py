@@ -18,7 +18,8 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 from charms_agents.training.sb3_zip import export_zip
 
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.engine.simulation import RUNNING, TIME, Simulation
+from charms_bench.engine.endings import RUNNING, TIME
+from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent

@@ -13,7 +13,7 @@ os.environ["OPENBLAS_CORETYPE"] = "Nehalem"
 import numpy as np
 from highway_env.vehicle import behavior, controller, kinematics, objects
 from charms_bench.engine.exact_maths import use_exact_maths
-from charms_bench.world import maths
+from charms_bench.foundation import maths
 
 stock = np.arctan
 use_exact_maths("batched")

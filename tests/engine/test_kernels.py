@@ -14,8 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
-from charms_bench.engine import kernels
-from charms_bench.world.lanes import is_reachable
+from charms_bench.engine.contacts import collide
+from charms_bench.engine.motion import follow_no_lane, move, room_to_turn, wrap_to_pi
+from charms_bench.engine.neighbours import locate
+from charms_bench.world.lanes import closest_lane, is_reachable
 from charms_bench.world.scene import Scene
 
 DT = 1 / 15
@@ -39,11 +41,11 @@ def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     return road
 
 
-def move(scene: Scene, modelled: bool) -> None:
+def moved(scene: Scene, modelled: bool) -> None:
     vehicles = scene.x.shape[1]
-    room = kernels.room_to_turn(vehicles)
+    room = room_to_turn(vehicles)
     nobody = np.zeros((1, vehicles), dtype=np.bool_)
-    kernels.move(scene, 0, 1, np.full((1, vehicles), modelled), nobody, room)
+    move(scene, 0, 1, np.full((1, vehicles), modelled), nobody, room)
 
 
 @settings(derandomize=True, deadline=None)
@@ -113,7 +115,7 @@ def test_order_runs_from_the_rear_and_rank_is_its_inverse(scene: Scene) -> None:
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-10.0, 40.0), st.integers(2, 8), st.sampled_from([3.5, 4.0]))
 def test_the_closest_lane_is_the_first_nearest(y: float, lanes: int, width: float) -> None:
-    assert kernels.closest_lane(y, lanes, width) == naive.closest_lane(y, lanes, width)
+    assert closest_lane(y, lanes, width) == naive.closest_lane(y, lanes, width)
 
 
 @settings(derandomize=True, deadline=None)
@@ -127,20 +129,20 @@ def test_without_a_target_the_lane_is_highway_envs_at_any_heading(
 ) -> None:
     scene = scene_of(x=[x], y=[y], heading=[heading], speed=[20.0])
     network = road_of(scene).network
-    kernels.follow_no_lane(scene, np.ones((1, 1), dtype=np.bool_))
+    follow_no_lane(scene, np.ones((1, 1), dtype=np.bool_))
     expected = network.get_closest_lane_index(np.array([x, y]), heading)[2]
     assert scene.lane[0, 0] == scene.target_lane[0, 0] == expected
 
 
 @pytest.mark.parametrize(("y", "lane"), [(-9.0, 0), (1.9, 0), (2.0, 0), (2.1, 1), (30.0, 2)])
 def test_on_three_lanes_of_4_m_the_border_belongs_to_the_left(y: float, lane: int) -> None:
-    assert kernels.closest_lane(y, 3, 4.0) == lane
+    assert closest_lane(y, 3, 4.0) == lane
 
 
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-400.0, 400.0))
 def test_angles_wrap_as_in_highway_env(angle: float) -> None:
-    assert kernels.wrap_to_pi(angle) == utils.wrap_to_pi(angle)
+    assert wrap_to_pi(angle) == utils.wrap_to_pi(angle)
 
 
 @settings(derandomize=True, deadline=None)
@@ -152,7 +154,7 @@ def test_steering_and_motion_are_those_of_highway_env(scene: Scene) -> None:
         vehicle.target_speed = scene.target_speed[0, i]
         vehicle.act()
         vehicle.step(DT)
-    move(scene, modelled=False)
+    moved(scene, modelled=False)
     for name in ("heading", "speed"):
         expected = [getattr(vehicle, name) for vehicle in road.vehicles]
         np.testing.assert_allclose(getattr(scene, name)[0], expected, rtol=0, atol=1e-12)
@@ -163,7 +165,7 @@ def test_steering_and_motion_are_those_of_highway_env(scene: Scene) -> None:
 
 def test_a_vehicle_on_its_lane_moves_by_its_speed_and_accelerates_to_its_target() -> None:
     scene = scene_of(x=[100.0], y=[4.0], speed=[20.0], target_speed=[23.0])
-    move(scene, modelled=False)
+    moved(scene, modelled=False)
     assert scene.x[0, 0] == pytest.approx(100 + 20 / 15)
     assert scene.acceleration[0, 0] == pytest.approx(3 / 0.6)
     assert scene.speed[0, 0] == pytest.approx(20 + 5 / 15)
@@ -172,14 +174,14 @@ def test_a_vehicle_on_its_lane_moves_by_its_speed_and_accelerates_to_its_target(
 
 def test_a_crashed_vehicle_brakes_by_its_speed_a_second() -> None:
     scene = scene_of(x=[0.0], y=[0.0], speed=[30.0], target_lane=[1], crashed=[True])
-    move(scene, modelled=True)
+    moved(scene, modelled=True)
     assert scene.acceleration[0, 0] == -30.0
     assert scene.steering[0, 0] == 0.0
 
 
 def test_an_impact_displaces_a_vehicle_once_and_leaves_it_crashed() -> None:
     scene = scene_of(x=[0.0], y=[0.0], impact=[True], impact_x=[0.5], impact_y=[3.0])
-    move(scene, modelled=True)
+    moved(scene, modelled=True)
     assert (scene.x[0, 0], scene.y[0, 0], scene.lane[0, 0]) == (0.5, 3.0, 1)
     assert scene.crashed[0, 0]
     assert not scene.impact[0, 0]
@@ -189,12 +191,12 @@ def test_an_impact_displaces_a_vehicle_once_and_leaves_it_crashed() -> None:
 @given(scenes(most_vehicles=5))
 def test_collisions_are_those_of_highway_env(scene: Scene) -> None:
     scene.x[0] = scene.x[0] % 15 + 0.1 * np.arange(scene.x.shape[1])
-    kernels.locate(scene, ROW)
+    locate(scene, ROW)
     road = road_of(scene)
     for i, vehicle in enumerate(road.vehicles):
         for other in road.vehicles[i + 1 :]:
             vehicle.handle_collisions(other, DT)
-    kernels.collide(scene, 0, 1)
+    collide(scene, 0, 1)
     assert list(scene.crashed[0]) == [vehicle.crashed for vehicle in road.vehicles]
     assert list(scene.impact[0]) == [vehicle.impact is not None for vehicle in road.vehicles]
     for i, vehicle in enumerate(road.vehicles):
@@ -205,7 +207,7 @@ def test_collisions_are_those_of_highway_env(scene: Scene) -> None:
 
 def test_overlapping_vehicles_are_parted_along_the_axis_of_least_overlap() -> None:
     scene = scene_of(x=[100.0, 104.0], y=[0.0, 0.0], speed=[20.0, 20.0])
-    kernels.collide(scene, 0, 1)
+    collide(scene, 0, 1)
     assert list(scene.crashed[0]) == [True, True]
     np.testing.assert_allclose(scene.impact_x[0], [-0.5, 0.5])  # they overlap by 1 m
     np.testing.assert_allclose(scene.impact_y[0], 0.0)
@@ -213,7 +215,7 @@ def test_overlapping_vehicles_are_parted_along_the_axis_of_least_overlap() -> No
 
 def test_vehicles_side_by_side_on_two_lanes_do_not_collide() -> None:
     scene = scene_of(x=[100.0, 100.0], y=[0.0, 4.0], speed=[20.0, 30.0])
-    kernels.collide(scene, 0, 1)
+    collide(scene, 0, 1)
     assert not scene.crashed.any()
     assert not scene.impact.any()
 
@@ -223,7 +225,7 @@ def test_vehicles_that_touch_side_by_side_collide_as_rounding_says() -> None:
     scene = scene_of(lanes=5, sizes=sizes, x=[100.0, 100.0], y=[3 * 1.65, 4 * 1.65])
     first, other = road_of(scene).vehicles
     first.handle_collisions(other, DT)
-    kernels.collide(scene, 0, 1)
+    collide(scene, 0, 1)
     assert list(scene.crashed[0]) == [first.crashed, other.crashed] == [True, True]
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, Simulation
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME
+from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import make_agent
@@ -48,7 +49,7 @@ def two_vehicles(other_x: float, other_y: float, **ego: float) -> Simulation:
     scene.speed[:] = scene.target_speed[:] = 25.0
     for name, value in ego.items():
         getattr(scene, name)[0, 0] = value
-    from charms_bench.engine.kernels import locate
+    from charms_bench.engine.neighbours import locate
 
     locate(scene, np.array([0]))
     scene.target_lane[:] = scene.lane

@@ -13,7 +13,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation
 
-from charms_bench.engine.simulation import ENDINGS, RUNNING, Simulation
+from charms_bench.engine.endings import ENDINGS, RUNNING
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.vector_env import HighwayVectorEnv

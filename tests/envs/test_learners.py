@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from highway_env.envs.highway_env import HighwayEnv
 
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.engine.kernels import locate
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, Simulation
+from charms_bench.engine.neighbours import locate
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners
 from charms_bench.errors import InputError

@@ -7,8 +7,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from charms_bench.engine.kernels import locate
-from charms_bench.engine.simulation import REAR_END, TIME
+from charms_bench.engine.endings import REAR_END, TIME
+from charms_bench.engine.neighbours import locate
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.errors import InputError
 from charms_bench.world.actions import ACTIONS, IDLE, LANE_LEFT, LANE_RIGHT

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pettingzoo.utils import parallel_to_aec
 
-from charms_bench.engine.kernels import locate
-from charms_bench.engine.simulation import ENDINGS
+from charms_bench.engine.endings import ENDINGS
+from charms_bench.engine.neighbours import locate
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.parallel_env import HighwayParallelEnv
 from charms_bench.errors import InputError

@@ -9,8 +9,8 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecMonitor
 
-from charms_bench.engine.kernels import locate
-from charms_bench.engine.simulation import OFF_ROAD, TIME
+from charms_bench.engine.endings import OFF_ROAD, TIME
+from charms_bench.engine.neighbours import locate
 from charms_bench.envs.ego_env import ego_vector_env
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.world.actions import IDLE

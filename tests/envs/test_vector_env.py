@@ -7,8 +7,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
-from charms_bench.engine.kernels import locate
-from charms_bench.engine.simulation import OFF_ROAD, REAR_END, TIME, Simulation
+from charms_bench.engine.endings import OFF_ROAD, REAR_END, TIME
+from charms_bench.engine.neighbours import locate
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import charms_bench
 
-from charms_bench.engine.kernels import locate
+from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.episodes.avoidability import Avoidability, avoidability, collisions

@@ -17,10 +17,10 @@ onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 from charms_bench.errors import ModelError  # noqa: E402
+from charms_bench.foundation.workers import Died  # noqa: E402
 from charms_bench.plugins import onnx_policy, onnx_session  # noqa: E402
 from charms_bench.plugins.onnx_file import problem_of  # noqa: E402
 from charms_bench.plugins.onnx_policy import OnnxPolicy  # noqa: E402
-from charms_bench.workers import Died  # noqa: E402
 
 SMALLEST = np.array([np.iinfo(np.int64).min])
 

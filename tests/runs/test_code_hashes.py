@@ -67,7 +67,7 @@ def test_changing_everything_that_only_presents_rows_does_not_change_the_key(cop
 def test_the_modules_that_decide_rows_are_those_of_a_simulation() -> None:
     names = set(row_modules())
     assert names >= {
-        "charms_bench.engine.kernels",
+        "charms_bench.engine.stepping",
         "charms_bench.engine.batched",
         "charms_bench.engine.highway_env",
         "charms_bench.engine.recording",

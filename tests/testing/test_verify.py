@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charms_bench.engine import batched, kernels
+from charms_bench.engine import batched
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.testing import verify
 from charms_bench.testing.verify import Case, compare, default_cases
@@ -27,7 +27,7 @@ def test_equal_engines_have_no_difference() -> None:
 def test_the_first_step_vehicle_and_quantity_that_differ_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    advance, calls = kernels.advance, []
+    advance, calls = batched.advance, []
 
     def gusty(scene: Scene, modelled: Bools, held: Bools) -> None:
         advance(scene, modelled, held)
@@ -35,7 +35,7 @@ def test_the_first_step_vehicle_and_quantity_that_differ_are_named(
         if len(calls) == 7:
             scene.y[1, 4] += 1e-5  # a gust in the seventh step
 
-    monkeypatch.setattr(batched.kernels, "advance", gusty)
+    monkeypatch.setattr(batched, "advance", gusty)
     (difference,) = compare(CASE, seed=3, episodes=2).differences
     found = (difference.episode, difference.step, difference.vehicle, difference.quantity)
     assert found == (4, 7, 4, "y")

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from charms_bench.engine.simulation import OFF_ROAD, TIME
-from charms_bench.world.files import write_atomically
+from charms_bench.engine.endings import OFF_ROAD, TIME
+from charms_bench.foundation.files import write_atomically
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from charms_agents.training.settings import (
 )
 from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import Fit
+from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
-from charms_bench.world.files import write_bytes
 from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
 

@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
-from charms_bench.world.compiled import compiled
-from charms_bench.world.fields import FrozenModel
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]

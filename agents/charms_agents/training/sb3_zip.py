@@ -19,9 +19,9 @@ import torch
 
 from charms_agents.training.network import ACTIVATIONS, Layers, export, layers_of, network_of
 from charms_bench.errors import ModelError
+from charms_bench.foundation.files import read_limited
 from charms_bench.testing import example_scene
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, outputs_of
-from charms_bench.world.files import read_limited
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Observations

@@ -11,8 +11,8 @@ from charms_agents.training.job import Job
 from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
 from charms_bench.errors import WorkerError
-from charms_bench.workers import Pool, stop_requested
-from charms_bench.workers import tell as tell_parent
+from charms_bench.foundation.workers import Pool, stop_requested
+from charms_bench.foundation.workers import tell as tell_parent
 
 Needs = Mapping[str, Sequence[str]]
 """The stages that each stage needs, by name."""

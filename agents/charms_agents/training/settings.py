@@ -17,12 +17,12 @@ from charms_agents.training.rewards import (
     Weights,
 )
 from charms_bench.errors import InputError, RegistryError
+from charms_bench.foundation.fields import FilePath, FrozenModel, Line, NonNegative, Positive
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
-from charms_bench.world.fields import FilePath, FrozenModel, Line, NonNegative, Positive
 from charms_bench.world.observations import Neighbours, neighbours, paper_neighbours
 from charms_bench.world.scene import SceneSettings
 

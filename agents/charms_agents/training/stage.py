@@ -21,7 +21,7 @@ from charms_agents.training.progress import Tell
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
-from charms_bench.world.files import write_atomically, write_bytes
+from charms_bench.foundation.files import write_atomically, write_bytes
 
 _VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
 _UNSUITABLE = (OSError, EOFError, BadZipFile, KeyError, ValueError, TypeError, RuntimeError)

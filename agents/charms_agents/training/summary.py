@@ -11,9 +11,9 @@ from matplotlib.ticker import EngFormatter
 
 from charms_agents.training.job import Job
 from charms_agents.training.settings import TrainingSuite
+from charms_bench.foundation.files import write_bytes
 from charms_bench.report.figures.drawing import panels, save
 from charms_bench.report.training_tables import ColumnsFile, CurveColumn, StageColumn
-from charms_bench.world.files import write_bytes
 
 COLUMNS = ColumnsFile(
     stages={

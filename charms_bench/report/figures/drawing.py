@@ -13,8 +13,8 @@ from matplotlib.text import Text
 from matplotlib.typing import ColorType
 
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import write_atomically
 from charms_bench.report.table import Number
-from charms_bench.world.files import write_atomically
 from charms_bench.world.scene import Floats
 
 ENDINGS = (".pdf", ".png", ".svg")

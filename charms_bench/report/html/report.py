@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from charms_bench.errors import InputError
+from charms_bench.foundation.files import absolute, write_bytes
 from charms_bench.report.html.episode import beside, for_page
 from charms_bench.report.html.episodes import asked, choose, choose_beside, futures
 from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import evaluation_section, training_section
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
 from charms_bench.report.html.what_if import what_if_section
-from charms_bench.world.files import absolute, write_bytes
 
 
 def write_report(

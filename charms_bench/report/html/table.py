@@ -9,11 +9,11 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from charms_bench.foundation.names import unused
 from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.bars import Scale
 from charms_bench.report.formatting import Written, write_cells
 from charms_bench.report.table import Cell, Column, Row, Table
-from charms_bench.world.names import unused
 
 TEMPLATES = Path(__file__).with_name("templates")
 

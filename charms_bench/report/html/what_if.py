@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from charms_bench.episodes.what_if import WhatIf
+from charms_bench.foundation.files import write_bytes
 from charms_bench.report.html.episode import for_page
 from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import Section
 from charms_bench.report.what_if_table import what_if_table
-from charms_bench.world.files import write_bytes
 
 
 def write_what_if(found: WhatIf, path: Path) -> None:

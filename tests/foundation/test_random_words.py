@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from charms_bench.engine.random_words import random_words
+from charms_bench.foundation.random_words import random_words
 
 
 @settings(deadline=None)

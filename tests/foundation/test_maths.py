@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from charms_bench.world import maths
+from charms_bench.foundation import maths
 
 PRECISE = mpmath.mp.clone()
 PRECISE.prec = 200

@@ -2,7 +2,7 @@
 
 import pytest
 
-from charms_bench.world.names import name_of_agent, slug, slugs
+from charms_bench.foundation.names import name_of_agent, slug, slugs
 
 
 @pytest.mark.parametrize(

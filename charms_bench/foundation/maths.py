@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from charms_bench.world.compiled import inlined
+from charms_bench.foundation.compiled import inlined
 
 _TO_INTEGER = 6755399441055744.0
 """1.5 * 2**52: adding and subtracting it rounds a double below 2**51 to an integer."""

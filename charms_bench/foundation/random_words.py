@@ -7,7 +7,7 @@ generator (O'Neill 2014, PCG XSL RR 128/64), seeded in the same way (`numpy.rand
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.world.compiled import compiled, inlined
+from charms_bench.foundation.compiled import compiled, inlined
 
 Words = NDArray[np.uint64]
 

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from charms_bench.errors import AgentError, WorkerError
-from charms_bench.workers import (
+from charms_bench.foundation.threads import ONE_THREAD
+from charms_bench.foundation.workers import (
     Died,
     Pool,
     _starting,
@@ -25,7 +26,6 @@ from charms_bench.workers import (
     stop_requested,
     tell,
 )
-from charms_bench.world.threads import ONE_THREAD
 
 
 def doubled(number: int) -> int:
@@ -214,7 +214,7 @@ def test_a_worker_that_is_asked_is_kept_until_it_dies() -> None:
 
 
 USES_WORKERS = """\
-from charms_bench.workers import in_processes
+from charms_bench.foundation.workers import in_processes
 if __name__ == "__main__":
     assert list(in_processes(abs, [-1], 1)) == [(-1, 1)]
 """

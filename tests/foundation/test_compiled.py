@@ -14,7 +14,7 @@ import pytest
 from numba.core.caching import CacheImpl, CompileResultCacheImpl
 
 from charms_bench.errors import InputError
-from charms_bench.world.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.world.scene import Floats, Scene, SceneSettings
 
 
@@ -82,7 +82,7 @@ def test_nothing_can_be_set_on_a_scene() -> None:
 
 
 SUM = """\
-from charms_bench.world.compiled import compiled
+from charms_bench.foundation.compiled import compiled
 
 @compiled
 def total(count):
@@ -147,7 +147,7 @@ def test_code_that_cannot_be_kept_names_the_variable(monkeypatch: pytest.MonkeyP
 
 BOTH = """\
 import numpy as np
-from charms_bench.world.compiled import compiled
+from charms_bench.foundation.compiled import compiled
 
 @compiled
 def twice(values):
@@ -175,3 +175,30 @@ def test_python_and_compiled_code_call_the_same_function_also_from_the_cache(
         )
         assert (ran.stdout, ran.stderr) == ("3.0 2.0 3.0\n", "")
     assert len(list((tmp_path / "cache").rglob("program.twice-*.nbc"))) == 2
+
+
+def test_a_function_is_compiled_again_when_one_that_it_calls_has_changed(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    inner = "from charms_bench.foundation.compiled import compiled\n\n@compiled\n"
+    (package / "outer.py").write_text(
+        f"from package.inner import one\n{inner}def two():\n    return one() + one()\n"
+    )
+    printed = []
+    for one in (1, 1, 5):
+        (package / "inner.py").write_text(f"{inner}def one():\n    return {one}\n")
+        ran = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                "from package.outer import two; print(two(), sum(two.stats.cache_hits.values()))",
+            ],
+            capture_output=True,
+            text=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            cwd=tmp_path,
+        )
+        assert ran.stderr == ""
+        printed.append(ran.stdout.strip())
+    assert printed == ["2 0", "2 1", "10 0"]

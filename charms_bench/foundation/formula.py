@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from charms_bench.errors import suggestion
-from charms_bench.world.fields import Finite, Line
+from charms_bench.foundation.fields import Finite, Line
 
 Formula = Finite | Annotated[Line, Field(min_length=1, max_length=100)]
 """A number, or a text such as `ego_speed - slower`."""

@@ -27,8 +27,8 @@ from types import MappingProxyType, ModuleType
 from typing import Any, Generic, Self, TypeVar
 
 from charms_bench.errors import AgentError, CharmsBenchError, WorkerError, raised
-from charms_bench.streams import write_to_stderr_only
-from charms_bench.world.threads import ONE_THREAD
+from charms_bench.foundation.streams import write_to_stderr_only
+from charms_bench.foundation.threads import ONE_THREAD
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

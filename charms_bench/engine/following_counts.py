@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.engine.columns import COUNT_SCHEMA, table
-from charms_bench.world.compiled import compiled_of_scenes
+from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
 from charms_bench.world.lanes import is_on_lane
 from charms_bench.world.scene import Ints, Scene

@@ -1,7 +1,10 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
+import sys
 from contextlib import suppress
-from functools import update_wrapper
+from functools import cache, update_wrapper
+from hashlib import sha256
+from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
@@ -19,8 +22,30 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # made from the envi
     raise InputError("NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it")
 
 
+@cache
+def _compiled_code(package: str) -> str:
+    """The hash of the modules of a package that compile functions; empty outside packages."""
+    digest = sha256()
+    for folder in getattr(sys.modules.get(package), "__path__", ()):
+        for path in sorted(Path(folder).rglob("*.py")):
+            code = path.read_bytes()
+            if b"compiled" in code:
+                digest.update(code)
+    return digest.hexdigest()
+
+
 class _Cache(FunctionCache):
-    """numba's cache of a function, in which a damaged file or a full disk does not matter."""
+    """numba's cache of a function, in which a damaged file or a full disk does not matter.
+
+    A function contains those that it calls, so a change of any of them makes it obsolete. numba
+    itself would notice changes of the function's own file only.
+    """
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        packages = {__name__.partition(".")[0], (function.__module__ or "").partition(".")[0]}
+        hashes = *map(_compiled_code, sorted(packages)), self._cache_file._source_stamp
+        self._cache_file._source_stamp = hashes
 
     def load_overload(self, *of: Any) -> Any:
         """The function as it was compiled; None if it has to be compiled."""

@@ -5,7 +5,7 @@ from io import BytesIO
 import polars as pl
 import pytest
 
-from charms_bench.world.spreadsheets import from_csv, in_csv
+from charms_bench.foundation.spreadsheets import from_csv, in_csv
 
 FORMULAS = ('=HYPERLINK("http://x")', "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "＝1")
 

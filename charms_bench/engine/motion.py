@@ -1,0 +1,208 @@
+"""How vehicles move: steering, the bicycle model and its limits, step by step [`Vehicle.step`].
+
+Motion is computed in loops over the vehicles of a block of scenes that call one elementary function
+each, because such loops vectorise.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import clip, compiled, index, not_zero
+from charms_bench.world.lanes import closest_lane
+from charms_bench.world.profile import Constants
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
+
+
+@compiled
+def wrap_to_pi(angle: float) -> float:
+    """`utils.wrap_to_pi`."""
+    shifted = angle + math.pi
+    if not 0 <= shifted < 2 * math.pi:
+        shifted %= 2 * math.pi
+    return shifted - math.pi
+
+
+class Turning(NamedTuple):
+    """The vehicles of a block that turn, packed; each block uses the arrays (M,) again."""
+
+    vehicle: Ints
+    """The vehicle's index among all vehicles of the block."""
+    is_steered: Bools
+    """Whether the vehicle controls its steering; a crashed vehicle and a held one do not."""
+    x: Floats
+    """Position before the step, m."""
+    lateral: Floats
+    """Position beside the centre of the target lane, m."""
+    heading: Floats
+    speed: Floats
+    angle: Floats
+    """Intermediate results, rad."""
+    steering: Floats
+    ahead: Floats
+    """Displacement along the road, m."""
+    aside: Floats
+    direction_x: Floats
+    direction_y: Floats
+
+
+@compiled
+def room_to_turn(vehicles: int) -> Turning:
+    """Arrays for a block of so many vehicles."""
+    floats = np.empty((10, vehicles))
+    return Turning(
+        np.empty(vehicles, dtype=np.int64),
+        np.empty(vehicles, dtype=np.bool_),
+        floats[0],
+        floats[1],
+        floats[2],
+        floats[3],
+        floats[4],
+        floats[5],
+        floats[6],
+        floats[7],
+        floats[8],
+        floats[9],
+    )
+
+
+@compiled
+def steer(turning: Turning, count: int, c: Constants) -> None:
+    """Computes the steering angles of `count` vehicles towards the centres of their target lanes.
+
+    Vehicles that are not steered keep the angle that they have.
+
+    [`ControlledVehicle.steering_control`]
+    """
+    lateral, heading, speed = turning.lateral, turning.heading, turning.speed
+    angle, steering, is_steered = turning.angle, turning.steering, turning.is_steered
+    for k in range(count):
+        lateral_speed = -(1 / c.tau_lateral) * lateral[k]
+        command = maths.asin(clip(lateral_speed / not_zero(speed[k]), -1.0, 1.0))
+        angle[k] = clip(command, -math.pi / 4, math.pi / 4) - heading[k]
+    for k in range(count):
+        angle[k] = wrap_to_pi(angle[k])
+    for k in range(count):
+        heading_rate = (1 / c.tau_heading) * angle[k]
+        angle[k] = maths.asin(clip(c.length / 2 / not_zero(speed[k]) * heading_rate, -1.0, 1.0))
+    for k in range(count):
+        angle[k] = 2 * maths.tan(angle[k])
+    for k in range(count):
+        limited = clip(maths.atan(angle[k]), -c.steering_limit, c.steering_limit)
+        steering[k] = limited if is_steered[k] else steering[k]
+
+
+@compiled
+def turn(turning: Turning, count: int, c: Constants) -> None:
+    """Computes the displacements and new headings of `count` vehicles [`Vehicle.step`]."""
+    heading, speed, angle = turning.heading, turning.speed, turning.angle
+    steering, ahead, aside = turning.steering, turning.ahead, turning.aside
+    direction_x, direction_y = turning.direction_x, turning.direction_y
+    for k in range(count):
+        angle[k] = 1 / 2 * maths.tan(steering[k])
+    for k in range(count):
+        angle[k] = maths.atan(angle[k])
+    for k in range(count):
+        sine, cosine = maths.sin_cos(heading[k] + angle[k])
+        ahead[k], aside[k] = speed[k] * cosine * c.dt, speed[k] * sine * c.dt
+    for k in range(count):
+        heading[k] += speed[k] * maths.sin(angle[k]) / (c.length / 2) * c.dt
+    for k in range(count):
+        direction_y[k], direction_x[k] = maths.sin_cos(heading[k])
+
+
+@compiled
+def move(
+    scene: Scene, first: int, after: int, modelled: Bools, held: Bools, turning: Turning
+) -> None:
+    """Steers and moves the scenes from `first` to before `after` by one step of the bicycle model.
+
+    `modelled` [B, N] marks the vehicles whose acceleration a driver model has set; `held` marks
+    those that keep their acceleration and steering; all others control their target speed
+    [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
+    """
+    c = scene.constants
+    x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
+    heading, speed = scene.heading[first:after].reshape(-1), scene.speed[first:after].reshape(-1)
+    acceleration = scene.acceleration[first:after].reshape(-1)
+    steering = scene.steering[first:after].reshape(-1)
+    target_speed = scene.target_speed[first:after].reshape(-1)
+    target_lane = scene.target_lane[first:after].reshape(-1)
+    timer_s, lane = scene.timer_s[first:after].reshape(-1), scene.lane[first:after].reshape(-1)
+    crashed, impact = scene.crashed[first:after].reshape(-1), scene.impact[first:after].reshape(-1)
+    is_modelled, is_held = modelled[first:after].reshape(-1), held[first:after].reshape(-1)
+    turns = 0
+    for i in range(x.size):
+        turning.vehicle[turns] = i
+        # The functions of a vehicle that goes straight would give 0 and 1.
+        is_beside = (y[i] - target_lane[i] * c.lane_width != 0.0) & (not crashed[i])
+        turns += (heading[i] != 0.0) | is_beside | (is_held[i] & (steering[i] != 0.0))
+    for k in range(turns):
+        i = index(turning.vehicle[k])
+        turning.is_steered[k] = not (crashed[i] or is_held[i])
+        turning.steering[k] = steering[i] if is_held[i] and not crashed[i] else 0.0
+        turning.x[k] = x[i]
+        turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
+        turning.heading[k] = heading[i]
+        turning.speed[k] = speed[i]
+    # Each loop has few arrays: LLVM does not vectorise a loop over many that might overlap.
+    for i in range(x.size):
+        v = speed[i]
+        wanted = (1 / c.tau_acceleration) * (target_speed[i] - v)
+        wanted = acceleration[i] if is_modelled[i] | is_held[i] else wanted
+        wanted = -1.0 * v if crashed[i] else wanted
+        wanted = min(wanted, 1.0 * (c.speed_max - v)) if v > c.speed_max else wanted
+        wanted = max(wanted, 1.0 * (c.speed_min - v)) if v < c.speed_min else wanted
+        acceleration[i] = wanted
+    for i in range(x.size):
+        timer_s[i] += c.dt
+    for i in range(x.size):
+        x[i] += speed[i] * c.dt
+    for i in range(x.size):
+        speed[i] += acceleration[i] * c.dt
+    for i in range(x.size):
+        steering[i] = 0.0
+    steer(turning, turns, c)
+    turn(turning, turns, c)
+    direction_x = scene.direction_x[first:after].reshape(-1)
+    direction_y = scene.direction_y[first:after].reshape(-1)
+    for k in range(turns):
+        i = index(turning.vehicle[k])
+        x[i] = turning.x[k] + turning.ahead[k]
+        y[i] += turning.aside[k]
+        heading[i] = turning.heading[k]
+        direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
+        steering[i] = turning.steering[k]
+        lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
+    for i in range(x.size):
+        if impact[i]:
+            x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
+            y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
+            crashed[i] = True
+            impact[i] = False
+            lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
+
+
+@compiled
+def follow_no_lane(scene: Scene, marked: Bools) -> None:
+    """Makes the nearest lanes of the marked vehicles [B, N] their target lanes too.
+
+    Near a border, `closest_lane` is corrected: highway-env rounds the distances of the lanes with
+    what they have in common, the distance beyond the road's ends and the heading, so they can be
+    equal [`AbstractLane.distance_with_heading`].
+    """
+    c = scene.constants
+    for b in range(marked.shape[0]):
+        for i in range(marked.shape[1]):
+            if not marked[b, i]:
+                continue
+            x, y = scene.x[b, i], scene.y[b, i]
+            lane = closest_lane(y, c.lanes, c.lane_width)
+            own, left = abs(y - lane * c.lane_width), abs(y - (lane - 1) * c.lane_width)
+            if lane > 0 and left - own < 1e-6:
+                beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
+                angle = abs(wrap_to_pi(scene.heading[b, i]))
+                lane -= left + beyond + before + angle <= own + beyond + before + angle
+            scene.lane[b, i] = scene.target_lane[b, i] = lane

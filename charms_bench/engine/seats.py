@@ -1,0 +1,58 @@
+"""Which agent drives which vehicle."""
+
+import numpy as np
+
+from charms_bench.foundation.compiled import compiled
+from charms_bench.world.scene import Bools, Ints
+
+
+@compiled
+def seat(
+    rows: Ints,
+    ego: Ints,
+    traffic: Ints,
+    models: Bools,
+    drivers: Ints,
+    is_modelled: Bools,
+    is_ego: Bools,
+) -> None:
+    """Gives the vehicles of the scenes `rows` (R,) their drivers; agent 0 drives the ego.
+
+    `traffic` (R, N - 1) are the agents of the other vehicles. `models` marks the agents that are
+    driver models; agents beyond its end are not.
+    """
+    for r in range(rows.size):
+        b = rows[r]
+        for i in range(drivers.shape[1]):
+            drivers[b, i] = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
+    mark_seats(rows, ego, models, drivers, is_modelled, is_ego)
+
+
+@compiled
+def mark_seats(
+    rows: Ints, ego: Ints, models: Bools, drivers: Ints, is_modelled: Bools, is_ego: Bools
+) -> None:
+    """Marks the egos of the scenes `rows`, and the vehicles that driver models drive.
+
+    Arguments are those of `seat`.
+    """
+    for b in rows:
+        for i in range(drivers.shape[1]):
+            agent = drivers[b, i]
+            is_ego[b, i] = i == ego[b]
+            is_modelled[b, i] = agent < models.size and models[agent]
+
+
+@compiled
+def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
+    """The vehicles (M,), by scene and place, that an agent drives in the scenes [B] marked."""
+    rows = np.empty(drivers.size, dtype=np.int64)
+    places = np.empty(drivers.size, dtype=np.int64)
+    found = 0
+    for b in range(drivers.shape[0]):
+        if scenes[b]:
+            for i in range(drivers.shape[1]):
+                if drivers[b, i] == agent:
+                    rows[found], places[found] = b, i
+                    found += 1
+    return rows[:found].copy(), places[:found].copy()

@@ -1,0 +1,1 @@
+"""What is not about driving: portable mathematics, compilation, random words, files, processes."""
