@@ -70,17 +70,18 @@ def make_engine(
     scenes: int,
     models: Mapping[int, DriverModel],
     continuous: Collection[int] = (),
+    memory: int = 0,
 ) -> Engine:
     """An engine of B scenes by name; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
-    actions.
+    actions. `memory` is the width of the scene's memory.
     """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models, continuous)
+        return BatchedEngine(settings, scenes, models, continuous, memory)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models, continuous)
+    return HighwayEnvEngine(settings, scenes, models, continuous, memory)

@@ -27,9 +27,10 @@ class BatchedEngine:
         scenes: int,
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
+        memory: int = 0,
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.scene = Scene.empty(settings, scenes, parameters)
+        self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)

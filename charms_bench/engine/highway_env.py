@@ -40,9 +40,10 @@ class HighwayEnvEngine:
         scenes: int,
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
+        memory: int = 0,
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.scene = Scene.empty(settings, scenes, parameters)
+        self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from charms_bench.engine.collisions import (
 )
 from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
 from charms_bench.engine.parameters import Ranges, set_parameters
+from charms_bench.engine.rollouts import Futures
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
@@ -25,9 +27,11 @@ from charms_bench.errors import (
     raised,
 )
 from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.philox import uniforms
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
+from charms_bench.plugins.deciding import Asked, check_declared, decide, kept_width
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTION_KINDS, ActionKind, Actions, problem_of
+from charms_bench.world.actions import ActionKind, Actions, problem_of
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -76,7 +80,8 @@ class Simulation:
         and never with continuous actions."""
         self.collision = np.zeros((scenes, settings.vehicles), dtype=np.int8)
         """[B, N] index into `COLLISIONS`, noted in the simulation step of the collision."""
-        self._holds_egos = settings.profile.ego_control_rate == "decision"
+        self.holds_egos = settings.profile.ego_control_rate == "decision"
+        """Whether egos keep their control during a decision interval."""
         self.phase = 0
         """Simulation steps of the current decision interval so far; all scenes share it."""
         self.collision_watchers: list[Callable[[], None]] = []
@@ -105,7 +110,13 @@ class Simulation:
         continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
         if actions == "continuous":
             continuous += [k for k, name in enumerate(self.agents) if not name]
-        self.engine = make_engine(engine, settings, scenes, models, continuous)
+        self._kept_widths = {k: kept_width(policy) for k, policy in self._policies.items()}
+        widths = (*self._kept_widths.values(), *(model.memory_width for model in models.values()))
+        memory = max(widths, default=0)
+        self.engine = make_engine(engine, settings, scenes, models, continuous, memory)
+        self._futures = {
+            k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
+        }
         self._shown = self.scene.read_only()
 
     @property
@@ -160,6 +171,7 @@ class Simulation:
         else:
             self.engine.place(rows, draws, traffic)
         set_parameters(self, rows)
+        self.scene.memory[rows] = 0.0
         self.steps[rows] = 0
         self.ending[rows] = RUNNING
         self.phase = 0
@@ -218,10 +230,11 @@ class Simulation:
             now = active & (frames % period == 0)
             vehicles = vehicles_of(agent, self.engine.drivers, now)
             if vehicles[0].size:
-                decisions.append((vehicles, self._decide(self.agents[agent], policy, vehicles)))
+                number = (frames // period)[vehicles[0]].astype(np.uint64)
+                decisions.append((vehicles, self._decide(agent, policy, vehicles, number)))
         for vehicles, actions in decisions:
             self.command(vehicles, actions)
-        self.engine.advance(hold_egos=self._holds_egos and self.phase > 0)
+        self.engine.advance(hold_egos=self.holds_egos and self.phase > 0)
         self.phase += 1
         self._note_collisions()
 
@@ -238,11 +251,19 @@ class Simulation:
             self.action[vehicles] = actions
             self.has_action[vehicles] = True
 
-    def _decide(self, name: str, policy: Policy, vehicles: Vehicles) -> Actions:
+    def _decide(
+        self, agent: int, policy: Policy, vehicles: Vehicles, number: NDArray[np.uint64]
+    ) -> Actions:
+        """The actions of M vehicles, in their decisions `number` (M,)."""
+        name, (rows, places) = self.agents[agent], vehicles
+        kept: Any = (*vehicles, slice(self._kept_widths[agent]))
+        noise = uniforms(self.seeds[rows], number, places.astype(np.uint64), policy.noise_draws)
+        rollouts = self._futures[agent].of(vehicles) if policy.rollouts_with else None
         try:
             with np.errstate():  # what a plugin sets is for itself
                 observations = observation_of(policy.observation)(self._shown, vehicles)
-                actions = np.asarray(policy.decide(observations))
+                asked = Asked(observations, self.scene.memory[kept], noise, rollouts)
+                actions, self.scene.memory[kept] = decide(policy, asked)
         except BrokenWordError as error:
             raise self.blame(name, vehicles, str(error), error.vehicle) from error
         except PLUGIN_ERRORS as error:
@@ -277,14 +298,9 @@ class Simulation:
 
 def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
     try:
-        observation_of(policy.observation)
+        check_declared(policy)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
-    if not isinstance(policy.actions, str) or policy.actions not in ACTION_KINDS:
-        raise InputError(
-            f"agent '{name}': its attribute `actions` is {str(policy.actions)[:80]!r}; expected "
-            f"{' or '.join(ACTION_KINDS)}"
-        )
     hz = policy.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if not 1 <= steps <= 1e9 or steps != round(steps):
@@ -317,6 +333,7 @@ class _CheckedModel(DriverModel):
         self._name, self._model, self._simulation = name, model, simulation
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
         self.parameters = _checked_ranges(name, model)
+        self.memory_width = model.memory_width
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 OF_SCENE = (
     "x", "y", "heading", "speed", "acceleration", "steering", "target_speed", "target_lane",
-    "crashed", "timer_s", "temperament", "impact_x", "impact_y", "impact", "ego", "active",
+    "crashed", "timer_s", "temperament", "memory", "impact_x", "impact_y", "impact", "ego",
+    "active",
 )  # fmt: skip
 """The fields that are arrays of a `Scene`."""
 OF_SIMULATION = ("seeds", "steps", "ending", "action", "has_action", "collision")
@@ -66,6 +67,8 @@ class SceneState:
     crashed: Bools
     timer_s: Floats
     temperament: Floats
+    memory: Floats
+    """[S, N, Q]"""
     impact_x: Floats
     """0 where `impact` is false, as `impact_y`; and `action` is 0 where `has_action` is false."""
     impact_y: Floats
@@ -109,21 +112,29 @@ class SceneState:
         return self.with_arrays({name: array[rows] for name, array in self.arrays().items()})
 
     def seated(self, places: Ints, agent: str) -> "SceneState":
-        """The same scenes, in which an agent drives one vehicle.
-
-        After continuous actions, the vehicle's speed becomes its target speed.
+        """The same scenes, in which an agent drives one vehicle; see `driven_by`.
 
         Args:
             places: (S,) the vehicle of each scene, in the order of spawning.
             agent: Its name; empty for an ego that is driven from outside.
         """
+        chosen = np.zeros(self.drivers.shape, dtype=np.bool_)
+        chosen[np.arange(len(self)), places] = True
+        return self.driven_by(agent, chosen)
+
+    def driven_by(self, agent: str, chosen: Bools) -> "SceneState":
+        """The same scenes, in which an agent drives the chosen vehicles [S, N].
+
+        A new driver remembers nothing. After continuous actions, the vehicle's speed becomes its
+        target speed.
+        """
         agents = self.agents if agent in self.agents else (*self.agents, agent)
-        names = ("drivers", "action", "has_action", "target_speed")
+        names = ("drivers", "action", "has_action", "target_speed", "memory")
         arrays = {name: getattr(self, name).copy() for name in names}
-        drivers, action, has_action, target_speed = arrays.values()
-        rows = np.nonzero(drivers[np.arange(len(self)), places] != agents.index(agent))[0]
-        changed = (rows, places[rows])
+        drivers, action, has_action, target_speed, memory = arrays.values()
+        changed = chosen & (drivers != agents.index(agent))
         drivers[changed], action[changed], has_action[changed] = agents.index(agent), 0, False
+        memory[changed] = 0.0
         # As `ControlledVehicle.__init__`: a vehicle without a target speed keeps its speed.
         speed = self.speed[changed]
         target_speed[changed] = np.where(target_speed[changed], target_speed[changed], speed)
@@ -179,7 +190,13 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     simulation.engine.drivers[rows] = index[state.drivers]
     for names, arrays in ((OF_SIMULATION, simulation), (OF_SCENE, simulation.scene)):
         for name in names:
-            getattr(arrays, name)[rows] = getattr(state, name)
+            if name != "memory":
+                getattr(arrays, name)[rows] = getattr(state, name)
+    # With other agents, it can be wider or narrower; no agent that is here declares what is cut.
+    memory = simulation.scene.memory
+    width = min(memory.shape[2], state.memory.shape[2])
+    memory[rows] = 0.0
+    memory[rows, :, :width] = state.memory[:, :, :width]
     simulation.engine.restore(rows, state.seeds)
     set_parameters(simulation, rows)
 

@@ -23,10 +23,10 @@ from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import SceneSettings
 
-FORMAT, VERSION = "charms-bench scene state", 2
+FORMAT, VERSION = "charms-bench scene state", 3
 LIMIT_BYTES = 2**28
 _LARGEST = 1e9
-"""Bound of what a driver model may write: within it, no quantity of a simulation overflows."""
+"""Bound of what a driver model may write to its timer: with it, nothing overflows."""
 _INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "target_lane")
 _BOOLEANS = ("active", "has_action", "crashed", "impact")
 _TYPES = (
@@ -146,7 +146,8 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
     except ValueError as error:
         raise InputError(f"{name}: rows have different lengths") from error
     kinds, what = next(expected for names, *expected in _TYPES if name in names)
-    if array.size == 0 or array.dtype.kind not in kinds:
+    is_empty = array.size == 0 and (name != "memory" or array.ndim != 3)
+    if is_empty or array.dtype.kind not in kinds:
         raise InputError(f"{name}: expected {what}")
     return array.astype({"i": np.int64, "b": np.bool_, "f": np.float64}[kinds[0]])
 
@@ -163,7 +164,8 @@ def check_state(state: SceneState) -> None:
     """
     settings, scenes = state.settings, state.seeds.size
     for name, array in state.arrays().items():
-        shape = (scenes,) if name in OF_SCENES else (scenes, settings.vehicles)
+        of_vehicles = (settings.vehicles, *(array.shape[2:3] if name == "memory" else ()))
+        shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
     bounds: dict[str, tuple[float, float]] = {
@@ -177,6 +179,7 @@ def check_state(state: SceneState) -> None:
         "collision": (0, len(COLLISIONS) - 1),
         "target_lane": (0, settings.lanes - 1),
         "temperament": (0.0, 1.0),
+        "memory": (-np.inf, np.inf),
     }
     for name in ("phase", *ARRAYS):
         values = np.asarray(getattr(state, name))

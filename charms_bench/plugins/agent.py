@@ -2,15 +2,16 @@
 
 An agent is a `Policy` or a `DriverModel`. It is registered in the entry-point group
 `charms_bench.agents`, under the name that suites use. It keeps no state between calls, because its
-vehicles may be split over several calls, or over several runs, at any time.
+vehicles may be split over several calls, or over several runs, at any time. What it has to remember
+is its declared memory, which the harness keeps with the state of the scenes.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from charms_bench.world.actions import ActionKind, Actions
+from charms_bench.world.actions import ActionKind
 from charms_bench.world.observations import ObservationLike
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
@@ -30,18 +31,39 @@ class Policy(ABC):
     decision_hz: float = 3.0
     """Decisions per second; the suite's simulation rate must be a multiple of this rate."""
 
+    history_length: int = 1
+    """The number K of observations that it receives. If it is above 1, `observations` is
+    (M, K, ...), the latest last, with zeros for the time before the first decision."""
+
+    memory_width: int = 0
+    """The width Q of its memory: numbers per vehicle, zeros before the first decision."""
+
+    noise_draws: int = 0
+    """The number W of random numbers per decision, uniform in [0, 1) and independent. They depend
+    only on the episode, the vehicle and the decision (`foundation.philox`)."""
+
+    rollouts_with: str = ""
+    """For a planner, the agent that drives all other vehicles in its rollouts. The planner receives
+    `rollouts`, which simulates plans from a copy of the scene; see `engine.rollouts`."""
+
     @abstractmethod
-    def decide(self, observations: Observations) -> Actions:
+    def decide(self, observations: Observations, *given: Any) -> Any:
         """The action of each vehicle.
 
         Args:
             observations: (M, 7, 5) for `neighbours`, (M, 5, 5) for highway-env's `Kinematics` with
                 its default options; float32. See `charms_bench.world.observations`.
+            given: Nothing for a plain policy, `decide(observations)`. A policy that declares
+                `memory_width`, `noise_draws` or `rollouts_with` is asked
+                `decide(observations, memory, noise)` with memory (M, Q) and noise (M, W), float64;
+                with `rollouts_with`,
+                `decide(observations, memory, noise, rollouts)`.
 
         Returns:
             (M,) integers 0..4, indices into `ACTIONS`. If `actions` is `continuous`, (M, 2) floats
             from -1 to 1: an acceleration, up to 5 m/s² either way, and a steering angle, up to
-            pi / 4 rad either way, positive to the right.
+            pi / 4 rad either way, positive to the right. With `memory_width`, a pair: these actions
+            and the new memory (M, Q).
         """
 
     @property
@@ -70,6 +92,10 @@ class DriverModel(ABC):
     the name of a field of the profile's `idm_mobil` also applies to the `highway_env_class`.
     """
 
+    memory_width: int = 0
+    """The width Q of its memory: numbers per vehicle, zeros at the start. `drive` reads and writes
+    them in the first columns of `scene.memory`."""
+
     @abstractmethod
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         """The acceleration and the target lane of each vehicle.
@@ -79,8 +105,8 @@ class DriverModel(ABC):
         then the driver models of the traffic, in the order in which the traffic plugin lists them.
 
         Args:
-            scene: All scenes. The arrays are read-only, except for `timer_s`, which the model may
-                set for its own vehicles.
+            scene: All scenes. The arrays are read-only, except for `timer_s` and `memory`, which
+                the model may set for its own vehicles.
             vehicles: M vehicles, sorted by scene and then by the order of spawning.
 
         Returns:

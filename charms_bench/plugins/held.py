@@ -1,85 +1,66 @@
-"""Holds plugins to their word during a run: some of their questions are asked again.
+"""Holds plugins to their word during a run: one of their questions is asked again.
 
-The seed of a shard chooses the calls. Their answers must be the same at once, for some of the
-vehicles in another order, for one vehicle or scene alone, after the last call of the shard, and
-from another instance of the plugin. What a plugin is shown must be the same after the call.
+The seed of a shard chooses the call. After the last call of the shard, another instance of the
+plugin is asked about half of the same vehicles in another order, then about half of these, and so
+on; its answers must be the same. So a plugin is found out that keeps state, draws its own random
+numbers or calculates across its batch. What a plugin is shown in this call must be the same after
+it.
 
 A plugin that remembers its own answers, or changes other code of its process, can deceive this.
 """
 
 from collections.abc import Callable
 from copy import deepcopy
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, raised
 from charms_bench.plugins.event import Event
-from charms_bench.plugins.scene_questions import (
-    Answers,
-    SceneQuestion,
-    changed_array,
-    copied,
-)
+from charms_bench.plugins.scene_questions import SceneQuestion, changed_array, copied
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 P = TypeVar("P")
 """The kind of a plugin."""
-CHOSEN = 2
-"""About how many calls of a shard are asked again, besides the first."""
-MORE_AT_THE_END = 9
-"""How many more times the first question is asked after the last call."""
-KEPT = 20
-"""Most questions that are kept for the end."""
+TIMES = 10
+"""How often the other instance is asked: some state is only seen after several calls."""
 ASSIGNMENTS = 150
 """About how many episodes a shard has."""
+AGAIN = "another instance was asked about some of the vehicles in another order"
 
 
 class Held(Generic[P]):
-    """A plugin of which some calls are asked again.
+    """A plugin of which one call is asked again.
 
     Args:
         plugin: The plugin.
         other: Another instance of it, made in the same way.
-        rng: Chooses the calls and the vehicles.
-        calls: About how many calls a shard has; the first and about `CHOSEN` others are chosen.
+        rng: Chooses the call and the vehicles.
+        calls: About how many calls a shard has. If there are fewer, the first one is asked again.
     """
 
     def __init__(self, plugin: P, other: P, rng: np.random.Generator, calls: int) -> None:
-        self.plugin, self._other = plugin, other
-        self._rng, self._longest = rng, max(1, 2 * calls // CHOSEN)
-        self._left = 0
-        self._kept: list[Callable[[P, str], None]] = []
+        self.plugin, self._other, self._rng = plugin, other, rng
+        self._calls, self._chosen = 0, int(rng.integers(max(calls, 1)))
+        self._question: Callable[[P, int], None] | None = None
+        """Asks a plugin about half of the vehicles, halved so many times."""
 
     def _is_chosen(self) -> bool:
-        self._left -= 1
-        if self._left >= 0:
-            return False
-        self._left = int(self._rng.integers(self._longest))
-        return True
-
-    def _keep(self, check: Callable[[P, str], None]) -> None:
-        """Keeps a question for the end; a long simulation keeps only the latest ones.
-
-        `check` asks a plugin, the one or the other, in a way that it is told in words.
-        """
-        self._kept = [*self._kept[1 - KEPT :], check]
+        self._calls += 1
+        return self._calls - 1 in (0, self._chosen)
 
     def finish(self, whose: str) -> None:
-        """Asks the chosen questions again, after all others.
+        """Asks the other instance, after all calls.
 
         Raises:
             AgentError: An answer differs; the message begins with `whose`.
         """
-        kept, self._kept = self._kept, []
         try:
-            for check in reversed(kept):
-                check(self._other, "another instance of it is asked")
-                check(self.plugin, AT_THE_END)
-            for check in kept[:1] * MORE_AT_THE_END:
-                check(self.plugin, AT_THE_END)
+            for halvings in range(TIMES):
+                if self._question is not None:
+                    self._question(self._other, halvings)
         except BrokenWordError as error:
             raise AgentError(f"{whose}: {error}") from error
         except PLUGIN_ERRORS as error:
@@ -99,21 +80,21 @@ class HeldTraffic(Held[Traffic], Traffic):
         before = deepcopy(rng)
         said = np.array(self.plugin.assign(rng, scenes, vehicles))
 
-        def check(traffic: Traffic, how: str) -> None:
+        def question(traffic: Traffic, _: int) -> None:
             again = np.asarray(traffic.assign(deepcopy(before), scenes, vehicles))
             if not np.array_equal(said, again):
-                raise BrokenWordError(f"assign returned other agents when {how}")
+                what = "assign returned other agents when asked again with the same random numbers"
+                raise BrokenWordError(what)
 
-        check(self.plugin, "asked again with the same random numbers")
-        self._keep(check)
+        self._question = question
         return said
 
 
 class HeldEvent(Held[Event], Event):
     """An event of a plugin."""
 
-    def __init__(self, event: Event, rng: np.random.Generator, calls: int) -> None:
-        super().__init__(event, event, rng, calls)
+    def __init__(self, event: Event, other: Event, rng: np.random.Generator, calls: int) -> None:
+        super().__init__(event, other, rng, calls)
         self.definition = event.definition
         self.includes_failure = event.includes_failure  # type: ignore[misc]  # the event's
 
@@ -124,16 +105,14 @@ class HeldEvent(Held[Event], Event):
         levels = np.array(self.plugin.level(scene, rows), dtype=np.float64)
         check_scene("level", scene, before, (rows,), (egos[0],))
         if levels.shape == rows.shape:  # else the simulation says it
+            asked = SceneQuestion("level", before, egos, (levels,)).half(self._rng)
 
-            def ask(scene: Scene, vehicles: Vehicles) -> Answers:
-                return (np.array(self.plugin.level(scene, vehicles[0]), dtype=np.float64),)
+            def question(event: Event, halvings: int) -> None:
+                part = asked.halved(halvings)
+                part.check(lambda scene, egos: (np.array(event.level(scene, egos[0])),), AGAIN)
 
-            part = SceneQuestion("level", before, egos, (levels,)).check_order(ask, self._rng)
-            self._keep(lambda _, how: part.check(ask, how))
+            self._question = question
         return levels
-
-
-AT_THE_END = "asked again after the last call"
 
 
 def check_scene(
@@ -142,15 +121,10 @@ def check_scene(
     before: Scene,
     vehicles: Vehicles,
     asked: Vehicles,
-    timers: Vehicles | None = None,
+    own: Vehicles | None = None,
 ) -> None:
-    """Checks that a plugin has changed nothing but the timers of the vehicles `timers`."""
-    if array := changed_array(scene, before, timers):
+    """Checks that a plugin has changed nothing but what it may write of the vehicles `own`."""
+    if array := changed_array(scene, before, own):
         raise BrokenWordError(f"{name} changed scene.{array}")
-    if not all(map(equal, vehicles, asked)):
+    if not all(map(np.array_equal, vehicles, asked)):
         raise BrokenWordError(f"{name} changed the indices that it was given")
-
-
-def equal(one: NDArray[Any], other: NDArray[Any]) -> bool:
-    """Whether two arrays are equal; NaN equals NaN."""
-    return bool(np.array_equal(one, other) or np.array_equal(one, other, equal_nan=True))

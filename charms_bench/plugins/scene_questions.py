@@ -1,17 +1,15 @@
 """Shows a plugin the same scenes again and compares its answers."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import BrokenWordError
-from charms_bench.world.scene import Ints, Scene, Vehicles
+from charms_bench.world.scene import WRITABLE, Ints, Scene, Vehicles
 
-SCENES = 3
-"""Most scenes that are shown again in another order; at least one is left out."""
 ROUNDING = 1e-9
 """Largest relative difference of two answers, for plugins whose libraries add in another order when
 there are fewer vehicles."""
@@ -34,64 +32,56 @@ class SceneQuestion:
     said: Answers
     """The answers; those for crashed vehicles do not matter."""
 
-    def part(self, rows: Ints | None) -> tuple["SceneQuestion", Ints]:
-        """The same about the scenes `rows` (R,) in this order; by default all.
-
-        Returns:
-            The question about K of the M vehicles, and their indices (K,) among the M.
-        """
-        if rows is None:
-            vehicles = tuple(map(np.copy, self.vehicles))
-            question = replace(self, scene=copied(self.scene), vehicles=vehicles)
-            return question, np.arange(vehicles[0].size)
+    def part(self, rows: Ints) -> "SceneQuestion":
+        """A copy of the question about the scenes `rows` (R,) in this order."""
         arrays = {name: getattr(self.scene, name)[rows] for name in _ARRAYS}
         parts = [np.nonzero(self.vehicles[0] == row)[0] for row in rows]
         index = np.concatenate(parts)
         shown = np.repeat(np.arange(rows.size), [part.size for part in parts])
         vehicles = shown.astype(self.vehicles[0].dtype), self.vehicles[1][index]
         said = [answer[index] for answer in self.said]
-        return SceneQuestion(self.name, self.scene._replace(**arrays), vehicles, said), index
+        return SceneQuestion(self.name, self.scene._replace(**arrays), vehicles, said)
 
-    def check(self, ask: Ask, how: str, rows: Ints | None = None) -> None:
-        """Asks again about some scenes; see `part`.
+    def half(self, rng: np.random.Generator) -> "SceneQuestion":
+        """A copy of the question about half of the scenes in another order."""
+        return self.part(some_of(np.unique(self.vehicles[0]), rng))
+
+    def halved(self, times: int) -> "SceneQuestion":
+        """A copy of the question about some of the scenes; see `halved`."""
+        rows = np.unique(self.vehicles[0])
+        return self.part(rows[halved(rows.size, times)])
+
+    def check(self, ask: Ask, how: str) -> None:
+        """Asks again.
 
         Args:
             ask: Asks the plugin.
             how: In words, how it is asked.
-            rows: The scenes.
 
         Raises:
             BrokenWordError: An answer differs.
         """
-        part, index = self.part(rows)
-        again = ask(part.scene.read_only(), part.vehicles)
-        for then, now in zip(part.said, again, strict=True):
+        again = ask(copied(self.scene).read_only(), tuple(map(np.copy, self.vehicles)))
+        for then, now in zip(self.said, again, strict=True):
             if now.shape != then.shape:
                 raise BrokenWordError(f"{self.name} returned shape {now.shape} when {how}")
             if np.array_equal(then, now):
                 continue
-            driven = ~self.scene.crashed[self.vehicles][index]
-            wrong = driven & ~_close(then, now)
+            wrong = ~self.scene.crashed[self.vehicles] & ~_close(then, now)
             if wrong.any():
                 at = int(wrong.argmax())
                 values = f"{then[at]}, and {now[at]}" if now.ndim == 1 else "other values"
-                raise BrokenWordError(f"{self.name} returned {values} when {how}", int(index[at]))
+                raise BrokenWordError(f"{self.name} returned {values} when {how}", at)
 
-    def check_order(self, ask: Ask, rng: np.random.Generator) -> "SceneQuestion":
-        """Asks again about all scenes, about some in another order, and about one alone.
 
-        Returns:
-            The question about some of the scenes, to be asked later.
+def some_of(indices: Ints, rng: np.random.Generator) -> Ints:
+    """Half of the indices, in another order."""
+    return rng.permutation(indices)[: max(1, indices.size // 2)]
 
-        Raises:
-            BrokenWordError: An answer differs.
-        """
-        rows = np.unique(self.vehicles[0])
-        some = rng.permutation(rows)[: max(1, min(SCENES, rows.size - 1))]
-        self.check(ask, "asked again")
-        self.check(ask, f"shown {some.size} of the scenes in another order", some)
-        self.check(ask, "shown this scene alone", some[:1])
-        return self.part(some)[0]
+
+def halved(size: int, times: int) -> Ints:
+    """The indices of so many things, halved so many times, and never the same one alone twice."""
+    return np.asarray((np.arange(max(1, size >> times)) + times) % size)
 
 
 def copied(scene: Scene) -> Scene:
@@ -99,14 +89,14 @@ def copied(scene: Scene) -> Scene:
     return scene._replace(**{name: getattr(scene, name).copy() for name in _ARRAYS})
 
 
-def changed_array(scene: Scene, before: Scene, timers: Vehicles | None) -> str:
-    """The first array that differs, but for the timers of some vehicles; empty if none does."""
+def changed_array(scene: Scene, before: Scene, own: Vehicles | None) -> str:
+    """The first array that differs, but for what `own` vehicles may write; empty if none does."""
     for name in _ARRAYS:
         now, then = getattr(scene, name), getattr(before, name)
-        if name == "timer_s" and timers is not None:
+        if name in WRITABLE and own is not None:
             now, then = now.copy(), then.copy()
-            now[timers] = then[timers] = 0.0
-        if not (np.array_equal(now, then) or np.array_equal(now, then, equal_nan=True)):
+            now[own] = then[own] = 0.0
+        if not np.array_equal(now, then, equal_nan=now.dtype.kind == "f"):
             return name
     return ""
 

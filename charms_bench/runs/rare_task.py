@@ -117,7 +117,8 @@ def estimate(task: RareTask) -> SubsetRun:
     names = harness_names()
     simulations = _Simulations(task)
     steps = task.scene.decisions * task.scene.steps_per_decision
-    event = HeldEvent(event_of(task.event), np.random.default_rng([task.seed, task.run, 3]), steps)
+    events = event_of(task.event), event_of(task.event)
+    event = HeldEvent(*events, np.random.default_rng([task.seed, task.run, 3]), steps)
 
     def level(normal: Floats, seeds: Seeds) -> Floats:
         parts = range(0, seeds.size, EPISODES_AT_ONCE)

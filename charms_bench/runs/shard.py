@@ -24,7 +24,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.held import Held, HeldTraffic
-from charms_bench.plugins.held_agents import HeldModel, HeldNetwork, HeldPolicy, hold
+from charms_bench.plugins.held_agents import HeldModel, HeldPolicy, hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.plugins.traffic import Traffic
@@ -176,7 +176,7 @@ class HeldDrivers:
         rng = np.random.default_rng([seed, 2])
         self.traffic = HeldTraffic(traffic.make(), traffic.make(), rng)
         self.drivers = drivers_of(ego, self.traffic)
-        self.agents: dict[str, HeldPolicy | HeldNetwork | HeldModel] = {}
+        self.agents: dict[str, HeldPolicy | HeldModel] = {}
         for driver in self.drivers:
             agent, other = (agent_of(driver, networks, instance) for instance in (0, 1))
             try:
@@ -238,7 +238,13 @@ def _identity(spec_json: str, network: Path | None) -> Mapping[str, str]:
     agent = _cached_agent(spec_json, network, 0)
     weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
     name = AgentSpec.model_validate_json(spec_json).name
-    return weights if is_network(name) else weights | origin_of(find(AGENTS, name))
+    if is_network(name):
+        return weights
+    others = agent.rollouts_with if isinstance(agent, Policy) else ""
+    foreseen = (
+        {"others_code_sha256": origin_of(find(AGENTS, others))["code_sha256"]} if others else {}
+    )
+    return weights | foreseen | origin_of(find(AGENTS, name))
 
 
 @cache

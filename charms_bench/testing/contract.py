@@ -13,45 +13,59 @@ A rule raises AssertionError with what was found and what was expected.
 
 import pickle
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Collection
 from functools import partial, update_wrapper
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.batched import BatchedEngine
+from charms_bench.engine.rollouts import Futures
+from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
-from charms_bench.plugins.held_agents import are_different, check_values, driving, is_between
-from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.deciding import (
+    Asked,
+    Question,
+    answer_of,
+    check_declared,
+    decide,
+    kept_width,
+    part_of,
+    question_of,
+)
+from charms_bench.plugins.held_agents import check_decisions, driving
 from charms_bench.plugins.scene_questions import SceneQuestion, copied
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTION_KINDS, ACTIONS, problem_of
+from charms_bench.world.actions import ACTIONS, problem_of
 from charms_bench.world.observations import observation_of
-from charms_bench.world.scene import Observations, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import WRITABLE, Scene, SceneSettings, Vehicles
 
 Rule = Callable[[], None]
 _SCENES = 16
-_NOT_SEATED = 2
-"""The index of an agent that drives no vehicle."""
-_WRITABLE = {"timer_s"}
 SLOW_MS = 3.0
 """Longest time per decision of a vehicle, among many; networks of 256-256 units take 0.002."""
 
 
-def example_scene(seed: int = 0, model: DriverModel | None = None) -> Scene:
+class _Nobody(Traffic):
+    """Drives no vehicle; the agent `example` is known, but drives none either."""
+
+    def __init__(self, agents: Collection[str]) -> None:
+        self.agents = ("", *agents)
+
+    def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
+        return np.full((scenes, vehicles), "")
+
+
+def example(seed: int = 0, model: DriverModel | None = None) -> Simulation:
     """16 scenes of 21 vehicles in motion; some vehicles are changing lanes, a few have crashed.
 
     All vehicles have drawn parameters of the model.
     """
-    settings = SceneSettings(density=2.0)
-    engine = BatchedEngine(settings, _SCENES, {} if model is None else {_NOT_SEATED: model})
-    rows = np.arange(_SCENES)
-    traffic = np.ones((_SCENES, settings.traffic_vehicles), dtype=np.int64)
-    engine.reset(rows, rows.astype(np.uint64) + np.uint64(seed), traffic)
-    rng = np.random.default_rng(seed)
+    known = {} if model is None else {"example": model}
+    simulation = Simulation(SceneSettings(density=2.0), _SCENES, None, _Nobody(known), known)
+    simulation.reset(np.arange(_SCENES, dtype=np.uint64) + np.uint64(seed))
+    rng, engine = np.random.default_rng(seed), simulation.engine
     everyone = _everyone(engine.scene)
     for _ in range(4):
         engine.command(everyone, rng.integers(0, len(ACTIONS), everyone[0].size))
@@ -60,7 +74,12 @@ def example_scene(seed: int = 0, model: DriverModel | None = None) -> Scene:
     if model is not None and model.parameters:
         low, high = np.array([*model.parameters.values()]).T
         engine.scene.parameters[:] = rng.uniform(low, high, engine.scene.parameters.shape)
-    return engine.scene
+    return simulation
+
+
+def example_scene(seed: int = 0, model: DriverModel | None = None) -> Scene:
+    """The scenes of `example`."""
+    return example(seed, model).scene
 
 
 def agent_rules(agent: Agent) -> list[Rule]:
@@ -96,58 +115,51 @@ def _bound(rule: Callable[..., None], subject: Any) -> Rule:
 
 
 def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
-    """Its `observation` and its kind of `actions` exist, and its `decision_hz` is positive."""
+    """Its `observation`, its kind of `actions` and its widths are possible, its rate positive."""
     try:
-        observation_of(policy.observation)
+        check_declared(policy)
     except InputError as error:
         raise AssertionError(str(error)) from error
     _require(policy.decision_hz > 0, f"decision_hz is {policy.decision_hz}")
-    kinds = " or ".join(ACTION_KINDS)
-    _require(policy.actions in ACTION_KINDS, f"actions is {policy.actions!r}; expected {kinds}")
 
 
 def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
     """`decide` returns one action of its kind per row, for many rows and for one.
 
-    A meta-action is an integer 0..4, a continuous action two floats from -1 to 1.
+    A meta-action is an integer 0..4, a continuous action two floats from -1 to 1. With memory, it
+    also returns the new memory, which is finite.
     """
-    observations = _observations(policy)
-    for rows in (observations, observations[:1]):
-        what, row = problem_of(np.asarray(policy.decide(rows)), policy.actions, len(rows))
-        _require(not what, f"for row {row} of {len(rows)}, decide returned {what}")
+    asked = _question(policy)
+    for rows in (np.arange(len(asked[0])), np.array([0])):
+        part = part_of(asked, rows)
+        actions, _ = _kept(answer_of, policy, part, policy.decide(*part))
+        what, row = problem_of(actions, policy.actions, rows.size)
+        _require(not what, f"for row {row} of {rows.size}, decide returned {what}")
 
 
 def policy_decides_for_each_vehicle_independently(policy: Policy) -> None:
-    """A vehicle's action does not depend on the other vehicles, their number or their order.
+    """A vehicle's answer does not depend on the other vehicles, their number or their order.
 
-    Continuous actions may differ by rounding.
+    Continuous actions and memory may differ by rounding.
     """
-    observations = _observations(policy)
-    together = np.array(policy.decide(observations.copy()))
-    order = np.random.default_rng(0).permutation(len(observations))
+    asked = _question(policy)
+    everyone = np.arange(len(asked[0]))
+    actions, memory = answer_of(policy, asked, policy.decide(*part_of(asked, everyone)))
+    order = np.random.default_rng(0).permutation(everyone.size)
     for size in (1, 7, order.size):
-        batches = [order[start : start + size] for start in range(0, order.size, size)]
-        if type(policy) is OnnxPolicy:
-            values = policy.values(observations)
-            for rows in batches:
-                _kept(check_values, policy, observations[rows], values[rows], rows)
-            continue
-        found = np.concatenate([policy.decide(observations[rows].copy()) for rows in batches])
-        differ = are_different(together[order], found)
-        at = order[differ]
-        is_one = at.size == 1 and together.ndim == 1
-        actions = (*together[at], *found[differ])
-        explained = is_one and is_between(policy, observations[at[0]], *actions)
-        what = f"{at.size} of {order.size} actions differ"
-        _require(not at.size or explained, f"{what} in batches of {size} in another order")
+        for start in range(0, order.size, size):
+            rows = order[start : start + size]
+            how = f"asked in batches of {size} in another order"
+            said = actions[rows], memory[rows]
+            _kept(check_decisions, policy, part_of(asked, rows), said, how, rows)
 
 
 def policy_does_not_change_its_observations(policy: Policy) -> None:
     """`decide` does not write to its observations."""
-    observations = _observations(policy)
-    before = observations.copy()
-    policy.decide(observations)
-    _require((observations == before).all(), "decide changed its observations")
+    asked = _question(policy)
+    shown = part_of(asked, np.arange(len(asked[0])))
+    policy.decide(*shown)
+    _require(np.array_equal(asked[0], shown[0]), "decide changed its observations")
 
 
 def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> None:
@@ -167,19 +179,19 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
 def model_drives_each_scene_independently(model: DriverModel) -> None:
     """What happens in one scene does not depend on the others, their number or their order."""
     scene = example_scene(model=model)
-    asked = SceneQuestion("drive", scene, _everyone(scene), ())
-    said = driving(model)(asked.part(None)[0].scene.read_only(), asked.vehicles)
+    said = driving(model)(copied(scene).read_only(), _everyone(scene))
+    asked = SceneQuestion("drive", scene, _everyone(scene), said)
     order = np.random.default_rng(0).permutation(_SCENES)
     for size in (1, 5, _SCENES):
         rows, how = order[:size], f"shown {size} of {_SCENES} scenes in another order"
-        _kept(replace(asked, said=said).check, driving(model), how, rows)
+        _kept(asked.part(rows).check, driving(model), how)
 
 
 def model_does_not_change_the_scene(model: DriverModel) -> None:
-    """`drive` writes to `timer_s` only."""
+    """`drive` writes to `timer_s` and `memory` only."""
     scene, before = example_scene(model=model), example_scene(model=model)
     model.drive(scene, _everyone(scene))
-    for name in set(Scene._fields) - _WRITABLE - {"constants"}:
+    for name in set(Scene._fields) - {*WRITABLE, "constants"}:
         same = np.array_equal(getattr(scene, name), getattr(before, name))
         _require(same, f"drive changed scene.{name}")
 
@@ -245,24 +257,35 @@ def _check_integers(what: str, values: NDArray[Any], count: int) -> None:
         _require(0 <= value < count, f"{what} {value}; expected 0 to {count - 1}")
 
 
-def _kept(check: Callable[..., None], *arguments: Any) -> None:
+def _kept(check: Callable[..., Any], *arguments: Any) -> Any:
     """Checks a rule that runs check, too."""
     try:
-        check(*arguments)
+        return check(*arguments)
     except BrokenWordError as error:
         raise AssertionError(str(error)) from error
 
 
-def _observations(policy: Policy, seed: int = 0) -> Observations:
-    scene = example_scene(seed)
-    return observation_of(policy.observation)(scene, _everyone(scene))
+def _question(policy: Policy, seed: int = 0) -> Question:
+    """What a policy is asked about every vehicle of the example, with memory of one decision."""
+    simulation = example(seed)
+    everyone = _everyone(simulation.scene)
+    vehicles = everyone[0].size
+    asked = Asked(
+        observation_of(policy.observation)(simulation.scene, everyone),
+        np.zeros((vehicles, kept_width(policy))),
+        np.random.default_rng(seed).random((vehicles, policy.noise_draws)),
+        Futures(simulation, policy).of(everyone) if policy.rollouts_with else None,
+    )
+    _, kept = _kept(decide, policy, asked) if kept_width(policy) else (None, asked.kept)
+    return question_of(policy, asked._replace(kept=kept))
 
 
 def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
     """Asks an agent about every vehicle of the example scenes."""
     if isinstance(agent, Policy):
-        observations = _observations(agent, seed)
-        return lambda: np.array(agent.decide(observations.copy())).T
+        asked = _question(agent, seed)
+        everyone = np.arange(len(asked[0]))
+        return lambda: answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))[0].T
     scene = example_scene(seed, agent)
     return lambda: _answer(agent, copied(scene), _everyone(scene))
 

@@ -181,6 +181,9 @@ class _Fields(NamedTuple):
     parameters: Floats
     """[B, N, P] the parameters of each vehicle's driver, in the order in which its model declares
     them [`DriverModel.parameters`]; P is the number of the model that declares most."""
+    memory: Floats
+    """[B, N, Q] what each vehicle's agent remembers, in its first columns; Q is the width of the
+    agent that declares most [`Policy.memory_width`, `DriverModel.memory_width`]."""
     ego: Ints
     """[B] the ego's place."""
     active: Bools
@@ -203,7 +206,7 @@ class _Fields(NamedTuple):
 
 
 class Scene(_Fields):
-    """B scenes of N vehicles. A driver model may only write `timer_s` of its own vehicles."""
+    """B scenes of N vehicles. A driver model may only write `WRITABLE` of its own vehicles."""
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
@@ -221,8 +224,10 @@ class Scene(_Fields):
         raise AttributeError(f"scene.{name} cannot be set; a scene is read-only")
 
     @classmethod
-    def empty(cls, settings: SceneSettings, scenes: int, parameters: int = 0) -> "Scene":
-        """Some scenes, all zeros; an engine fills them. Drivers have so many `parameters`."""
+    def empty(
+        cls, settings: SceneSettings, scenes: int, parameters: int = 0, memory: int = 0
+    ) -> "Scene":
+        """Some scenes, all zeros; an engine fills them. P is `parameters` and Q is `memory`."""
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
         nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
@@ -235,6 +240,7 @@ class Scene(_Fields):
         return cls(
             **per_vehicle,
             parameters=np.zeros((*shape, parameters)),
+            memory=np.zeros((*shape, memory)),
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
             order=places,
@@ -245,10 +251,10 @@ class Scene(_Fields):
         )
 
     def read_only(self) -> "Scene":
-        """The same scenes for a plugin, which can write to `timer_s` only."""
+        """The same scenes for a plugin, which can write to `WRITABLE` only."""
         views = {name: array.view() for name, array in self._asdict().items() if name in _ARRAYS}
         for name, view in views.items():
-            view.flags.writeable = name == "timer_s"
+            view.flags.writeable = name in WRITABLE
         return self._replace(**views)
 
     def leader(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
@@ -284,4 +290,6 @@ _PER_VEHICLE: dict[type, str] = {
     np.bool_: "crashed impact",
 }
 """The arrays [B, N] of a `Scene` by the type of their values."""
+WRITABLE = ("timer_s", "memory")
+"""The arrays that a driver model may change for its own vehicles."""
 _ARRAYS = set(Scene._fields) - {"constants"}

@@ -66,7 +66,7 @@ def scribble(observations: Observations) -> Actions:
         (
             lambda o: np.full(len(o), min(len(o), 3)),
             "policy_decides_for_each_vehicle_independently",
-            "336 of 336 actions differ in batches of 1",
+            r"decide returned \S+( \S+)?, and .* when asked in batches of 1 in another order",
         ),
         (
             lambda o: RNG.integers(0, 5, len(o)),
@@ -89,7 +89,7 @@ def test_every_rule_is_kept_when_python_optimises() -> None:
     exec(compile(source.read_text(), source, "exec", optimize=1), names)
     policy = Decides(lambda o: RNG.integers(0, 5, len(o)))
     for rule in ("agent_is_deterministic", "policy_decides_for_each_vehicle_independently"):
-        with pytest.raises(AssertionError, match="differ"):
+        with pytest.raises(AssertionError, match=r"differ|decide returned"):
             names[rule](policy)
 
 
@@ -119,7 +119,7 @@ def test_a_policy_with_an_impossible_rate_or_observation_is_found() -> None:
         (
             lambda o: np.full((len(o), 2), 1 / len(o)),
             "policy_decides_for_each_vehicle_independently",
-            "336 of 336 actions differ in batches of 1",
+            r"decide returned \S+( \S+)?, and .* when asked in batches of 1 in another order",
         ),
     ],
 )

@@ -1,0 +1,184 @@
+"""What a planner asks: what would follow if its vehicles carried out plans.
+
+Each plan is simulated from a copy of the scene, in which one agent drives all other vehicles. The
+copy has everything that can be seen of them, and none of what their drivers are: an agent with
+parameters gets the middles of their ranges, and a scenario's prescribed actions are not known.
+"""
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.engine.prescribed import TEMPERAMENT
+from charms_bench.engine.state import SceneState, state_of
+from charms_bench.errors import InputError
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import Actions
+from charms_bench.world.scene import Bools, Floats, Ints, Vehicles
+
+if TYPE_CHECKING:
+    from charms_bench.engine.simulation import Simulation
+
+SCENES = 512
+"""Scenes that are simulated at once."""
+
+
+class Outcomes(NamedTuple):
+    """What M vehicles do and meet with K plans of H decisions each; every array is (M, K, H).
+
+    The values are those at the end of each decision. After a vehicle has crashed or left the road,
+    or after the end of the episode, they no longer change.
+    """
+
+    x: Floats
+    """Centre along the road, m."""
+    y: Floats
+    """Centre across the road, m."""
+    speed: Floats
+    """m/s"""
+    lane: Ints
+    """Nearest lane."""
+    gap: Floats
+    """Distance to the leader on the nearest lane, centre to centre, m; infinite without one."""
+    leader_speed: Floats
+    """m/s; 0 without a leader."""
+    failed: Bools
+    """Whether the vehicle has crashed or left the road."""
+
+
+class Rollouts:
+    """Simulates plans of M vehicles; a planner receives it as `rollouts`."""
+
+    def __init__(self, futures: "Futures", vehicles: Vehicles) -> None:
+        self._futures, self._vehicles = futures, vehicles
+
+    def __len__(self) -> int:
+        return self._vehicles[0].size
+
+    def __getitem__(self, some: Ints) -> "Rollouts":
+        """The same for some of the vehicles."""
+        return Rollouts(self._futures, tuple(each[some] for each in self._vehicles))
+
+    def __call__(self, plans: Actions) -> Outcomes:
+        """What follows from plans.
+
+        Args:
+            plans: (K, H) meta-actions, the same plans for each vehicle, or (M, K, H) with plans of
+                its own for each; one action per decision of the planner. Continuous actions have
+                one more axis, (..., 2).
+
+        Raises:
+            InputError: The plans have another shape.
+        """
+        return self._futures.outcomes(self._vehicles, np.asarray(plans))
+
+
+class Futures:
+    """The simulations in which a planner of a simulation looks ahead."""
+
+    def __init__(self, simulation: "Simulation", planner: Policy) -> None:
+        self._made, self._planner = simulation, planner
+        self._period = round(simulation.settings.simulation_hz / planner.decision_hz)
+        self._beside: Any = None
+
+    def of(self, vehicles: Vehicles) -> Rollouts:
+        """The rollouts of M vehicles."""
+        return Rollouts(self, vehicles)
+
+    @property
+    def _simulation(self) -> "Simulation":
+        """A simulation of `SCENES` scenes, made when it is first needed."""
+        if self._beside is None:
+            others, settings = self._planner.rollouts_with, self._made.settings
+            settings = settings.model_copy(update={"scenario": None})
+            agents = {others: make_agent(others)}
+            self._beside = type(self._made)(
+                settings, SCENES, None, OneAgent(others), agents, actions=self._planner.actions
+            )
+        return self._beside  # type: ignore[no-any-return]
+
+    def outcomes(self, vehicles: Vehicles, plans: Actions) -> Outcomes:
+        """See `Rollouts`."""
+        rows, places = vehicles
+        dimensions = 2 if self._planner.actions == "meta" else 3
+        if plans.ndim == dimensions:
+            plans = np.broadcast_to(plans, (rows.size, *plans.shape))
+        if plans.ndim != dimensions + 1 or len(plans) != rows.size:
+            raise InputError(
+                f"rollouts: plans of shape {plans.shape}; expected (plans, decisions), or "
+                f"({rows.size}, plans, decisions) with plans for each vehicle"
+            )
+        shape = plans.shape[:3]
+        found = Outcomes(*(np.zeros(shape, dtype) for dtype in _DTYPES))
+        flat = [array.reshape(-1, shape[2]) for array in found]
+        # The ego can be controlled in another way than other vehicles (`Profile.ego_control_rate`).
+        is_ego = self._made.scene.ego[rows] == places
+        for part in (np.nonzero(is_ego)[0], np.nonzero(~is_ego)[0]):
+            each = (part[:, None] * shape[1] + np.arange(shape[1])).ravel()
+            for start in range(0, each.size, SCENES):
+                index = each[start : start + SCENES]
+                which = index // shape[1]
+                state = self._state((rows[which], places[which]))
+                actions = plans.reshape(-1, *plans.shape[2:])[index]
+                holds = bool(is_ego[which[0]])
+                for array, values in zip(flat, self._driven(state, actions, holds), strict=True):
+                    array[index] = values
+        return found
+
+    def _state(self, vehicles: Vehicles) -> SceneState:
+        """Copies of scenes in which each of the vehicles (S,) is the ego, driven from outside."""
+        rows, places = vehicles
+        unique, which = np.unique(rows, return_inverse=True)
+        state = state_of(self._made, unique).take(which)
+        everyone = np.ones(state.drivers.shape, dtype=np.bool_)
+        state = state.driven_by(self._planner.rollouts_with, everyone).seated(places, "")
+        index = [self._simulation.agents.index(name) if name in self._simulation.agents else 0
+                 for name in state.agents]  # fmt: skip
+        return SceneState(
+            self._simulation.settings,
+            self._simulation.agents,
+            state.phase,
+            **{
+                **state.arrays(),
+                "drivers": np.array(index)[state.drivers],
+                "ego": places,
+                "ending": np.zeros(rows.size, dtype=np.int64),
+                "active": np.ones(rows.size, dtype=np.bool_),
+                "temperament": np.full(state.x.shape, TEMPERAMENT),
+            },
+        )
+
+    def _driven(self, state: SceneState, plans: Actions, holds: bool) -> list[Any]:
+        """The outcomes (S, H) of plans (S, H), one for each scene of a state."""
+        made, scenes = self._simulation, np.arange(len(state))
+        made.holds_egos = holds and self._made.holds_egos
+        made.scene.active[:] = False
+        made.restore(state, scenes)
+        for agent, ranges in made.ranges.items():
+            middles = [(low + high) / 2 for low, high in ranges.values()]
+            made.scene.parameters[made.engine.drivers == agent, : len(ranges)] = middles
+        egos, c = (scenes, made.scene.ego[scenes]), made.settings
+        found = []
+        for decision in range(plans.shape[1]):
+            made.command(egos, plans[:, decision])
+            for _ in range(self._period):
+                made.advance()
+                if made.phase == c.steps_per_decision:
+                    made.finish_step()
+            found.append(self._now(egos))
+        return [np.stack(each, axis=1) for each in zip(*found, strict=True)]
+
+    def _now(self, egos: Vehicles) -> tuple[Any, ...]:
+        """The values (S,) of `Outcomes` for the egos of the first S scenes."""
+        scene, lane = self._simulation.scene, self._simulation.scene.lane[egos]
+        leader, present = scene.leader(egos, lane)
+        ahead = (egos[0], leader)
+        gap = np.where(present, scene.x[ahead] - scene.x[egos], np.inf)
+        leader_speed = np.where(present, scene.speed[ahead], 0.0)
+        failed = self._simulation.failed[egos[0]]
+        return scene.x[egos], scene.y[egos], scene.speed[egos], lane, gap, leader_speed, failed
+
+
+_DTYPES = (float, float, float, np.int64, float, float, np.bool_)

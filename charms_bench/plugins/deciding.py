@@ -1,0 +1,113 @@
+"""What a policy is asked and what it answers, whatever it declares."""
+
+from collections.abc import Callable
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.errors import BrokenWordError, InputError
+from charms_bench.plugins.agent import Policy
+from charms_bench.world.actions import ACTION_KINDS, Actions
+from charms_bench.world.observations import observation_of
+from charms_bench.world.scene import Floats, Ints, Observations
+
+Question = tuple[Any, ...]
+"""The arguments of `Policy.decide`; each has one entry for each of M vehicles."""
+WIDEST = 100_000
+"""Most numbers that a policy can remember of a vehicle."""
+
+
+class Asked(NamedTuple):
+    """A question about M vehicles."""
+
+    observations: Observations
+    """(M, ...) what they see now."""
+    kept: Floats
+    """(M, `kept_width`) their memory, and after it their earlier observations."""
+    noise: Floats
+    """(M, W) random numbers."""
+    rollouts: Any = None
+    """For a planner; see `engine.rollouts`."""
+
+
+def kept_width(policy: Policy) -> int:
+    """How many numbers the harness keeps of each vehicle between two decisions."""
+    seen = prod(observation_of(policy.observation).shape) if policy.history_length > 1 else 0
+    return policy.memory_width + (policy.history_length - 1) * seen
+
+
+def decide(policy: Policy, asked: Asked) -> tuple[Actions, Floats]:
+    """The policy's actions, and what is kept for its next decision (M, `kept_width`).
+
+    Raises:
+        BrokenWordError: The policy declares memory, and what it returns as memory is missing, not
+            finite or of another shape.
+    """
+    question = question_of(policy, asked)
+    actions, memory = answer_of(policy, question, policy.decide(*question))
+    if policy.history_length == 1:
+        return actions, memory
+    earlier = question[0][:, 1:].reshape(len(memory), -1)
+    return actions, np.concatenate([memory, earlier.astype(np.float64)], axis=1)
+
+
+def question_of(policy: Policy, asked: Asked) -> Question:
+    """The arguments of `policy.decide`."""
+    seen, memory = asked.observations, asked.kept[:, : policy.memory_width]
+    if policy.history_length > 1:
+        shape = (len(seen), policy.history_length - 1, *seen.shape[1:])
+        earlier = asked.kept[:, policy.memory_width :].reshape(shape)
+        seen = np.concatenate([earlier.astype(seen.dtype), seen[:, None]], axis=1)
+    seen = seen.view()
+    seen.flags.writeable = False  # of the view: a plugin's own observation may write to its array
+    if policy.rollouts_with:
+        return seen, memory, asked.noise, asked.rollouts
+    return (seen, memory, asked.noise) if policy.memory_width or policy.noise_draws else (seen,)
+
+
+def answer_of(policy: Policy, question: Question, answer: Any) -> tuple[Actions, Floats]:
+    """The actions and the new memory (M, Q) in what `policy.decide` has returned.
+
+    Raises:
+        BrokenWordError: As for `decide`.
+    """
+    shape = (len(question[0]), policy.memory_width)
+    if not policy.memory_width:
+        return np.asarray(answer), np.zeros(shape)
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        found = type(answer).__name__
+        raise BrokenWordError(f"decide returned {found}; expected (actions, memory)")
+    new = np.asarray(answer[1])
+    if new.shape != shape or new.dtype.kind not in "fiu":
+        found = f"{new.dtype} of shape {new.shape}"
+        raise BrokenWordError(f"decide returned memory {found}; expected floats of shape {shape}")
+    if not (finite := np.isfinite(new).all(axis=1)).all():
+        raise BrokenWordError("decide returned memory that is not finite", int(finite.argmin()))
+    return np.asarray(answer[0]), new.astype(np.float64)
+
+
+def part_of(question: Question, some: Ints) -> Question:
+    """The same question about some of the vehicles; what can be changed is a copy."""
+    return tuple(each[some] for each in question)
+
+
+def check_declared(policy: Policy) -> None:
+    """Checks what a policy declares of itself, but for its rate.
+
+    Raises:
+        InputError: An attribute has a value that is not possible.
+    """
+    observation_of(policy.observation)
+    kinds = " or ".join(ACTION_KINDS)
+    _require("actions", policy.actions, kinds, lambda found: found in ACTION_KINDS)
+    for name, lowest in (("history_length", 1), ("memory_width", 0), ("noise_draws", 0)):
+        expected = f"an integer from {lowest} to {WIDEST:,}"
+        _require(name, getattr(policy, name), expected, lambda found: lowest <= found <= WIDEST)  # noqa: B023
+    _require("rollouts_with", policy.rollouts_with, "the name of an agent", lambda found: True)
+
+
+def _require(name: str, found: Any, expected: str, fits: Callable[[Any], bool]) -> None:
+    kind = str if name in ("actions", "rollouts_with") else int
+    if type(found) is not kind or not fits(found):
+        raise InputError(f"its attribute `{name}` is {str(found)[:80]!r}; expected {expected}")
