@@ -1,5 +1,7 @@
 """A policy that is a network in an ONNX file."""
 
+import math
+import re
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,12 +14,17 @@ from charms_bench.foundation.files import read_limited
 from charms_bench.foundation.workers import is_child
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
-from charms_bench.plugins.onnx_session import (
+from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
-    Ports,
+    NOISE_INPUT,
+    Port,
+    Roles,
     Signature,
+    roles_of,
+)
+from charms_bench.plugins.onnx_session import (
+    ROWS_WITH_MEMORY,
     compute,
-    inputs_of,
     open_session,
     signature_of,
     tried,
@@ -25,12 +32,14 @@ from charms_bench.plugins.onnx_session import (
 from charms_bench.world.actions import ActionKind, Actions, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
-from charms_bench.world.scene import Observations
+from charms_bench.world.scene import Floats, Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
 ROWS_AT_ONCE = 512
 """Observations in one call of onnxruntime. A layer of 256 units then takes 512 KiB, so intermediate
 results stay in the cache of one core; a call costs as much as about ten observations."""
+_BELOW_ONE = np.nextafter(np.float32(1), np.float32(0))
+"""The largest draw: in float32, the largest ones would otherwise become 1."""
 
 
 class OnnxPolicy(Policy):
@@ -38,11 +47,16 @@ class OnnxPolicy(Policy):
 
     The network can only do arithmetic, in bounded memory and on one thread; see
     `onnx_file.OPERATORS`. A worker tries it before this process opens it; see `onnx_session`. The
-    file has one input, `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
-    and one output, both float32. The output is `(batch, 5)`, or `(batch, 2)` if the file's metadata
-    say `actions: continuous`; it is then clipped to [-1, 1]. The metadata also name the
-    observation; the default is `neighbours`. A network with a second input named `action_mask`,
-    `(batch, 5)` float32, receives the vehicles' action masks there; see `world.action_mask`.
+    file's first input is `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
+    and its first output has the values; all are float32. The output is `(batch, 5)`, or
+    `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
+    The metadata also name the observation; the default is `neighbours`. With `history: K`, the
+    input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last.
+
+    A network with an input named `action_mask`, `(batch, 5)`, receives the vehicles' action masks
+    there; see `world.action_mask`. One with an input `noise`, `(batch, k)`, receives uniform random
+    numbers in [0, 1). All further inputs are states, and all further outputs the next states; see
+    `onnx_ports`. They are the memory of the vehicles.
 
     Args:
         path: The `.onnx` file.
@@ -78,18 +92,19 @@ class OnnxPolicy(Policy):
             raise ModelError(f"{self.path}: metadata: {error}") from error
         if found.metadata.get("actions") == "continuous":
             self.actions = "continuous"
-        self._outputs = outputs_of(self.actions)
-        shape = self.observation.shape
-        self._rows = shape[0]
-        self._input, self._shape = _input(self.path, found, shape, self._outputs)
-        self._takes_mask = inputs_of(found)[1]
-        if self._takes_mask:
+        self.history = _history(self.path, found.metadata.get("history", "1"))
+        history = (self.history,) * (self.history > 1)
+        shape = *history, *self.observation.shape
+        self._rows = self.observation.shape[0]
+        self._roles = _roles(self.path, found, shape, outputs_of(self.actions))
+        self.memory, self.noise = self._roles.memory, self._roles.noise
+        if self._roles.takes_mask:
             self.observation = _with_mask(self.path, self.observation, self.actions)
         if decision_hz is None:
             decision_hz = _decision_hz(self.path, found.metadata.get("decision_hz", "3"))
         self.decision_hz = decision_hz
         if is_child():
-            self.values(np.zeros((2, *self.observation.shape), dtype=np.float32))
+            self.values(np.zeros((2, *history, *self.observation.shape), np.float32))
         elif found.problem:
             raise ModelError(f"{self.path}: {found.problem}")
 
@@ -104,8 +119,15 @@ class OnnxPolicy(Policy):
     def weights_sha256(self) -> str:
         return self._sha256
 
-    def decide(self, observations: Observations) -> Actions:
-        return self.actions_of(self.values(observations))
+    def decide(
+        self,
+        observations: Observations,
+        memory: Floats | None = None,
+        noise: Floats | None = None,
+    ) -> Actions:
+        values, after = self.values_and_memory(observations, memory, noise)
+        actions = self.actions_of(values)
+        return (actions, after) if self.memory else actions  # type: ignore[return-value]
 
     def actions_of(self, values: NDArray[np.float32]) -> Actions:
         """The actions (M,) or (M, 2) that the network's output means."""
@@ -114,21 +136,50 @@ class OnnxPolicy(Policy):
         return np.asarray(np.argmax(values, axis=1))
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The network's output, (M, 5) or (M, 2), for observations (M, rows, columns).
+        """The values of `values_and_memory`, without memory and with the smallest draws."""
+        return self.values_and_memory(observations)[0]
+
+    def values_and_memory(
+        self,
+        observations: Observations,
+        memory: Floats | None = None,
+        noise: Floats | None = None,
+    ) -> tuple[NDArray[np.float32], Floats]:
+        """The network's output, (M, 5) or (M, 2), and the memory (M, memory) that it leaves.
+
+        Args:
+            observations: (M, rows, columns), or (M, history, rows, columns).
+            memory: (M, memory), by default zeros, as at the beginning of an episode.
+            noise: (M, noise), in [0, 1); by default zeros.
 
         Raises:
             ModelError: It cannot be computed, has another shape, or contains NaN.
         """
-        starts = range(0, max(len(observations), 1), ROWS_AT_ONCE)
-        parts = [self._values(observations[start : start + ROWS_AT_ONCE]) for start in starts]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        count = len(observations)
+        memory = np.zeros((count, self.memory)) if memory is None else memory
+        noise = np.zeros((count, self.noise)) if noise is None else noise
+        at_once = ROWS_WITH_MEMORY if self.memory else ROWS_AT_ONCE
+        parts = []
+        for start in range(0, max(count, 1), at_once):
+            part = slice(start, start + at_once)
+            parts.append(self._computed(observations[part], memory[part], noise[part]))
+        if len(parts) == 1:
+            return parts[0]
+        values, after = zip(*parts, strict=True)
+        return np.concatenate(values), np.concatenate(after)
 
-    def _values(self, observations: Observations) -> NDArray[np.float32]:
-        inputs = {self._input: observations[:, : self._rows].reshape(-1, *self._shape)}
-        if self._takes_mask:
-            inputs[MASK_INPUT] = observations[:, ACTION_MASK]
+    def _computed(
+        self, observations: Observations, memory: Floats, noise: Floats
+    ) -> tuple[NDArray[np.float32], Floats]:
+        roles, seen = self._roles, observations[..., : self._rows, :]
+        inputs = {roles.seen: seen.reshape(-1, *roles.shape)}
+        if roles.takes_mask:
+            newest = observations if self.history == 1 else observations[:, -1]
+            inputs[MASK_INPUT] = newest[:, ACTION_MASK]
+        if roles.noise:
+            inputs[NOISE_INPUT] = np.minimum(noise.astype(np.float32), _BELOW_ONE)
         try:
-            return compute(self._session, inputs, self._outputs)
+            return compute(self._session, roles, inputs, memory)
         except ModelError as error:
             raise ModelError(f"{self.path}: {error}") from error
 
@@ -162,36 +213,35 @@ def _decision_hz(path: Path, said: str) -> float:
     return hz
 
 
-def _input(
-    path: Path, found: Signature, shape: tuple[int, int], count: int
-) -> tuple[str, tuple[int, ...]]:
-    """The input's name and its shape after the batch."""
-    rows, columns = shape
-    outputs = found.outputs
-    inputs, _ = inputs_of(found)
+def _history(path: Path, said: str) -> int:
+    if not re.fullmatch(r"[1-9]\d{0,4}", said):
+        raise ModelError(
+            f"{path}: metadata: history is '{said[:40]}'; expected the number of latest "
+            "observations that the network takes"
+        )
+    return int(said)
+
+
+def _roles(path: Path, found: Signature, shape: tuple[int, ...], count: int) -> Roles:
+    """What the ports are for; refuses other shapes than these of an observation and the values."""
+    roles = roles_of(found)
+    if roles and roles.shape in ((math.prod(shape),), shape) and roles.outputs == count:
+        return roles
     other = ", or (batch, 2) with the metadata 'actions: continuous'"
     wanted = (
-        f"one float32 input (batch, {rows * columns}) or (batch, {rows}, {columns}) with a free "
-        f"batch, and one float32 output (batch, {count})"
+        f"one float32 input (batch, {math.prod(shape)}) or (batch, {', '.join(map(str, shape))}) "
+        f"with a free batch, and one float32 output (batch, {count})"
         f"{other if count == outputs_of('meta') else ''}"
-        + (
-            f"; a second input, {MASK_INPUT}, is float32 (batch, 5)"
-            if len(found.inputs) > 1
-            else ""
+    )
+    if len(found.inputs) + len(found.outputs) > 2:
+        wanted += (
+            f"; beside them, an input {MASK_INPUT} (batch, 5), an input {NOISE_INPUT} (batch, "
+            "draws), and for each state an input such as (batch, width) or (layers, batch, width) "
+            "and, in the same order, an output of the same shape; all float32"
         )
-    )
-    fits = (
-        len(inputs) == len(outputs) == 1
-        and inputs[0][1] == outputs[0][1] == "tensor(float)"
-        and inputs[0][2][1:] in ((rows * columns,), (rows, columns))
-        and not isinstance(inputs[0][2][0], int)
-        and outputs[0][2][1:] == (count,)
-    )
-    if not fits:
-        has = f"inputs {_listed(found.inputs)}, outputs {_listed(outputs)}"
-        raise ModelError(f"{path}: has {has}; expected {wanted}")
-    return inputs[0][0], inputs[0][2][1:]
+    has = f"inputs {_listed(found.inputs)}, outputs {_listed(found.outputs)}"
+    raise ModelError(f"{path}: has {has}; expected {wanted}")
 
 
-def _listed(ports: Ports) -> str:
+def _listed(ports: tuple[Port, ...]) -> str:
     return str([(name, kind, list(shape)) for name, kind, shape in ports])

@@ -10,9 +10,9 @@ import math
 import os
 import resource
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from hashlib import sha256
 from typing import Any
@@ -22,7 +22,16 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import ModelError
 from charms_bench.foundation.workers import Died, ask
+from charms_bench.plugins.onnx_ports import (
+    MASK_INPUT,
+    NOISE_INPUT,
+    Arrays,
+    Roles,
+    Signature,
+    roles_of,
+)
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Floats
 
 MEMORY_LIMIT_BYTES = 2 * 2**30
 """Memory of all networks of a process, including their intermediate results."""
@@ -36,25 +45,9 @@ TRIED_ROWS = 64
 """Random observations for which a network is computed."""
 TRIED_SCALES = (1.0, 100.0)
 """Standard deviations of these observations."""
-WIDEST = 10_000
-"""Numbers in an observation, far more than any observation has."""
-MASK_INPUT = "action_mask"
-"""The name of the second input of a network that takes the action mask."""
-
-Ports = tuple[tuple[str, str, tuple[Any, ...]], ...]
-"""The name, type and shape of each input or output."""
-
-
-@dataclass(frozen=True)
-class Signature:
-    """What a network says of itself."""
-
-    inputs: Ports
-    outputs: Ports
-    metadata: Mapping[str, str]
-    problem: str = ""
-    """Why it cannot be computed; empty if it can, or if its inputs are not observations."""
-
+ROWS_WITH_MEMORY = 64
+"""Vehicles in each call of a network with memory. The rounding of a sum may depend on the size of
+the batch, so a memory would otherwise come to depend on the other vehicles of the call."""
 
 _signatures: dict[str, Signature | str] = {}
 """What was found about the networks that were tried, or why they cannot be used, by their hash."""
@@ -100,45 +93,29 @@ def _try(data: bytes) -> Signature:
     with _limits():
         session = open_session(data)
         found = signature_of(session)
-        if (shapes := _shapes(found)) is None:
+        if (roles := roles_of(found)) is None:
             return found
-        name, row, width = shapes
-
-        def inputs(seen: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-            masks = np.ones((len(seen), len(ACTIONS)), dtype=np.float32)
-            return {name: seen} | ({MASK_INPUT: masks} if inputs_of(found)[1] else {})
-
+        rng = np.random.default_rng(0)
         try:
-            compute(session, inputs(np.zeros((2, *row), dtype=np.float32)), width)
+            compute(session, roles, *_question(roles, rng, 2, 0.0))
         except ModelError as error:
             return replace(found, problem=str(error))
-        rng = np.random.default_rng(0)
         for scale in TRIED_SCALES:
-            seen = rng.normal(scale=scale, size=(TRIED_ROWS, *row)).astype(np.float32)
             with suppress(ModelError):  # no vehicle has such an observation
-                compute(session, inputs(seen), width)
+                compute(session, roles, *_question(roles, rng, TRIED_ROWS, scale))
     return found
 
 
-def inputs_of(found: Signature) -> tuple[Ports, bool]:
-    """The inputs of a network without the action mask (batch, 5), and whether it takes a mask."""
-    others = tuple(port for port in found.inputs if port[0] != MASK_INPUT)
-    masks = [(kind, row[1:]) for name, kind, row in found.inputs if name == MASK_INPUT]
-    if masks == [("tensor(float)", (len(ACTIONS),))] and others:
-        return others, True
-    return found.inputs, False
-
-
-def _shapes(found: Signature) -> tuple[str, tuple[int, ...], int] | None:
-    """The input's name, the shape of an observation and the number of values, if there are any."""
-    seen, _ = inputs_of(found)
-    if not len(seen) == len(found.outputs) == 1:
-        return None
-    (name, kind, row), (_, _, values) = seen[0], found.outputs[0]
-    sizes = (*row[1:], *values[1:])
-    if kind != "tensor(float)" or len(values) != 2 or not all(isinstance(k, int) for k in sizes):
-        return None
-    return (name, tuple(row[1:]), values[1]) if 0 < math.prod(row[1:]) <= WIDEST else None
+def _question(
+    roles: Roles, rng: np.random.Generator, rows: int, scale: float
+) -> tuple[Arrays, Floats]:
+    """Random inputs and memory of this scale; for 0, those of an empty road at the beginning."""
+    inputs = {roles.seen: rng.normal(scale=scale, size=(rows, *roles.shape)).astype(np.float32)}
+    if roles.takes_mask:
+        inputs[MASK_INPUT] = np.ones((rows, len(ACTIONS)), dtype=np.float32)
+    if roles.noise:
+        inputs[NOISE_INPUT] = rng.random((rows, roles.noise), np.float32) * min(scale, 1)
+    return inputs, rng.normal(scale=scale, size=(rows, roles.memory))
 
 
 @contextmanager
@@ -191,26 +168,50 @@ def signature_of(session: Any) -> Signature:
 
 
 def compute(
-    session: Any, inputs: Mapping[str, NDArray[np.float32]], width: int
-) -> NDArray[np.float32]:
-    """Returns the output (M, width) of an open network for inputs (M, ...), by their names.
+    session: Any, roles: Roles, inputs: Arrays, memory: Floats
+) -> tuple[NDArray[np.float32], Floats]:
+    """The values (M, outputs) of an open network, and the memory (M, memory) that it leaves.
+
+    Args:
+        session: The network.
+        roles: What its ports are for.
+        inputs: (M, ...) each; M is at most `ROWS_WITH_MEMORY` if it has states.
+        memory: (M, memory).
 
     Raises:
-        ModelError: It cannot be computed, has another shape, or contains NaN; without the file.
+        ModelError: It cannot be computed, has another shape, contains NaN, or the memory is not
+            finite; without the file.
     """
+    rows = len(memory)
+    if roles.states:
+        inputs = {name: _padded(array) for name, array in inputs.items()}
+        inputs |= roles.states_of(_padded(memory))
     values: NDArray[np.float32]
     try:
-        (values,) = session.run(None, inputs)
+        values, *states = session.run(None, inputs)
     except Exception as error:  # onnxruntime's errors share no public base
         raise ModelError(f"cannot be computed: {_reason(error)}") from error
-    rows = len(next(iter(inputs.values())))
-    if values.shape != (expected := (rows, width)):
+    if values.shape != (expected := (len(inputs[roles.seen]), roles.outputs)):
         raise ModelError(f"returns values of shape {values.shape}; expected {expected}")
-    if values.dtype.kind not in "iuf":
-        raise ModelError(f"returns values of type {values.dtype}; expected numbers")
+    for state, found in zip(roles.states, states, strict=True):
+        if found.shape != (shape := inputs[state.name].shape):
+            raise ModelError(
+                f"returns a next {state.name} of shape {found.shape}; expected {shape}"
+            )
+    values = values[:rows]
     if np.isnan(values).any():
         raise ModelError("returns values that are NaN")
-    return values
+    if roles.states:
+        memory = roles.memory_of(states)[:rows]
+        if not np.isfinite(memory).all():
+            raise ModelError("returns a state that is not finite")
+    return values, memory
+
+
+def _padded(array: NDArray[Any]) -> NDArray[Any]:
+    """The array with zeros for the vehicles that are missing in its batch."""
+    missing = ROWS_WITH_MEMORY - len(array)
+    return np.concatenate([array, np.zeros((missing, *array.shape[1:]), array.dtype)])
 
 
 @cache

@@ -191,7 +191,7 @@ def test_a_network_that_takes_the_action_mask_gets_it(network_file: NetworkFile)
 
 
 def test_a_mask_that_no_observation_has_is_named(network_file: NetworkFile) -> None:
-    with pytest.raises(ModelError, match=r"a second input, action_mask, is float32 \(batch, 5\)"):
+    with pytest.raises(ModelError, match=r"beside them, an input action_mask \(batch, 5\)"):
         OnnxPolicy(with_mask(network_file(), width=1))
     path = with_metadata(with_mask(network_file(inputs=25)), observation='{"type": "Kinematics"}')
     with pytest.raises(ModelError, match="put the mask into the network instead"):

@@ -17,7 +17,7 @@ from torch.optim import Optimizer
 from charms_bench.errors import ModelError
 from charms_bench.foundation.files import write_atomically
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.onnx_session import MASK_INPUT
+from charms_bench.plugins.onnx_ports import MASK_INPUT
 from charms_bench.world.actions import ACTIONS, ActionKind, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, described, neighbours
