@@ -30,6 +30,16 @@ def ppo_weights(**changes: Any) -> dict[str, Any]:
     return _with(changes, tensors)
 
 
+def recurrent_weights(lstm: torch.nn.LSTM, **changes: Any) -> dict[str, Any]:
+    """Those of a RecurrentPPO with this LSTM and a policy without hidden layers."""
+    tensors = {f"lstm_actor.{name}": tensor for name, tensor in lstm.state_dict().items()}
+    tensors |= {f"lstm_critic.{name}": tensor for name, tensor in lstm.state_dict().items()}
+    width = lstm.hidden_size
+    tensors |= {"action_net.weight": torch.eye(5, width), "action_net.bias": torch.zeros(5)}
+    tensors |= {"value_net.weight": torch.zeros(1, width), "value_net.bias": torch.zeros(1)}
+    return _with(changes, tensors)
+
+
 def _with(changes: dict[str, Any], tensors: dict[str, Any]) -> dict[str, Any]:
     tensors |= {name.replace("__", "."): tensor for name, tensor in changes.items()}
     return {name: tensor for name, tensor in tensors.items() if tensor is not None}

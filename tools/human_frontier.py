@@ -20,7 +20,8 @@ import torch
 import yaml
 from charms_agents.human.samples import Samples, SampleStore
 from charms_agents.training.curve import Epoch
-from charms_agents.training.network import export, read_network, untrained
+from charms_agents.training.network import untrained
+from charms_agents.training.network_file import export, read_network
 from charms_agents.training.own_driving import own_driving
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,

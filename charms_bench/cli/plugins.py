@@ -158,8 +158,9 @@ def export(
         list[Path],
         typer.Argument(
             metavar="CHECKPOINT... [OUT.onnx]",
-            help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3, and the ONNX "
-            "file to write; with --to, any number of zip files.",
+            help="Zip file of a DQN, PPO, A2C, SAC, TD3 or DDPG of Stable-Baselines3 or a "
+            "RecurrentPPO of sb3-contrib, and the ONNX file to write; with --to, any number of zip "
+            "files.",
         ),
     ],
     to: Annotated[
@@ -190,6 +191,14 @@ def export(
     style: Annotated[
         str, typer.Option(help="Description of how the network drives, stored in the file.")
     ] = "",
+    stochastic: Annotated[
+        bool,
+        typer.Option(
+            "--stochastic",
+            help="Draw the actions of a PPO, A2C or RecurrentPPO at random, as in training; by "
+            "default, the network chooses the most probable action.",
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Convert trained networks to ONNX files for suites.
@@ -225,7 +234,7 @@ def export(
     export_zip = load(EXPORTERS, "sb3")
     records = []
     for checkpoint, output in outputs.items():
-        made = export_zip(checkpoint, output, facts, seen)
+        made = export_zip(checkpoint, output, facts, seen, stochastic)
         records.append(made | {"observation": seen.name, "decision_hz": hz})
         if not as_json:
             sizes = " → ".join(map(str, made["sizes"]))

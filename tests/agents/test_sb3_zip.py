@@ -20,7 +20,7 @@ onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 import gymnasium
 from charms_agents.training import sb3_zip
-from charms_agents.training.network import read_network
+from charms_agents.training.network_file import read_network
 from charms_agents.training.sb3_zip import export_zip
 from handmade_weights import dqn_weights, ppo_weights
 from typer.testing import CliRunner
@@ -367,7 +367,7 @@ def test_networks_of_another_shape_are_named(
     ("changes", "message"),
     [
         ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std, as of a PPO with cont"),
-        ({"lstm_actor__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_actor.weight_ih"),
+        ({"lstm_critic__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_critic.weight"),
         ({"pi_features_extractor__cnn__0__bias": torch.zeros(2)}, "CnnPolicy"),
         ({"action_net__weight": None, "action_net__bias": None}, "holds: value_net.weight"),
         ({"action_net__bias": None}, "expected linear layers"),
@@ -393,7 +393,8 @@ def test_a_file_that_would_act_differently_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, path = saved(tmp_path)
-    monkeypatch.setattr(OnnxPolicy, "decide", lambda self, seen: np.zeros(len(seen), np.int64))
+    zeros = lambda self, values: np.zeros(len(values), np.int64)  # noqa: E731
+    monkeypatch.setattr(OnnxPolicy, "actions_of", zeros)
     refused_output = tmp_path / "out.onnx"
     with pytest.raises(ModelError, match="would act differently from the network"):
         export_zip(path, refused_output, FACTS)

@@ -12,7 +12,8 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
-from charms_agents.training.network import export, untrained
+from charms_agents.training.network import untrained
+from charms_agents.training.network_file import export
 from charms_agents.training.settings import FIRST_VALIDATION_SEED, Validation
 from charms_agents.training.validation import Keeper, Validated
 

@@ -12,7 +12,8 @@ from typing import Any
 from torch.nn import Sequential
 
 from charms_agents.human.samples import SampleStore
-from charms_agents.training.network import read_network, untrained
+from charms_agents.training.network import untrained
+from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.settings import (

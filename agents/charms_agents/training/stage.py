@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import configure
 
 from charms_agents.training.curve import write_csv
 from charms_agents.training.job import Job
-from charms_agents.training.network import export
+from charms_agents.training.network_file import export
 from charms_agents.training.progress import Tell
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.supervised import Fit

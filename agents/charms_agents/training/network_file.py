@@ -1,0 +1,226 @@
+"""Policy networks as ONNX files: an LSTM, linear layers, the action mask and the random choice."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+from onnx import NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
+from torch.nn import LSTM, ReLU, Sequential
+
+from charms_agents.training.network import ACTIVATIONS, kind_of, layers_of, network_of
+from charms_bench.errors import ModelError
+from charms_bench.foundation.files import write_atomically
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
+from charms_bench.world.actions import ACTIONS, outputs_of
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import ACTION_MASK, Neighbours, described, neighbours
+from charms_bench.world.scene import Observations
+
+OPSET, IR_VERSION = 17, 8
+"""Old versions, which every onnxruntime that the base install allows can read."""
+TIE = 1e-4
+"""Two actions whose values differ by less are equally good to float32's precision; continuous
+actions that differ by less are equal."""
+MASKED = 1e8
+"""What a masked action loses of its value, as in sb3-contrib."""
+SMALLEST_DRAW, LARGEST_DRAW = 1e-20, 1 - 2**-24
+"""Random numbers are kept between these: 0 and 1 have no double logarithm."""
+STEPS = 4
+"""Decisions in a row for which a network with memory is compared."""
+
+
+def read_network(path: Path) -> Sequential:
+    """Reads the network of an ONNX file that `export` wrote.
+
+    Raises:
+        ModelError: The file cannot be read, or holds a different kind of network.
+    """
+    try:
+        graph = onnx.load(path, load_external_data=False).graph
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    except DecodeError as error:
+        raise ModelError(f"{path}: not an ONNX file: {error}") from error
+    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    names = [(f"weight_{index}", f"bias_{index}") for index in range(len(arrays) // 2)]
+    if set(arrays) != {name for pair in names for name in pair} or not names:
+        raise ModelError(f"{path}: was not written by this pipeline; it holds {list(arrays)}")
+    found = [ACTIVATIONS[node.op_type] for node in graph.node if node.op_type in ACTIVATIONS]
+    layers = [(arrays[weight], arrays[bias]) for weight, bias in names]
+    return network_of(layers, found[0] if found else ReLU)
+
+
+def export(
+    network: Sequential,
+    path: Path,
+    facts: dict[str, str],
+    observations: Observations,
+    observation: Neighbours | Kinematics = neighbours,
+    masked: bool = False,
+    lstm: LSTM | None = None,
+    stochastic: bool = False,
+) -> dict[str, int]:
+    """Writes a network as an ONNX file that `OnnxPolicy` runs.
+
+    Args:
+        network: Linear layers with ReLU or tanh between them; for continuous actions, a tanh
+            follows the last layer.
+        path: The file.
+        facts: Further metadata, beside the observation and the actions.
+        observations: (M, rows, columns) on which the file's actions are compared with the
+            network's. If the file is masked, their last row is the action mask.
+        observation: The observation of the network.
+        masked: Whether the file has a second input, the action mask, and never chooses a masked
+            action.
+        lstm: What comes before the network; the file then has its states. The observations are
+            those of `STEPS` decisions, one after another, of the same vehicles.
+        stochastic: Whether the file has an input of random numbers, by which it draws its actions
+            with the probabilities of which the network's values are the logarithms.
+
+    Returns:
+        observations, the number compared; ties, the number in which the file chose a different
+        action of equal value to float32's precision, or the actions differ by at most `TIE`.
+
+    Raises:
+        ModelError: The file acts differently from the network; nothing is written.
+        RunFolderError: The file cannot be written.
+    """
+    shape, steps = observation.shape, STEPS if lstm else 1
+    facts = {"observation": described(observation), **facts}
+    data = _serialised(network, facts, shape, masked, lstm, stochastic)
+    flat = torch.tensor(observations[:, : shape[0]].reshape(len(observations), -1))  # writable
+    noise = np.random.default_rng(0).random((len(flat), len(ACTIONS) * stochastic), np.float32)
+    with torch.no_grad():
+        hidden = lstm(flat.reshape(steps, -1, flat.shape[1]))[0].flatten(0, 1) if lstm else flat
+        expected: NDArray[np.float32] = network(hidden).numpy()
+    if masked:
+        expected += (observations[:, ACTION_MASK] - 1) * MASKED
+    if stochastic:
+        expected -= np.log(-np.log(noise))
+    continuous = kind_of(network) == "continuous"
+    checked: dict[str, int] = {}
+
+    def write(partial: Path) -> None:
+        partial.write_bytes(data)
+        policy = OnnxPolicy(partial)
+        memory, actions = None, []
+        for seen, draws in zip(np.split(observations, steps), np.split(noise, steps), strict=True):
+            values, memory = policy.values_and_memory(seen, memory, draws.astype(np.float64))
+            actions.append(policy.actions_of(values))
+        found = np.concatenate(actions)
+        if continuous:
+            lost = np.abs(found - expected).max(axis=1)
+            ties = lost > 0
+        else:
+            lost = expected.max(axis=1) - expected[np.arange(found.size), found]
+            ties = found != expected.argmax(axis=1)
+        if count := int((lost > TIE).sum()):
+            raise ModelError(
+                f"{path}: would act differently from the network in {count} of {len(found)} "
+                "observations; onnxruntime and torch disagree on this machine"
+            )
+        checked.update(observations=len(found), ties=int(ties.sum()))
+
+    write_atomically(path, write)
+    return checked
+
+
+def _serialised(
+    network: Sequential,
+    facts: dict[str, str],
+    shape: tuple[int, int],
+    masked: bool,
+    lstm: LSTM | None,
+    stochastic: bool,
+) -> bytes:
+    layers = layers_of(network)
+    operators = {kind: name for name, kind in ACTIVATIONS.items()}
+    after = [operators[type(module)] for module in network if type(module) in operators]
+    kind = kind_of(network)
+    inputs = [_port("observations", "batch", *shape)]
+    outputs = [_port("values", "batch", outputs_of(kind))]
+    nodes = [helper.make_node("Flatten", ["observations"], ["flat"], axis=1)]
+    arrays: dict[str, NDArray[Any]] = {}
+    constants: dict[str, float] = {}
+    last = "flat"
+    if lstm:
+        nodes.append(helper.make_node("Unsqueeze", [last, "time"], ["sequence"]))
+        arrays["time"] = np.array([0])
+        last = "sequence"
+        for index in range(lstm.num_layers):
+            _add_cells(lstm, index, last, nodes, arrays, inputs, outputs)
+            last = f"next_h_{index}"
+        nodes.append(helper.make_node("Squeeze", [last, "time"], ["remembered"]))
+        last = "remembered"
+    # The names of the values before and after each step that follows the layers.
+    ends = [*["unmasked"] * masked, *["logits"] * stochastic, "values"]
+    for index, (weight, bias) in enumerate(layers):
+        parameters = [f"weight_{index}", f"bias_{index}"]
+        arrays |= zip(parameters, (weight, bias), strict=True)
+        final, activated = index == len(layers) - 1, index < len(after)
+        out = ends[0] if final and not activated else f"linear_{index}"
+        nodes.append(helper.make_node("Gemm", [last, *parameters], [out], transB=1))
+        if activated:
+            last = ends[0] if final else f"hidden_{index}"
+            nodes.append(helper.make_node(after[index], [out], [last]))
+    if masked:
+        inputs.append(_port(MASK_INPUT, "batch", len(ACTIONS)))
+        constants |= {"one": 1.0, "masked": MASKED}
+        nodes.append(helper.make_node("Sub", [MASK_INPUT, "one"], ["closed"]))
+        nodes.append(helper.make_node("Mul", ["closed", "masked"], ["lost"]))
+        nodes.append(helper.make_node("Add", [ends[0], "lost"], [ends[1]]))
+    if stochastic:
+        # With -log(-log(u)) added, each logit is the largest with its probability (Gumbel-max).
+        inputs.append(_port(NOISE_INPUT, "batch", len(ACTIONS)))
+        constants |= {"smallest": SMALLEST_DRAW, "largest": LARGEST_DRAW}
+        nodes.append(helper.make_node("Clip", [NOISE_INPUT, "smallest", "largest"], ["drawn"]))
+        nodes.append(helper.make_node("Log", ["drawn"], ["log_drawn"]))
+        nodes.append(helper.make_node("Neg", ["log_drawn"], ["exponential"]))
+        nodes.append(helper.make_node("Log", ["exponential"], ["log_exponential"]))
+        nodes.append(helper.make_node("Sub", [ends[-2], "log_exponential"], ["values"]))
+    arrays |= {name: np.array(value, np.float32) for name, value in constants.items()}
+    tensors = [numpy_helper.from_array(array, name) for name, array in arrays.items()]
+    graph = helper.make_graph(nodes, "policy", inputs, outputs, tensors)
+    exported = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+    )
+    actions = ", ".join(ACTIONS) if kind == "meta" else kind
+    helper.set_model_props(exported, {"actions": actions, **facts})
+    onnx.checker.check_model(exported, full_check=True)
+    data: bytes = exported.SerializeToString(deterministic=True)
+    return data
+
+
+def _add_cells(
+    lstm: LSTM,
+    index: int,
+    last: str,
+    nodes: list[NodeProto],
+    arrays: dict[str, NDArray[Any]],
+    inputs: list[ValueInfoProto],
+    outputs: list[ValueInfoProto],
+) -> None:
+    """Adds a layer of an LSTM, which takes (1, batch, width), and its states `h` and `c`."""
+    units = lstm.hidden_size
+    gates = (
+        getattr(lstm, f"{part}_l{index}").detach().numpy().reshape(4, units, -1)
+        for part in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+    )
+    # torch has the gates input, forget, cell, output; ONNX has input, output, forget, cell.
+    w, r, *biases = (each[[0, 3, 1, 2]].reshape(1, 4 * units, -1) for each in gates)
+    weights = [f"lstm_{index}_{part}" for part in ("input", "recurrent", "bias")]
+    arrays |= zip(weights, (w, r, np.concatenate(biases, axis=1)[..., 0]), strict=True)
+    before, then = [f"h_{index}", f"c_{index}"], [f"next_h_{index}", f"next_c_{index}"]
+    taken = [last, *weights, "", *before]
+    nodes.append(helper.make_node("LSTM", taken, ["", *then], hidden_size=units))
+    for ports, names in (inputs, before), (outputs, then):
+        ports += [_port(name, 1, "batch", units) for name in names]
+
+
+def _port(name: str, *sizes: str | int) -> ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, sizes)

@@ -1,0 +1,177 @@
+"""Reads a Stable-Baselines3 checkpoint, without running any code from it.
+
+Two members of the zip are read: the tensors in `policy.pth`, and the activation's name as text in
+the JSON of `data`. The pickles in `data` could run any code and are never loaded.
+"""
+
+import json
+import pickletools
+import re
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+from zipfile import ZipFile, ZipInfo, is_zipfile
+
+import torch
+
+from charms_agents.training.network import ACTIVATIONS
+from charms_bench.foundation.files import read_limited
+from charms_bench.world.actions import CONTROLS
+
+WEIGHTS, DATA = "policy.pth", "data"
+FILE_LIMIT_BYTES = 256 * 2**20
+"""Largest zip; it holds the weights and the state of their optimiser."""
+LIMITS_BYTES = {WEIGHTS: 64 * 2**20, DATA: 8 * 2**20}
+PICKLE_LIMIT_BYTES = 2**20
+"""Largest pickle in `policy.pth`; it describes the tensors."""
+MEMBERS_LIMIT = 1000
+RATIO_LIMIT = 100
+"""Largest compression; deflate shrinks zeros about 1000 times, but weights hardly at all."""
+_OF_TENSORS = re.compile(
+    r"collections OrderedDict|torch\._utils _rebuild_tensor_v2|torch \w+Storage"
+)
+"""The names that the pickle of a `state_dict` may refer to."""
+_MEMBER = b"PK\x01\x02"
+"""The first bytes of a member's entry in a zip."""
+KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
+"""The activations that can be exported, by their torch name."""
+_ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
+_BOUNDS = ("low", "high")
+"""The keys of a space's bounds in `data`."""
+
+Tensors = dict[str, torch.Tensor]
+
+
+class Refusal(Exception):
+    """Why a checkpoint is refused; `export_zip` adds the file's name."""
+
+
+def read_checkpoint(path: Path) -> tuple[str, bytes, bytes]:
+    """The SHA-256 of a checkpoint, its `policy.pth`, and its `data`, empty if it has none."""
+    try:
+        content = read_limited(path, FILE_LIMIT_BYTES)
+    except OSError as error:
+        raise Refusal(f"cannot be read: {error.strerror or error}") from error
+    if not is_zipfile(BytesIO(content)):
+        raise Refusal("not a zip; expected a file that Stable-Baselines3 saved")
+    try:
+        members = _members(content)
+        for name, limit in LIMITS_BYTES.items():
+            read = [info for info in members if info.filename == name]
+            if len(read) > 1:
+                raise Refusal(f"holds {name} {len(read)} times")
+            _check_size(name, read, limit)
+        names = [info.filename for info in members]
+        if WEIGHTS not in names:
+            found = ", ".join(name[:40] for name in sorted(names)[:8]) or "nothing"
+            raise Refusal(f"has no {WEIGHTS}; it holds: {found}")
+        with ZipFile(BytesIO(content)) as archive:
+            data = archive.read(DATA) if DATA in names else b""
+            return sha256(content).hexdigest(), archive.read(WEIGHTS), data
+    except Refusal:
+        raise
+    except Exception as error:  # zipfile and its decompressors raise many kinds
+        raise Refusal(f"{WEIGHTS} or {DATA} cannot be unpacked: {error}") from error
+
+
+def _members(content: bytes, place: str = "") -> list[ZipInfo]:
+    """The members of a zip; refuses a zip with very many."""
+    if content.count(_MEMBER) > MEMBERS_LIMIT:
+        raise Refusal(f"{place}more than {MEMBERS_LIMIT:,} members; a policy has a few dozen")
+    with ZipFile(BytesIO(content)) as archive:
+        return archive.infolist()
+
+
+def _check_size(name: str, members: list[ZipInfo], limit: int) -> None:
+    """Refuses a member `name`, or the members of a zip `name`, that would unpack to too much."""
+    if (unpacked := sum(info.file_size for info in members)) > limit:
+        raise Refusal(f"{name} unpacks to {unpacked:,} bytes; expected {limit:,} at most")
+    for info in members:
+        if info.file_size > RATIO_LIMIT * max(info.compress_size, 1):
+            place = name if info.filename == name else f"{name}: {info.filename}"
+            raise Refusal(
+                f"{place} unpacks to more than {RATIO_LIMIT} times its size; "
+                "files of Stable-Baselines3 do not"
+            )
+
+
+def activation_of(data: bytes, usual: str) -> str | None:
+    """The activation that the text of `data` names, or else `usual`; None if it cannot be read."""
+    try:
+        said = json.loads(data)["policy_kwargs"].get("activation_fn")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return None
+    if said is None:
+        return usual
+    match = _ACTIVATION.fullmatch(str(said))
+    if match is None or match[1] not in KINDS:
+        raise Refusal(f"has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}")
+    return match[1]
+
+
+def is_maskable(data: bytes) -> bool:
+    """Whether `data` names a policy of sb3-contrib's `MaskablePPO`."""
+    try:
+        return ".maskable." in str(json.loads(data)["policy_class"]["__module__"])
+    except (ValueError, RecursionError, LookupError, TypeError):
+        return False
+
+
+def check_action_space(data: bytes) -> None:
+    """Refuses an action space that `data` describes as other than from -1 to 1."""
+    try:
+        space = json.loads(data)["action_space"]
+        bounds = [[float(each) for each in space[key].strip("[]").split()] for key in _BOUNDS]
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return
+    size = len(CONTROLS)
+    if bounds != [[-1.0] * size, [1.0] * size]:
+        low, high = bounds
+        raise Refusal(
+            f"has actions from {low} to {high}; expected Box(-1, 1, ({size},)): {CONTROLS}"
+        )
+
+
+def tensors_of(weights: bytes) -> Tensors:
+    """The tensors of a `policy.pth`; no other objects are ever made."""
+    if not is_zipfile(BytesIO(weights)):
+        raise Refusal(f"{WEIGHTS} is not in the format of torch 1.6 and later")
+    try:
+        members = _members(weights, f"{WEIGHTS}: ")
+        _check_size(WEIGHTS, members, LIMITS_BYTES[WEIGHTS])
+        with ZipFile(BytesIO(weights)) as archive:
+            for info in members:
+                if info.filename.endswith(".pkl"):
+                    _check_pickle(info, archive)
+        loaded = torch.load(BytesIO(weights), weights_only=True, map_location="cpu")
+    except Refusal:
+        raise
+    except Exception as error:  # torch raises many kinds
+        reason = str(error).strip().partition("\n")[0]
+        raise Refusal(
+            f"{WEIGHTS} is damaged, or holds something other than tensors, which is not "
+            f"loaded: {type(error).__name__}: {reason[:200]}"
+        ) from error
+    if not isinstance(loaded, dict) or not all(
+        isinstance(name, str) and isinstance(tensor, torch.Tensor)
+        for name, tensor in loaded.items()
+    ):
+        raise Refusal(f"{WEIGHTS} does not hold named tensors")
+    return loaded
+
+
+def _check_pickle(info: ZipInfo, archive: ZipFile) -> None:
+    """Refuses a pickle that refers to anything but tensors.
+
+    torch would not make other objects either, but it would make a bytearray of any size.
+    """
+    if info.file_size > PICKLE_LIMIT_BYTES:
+        what = f"{WEIGHTS}: {info.filename[:40]}"
+        raise Refusal(f"{what} is larger than {PICKLE_LIMIT_BYTES:,} bytes")
+    for opcode, argument, _ in pickletools.genops(archive.read(info)):
+        names = "GLOBAL" in opcode.name or opcode.name.startswith(("EXT", "INST"))
+        if names and not _OF_TENSORS.fullmatch(str(argument)):
+            raise Refusal(
+                f"{WEIGHTS} holds something other than tensors, which is not loaded: "
+                f"{str(argument or opcode.name)[:80]}"
+            )
