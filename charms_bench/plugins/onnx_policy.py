@@ -16,6 +16,7 @@ from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
+    MEMORY_LIMIT,
     NOISE_INPUT,
     Port,
     Roles,
@@ -214,10 +215,10 @@ def _decision_hz(path: Path, said: str) -> float:
 
 
 def _history(path: Path, said: str) -> int:
-    if not re.fullmatch(r"[1-9]\d{0,4}", said):
+    if not re.fullmatch(r"[1-9]\d?|100", said):
         raise ModelError(
-            f"{path}: metadata: history is '{said[:40]}'; expected the number of latest "
-            "observations that the network takes"
+            f"{path}: metadata: history is '{said[:40]}'; expected a number of observations from 1 "
+            "to 100"
         )
     return int(said)
 
@@ -237,7 +238,8 @@ def _roles(path: Path, found: Signature, shape: tuple[int, ...], count: int) -> 
         wanted += (
             f"; beside them, an input {MASK_INPUT} (batch, 5), an input {NOISE_INPUT} (batch, "
             "draws), and for each state an input such as (batch, width) or (layers, batch, width) "
-            "and, in the same order, an output of the same shape; all float32"
+            "and, in the same order, an output of the same shape; all float32, with at most "
+            f"{MEMORY_LIMIT:,} numbers of states and of draws"
         )
     has = f"inputs {_listed(found.inputs)}, outputs {_listed(found.outputs)}"
     raise ModelError(f"{path}: has {has}; expected {wanted}")

@@ -28,8 +28,9 @@ MASK_INPUT = "action_mask"
 NOISE_INPUT = "noise"
 """The name of the input of a network that takes random numbers."""
 WIDEST = 100_000
-"""Most numbers in an observation, in the memory of a vehicle, or drawn for a decision; observations
-have fewer."""
+"""Numbers in an observation, more than any observation has."""
+MEMORY_LIMIT = 4_096
+"""Most numbers in a vehicle's memory, and most random numbers for a decision: 32 KiB."""
 _FLOAT = "tensor(float)"
 _MASK = (len(ACTIONS),), 0
 """The shape of one vehicle's mask, and the dimension that is the vehicles."""
@@ -124,7 +125,7 @@ def roles_of(found: Signature) -> Roles | None:
         remembered.append(State(state[0], *one))
     takes_mask = MASK_INPUT in named
     roles = Roles(seen[0], observed[0], valued[0], takes_mask, noise[0][0], tuple(remembered))
-    return roles if roles.memory <= WIDEST else None
+    return roles if max(roles.memory, roles.noise) <= MEMORY_LIMIT else None
 
 
 def _of_one(port: Port, axes: tuple[int, ...]) -> tuple[tuple[int, ...], int] | None:

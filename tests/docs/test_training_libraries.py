@@ -28,6 +28,7 @@ NEEDED = {
     "torchrl.onnx": "torchrl",
     "one-file.onnx": "torch",
     "maskable.onnx": "sb3_contrib",
+    "recurrent.onnx": "sb3_contrib",
 }
 """The policies of the page, and the library of each."""
 
@@ -60,9 +61,13 @@ def mean_return(policy: OnnxPolicy | None) -> float:
     """The mean return of the validation episodes; without a policy, of random actions."""
     many = gymnasium.make_vec("charms_bench/Ego-v0", num_envs=EPISODES)
     observations, _ = many.reset(seed=VALIDATION_SEED)
-    rng, returns = np.random.default_rng(0), np.full(EPISODES, np.nan)
+    rng, returns, memory = np.random.default_rng(0), np.full(EPISODES, np.nan), None
     while np.isnan(returns).any():
-        actions = rng.integers(5, size=EPISODES) if policy is None else policy.decide(observations)
+        actions = rng.integers(5, size=EPISODES)
+        if policy is not None:
+            noise = rng.random((EPISODES, policy.noise))
+            values, memory = policy.values_and_memory(observations, memory, noise)
+            actions = policy.actions_of(values)
         observations, _, failed, over, infos = many.step(actions)
         first = (failed | over) & np.isnan(returns)
         if first.any():
@@ -77,9 +82,19 @@ def test_what_a_script_has_trained_drives_better_than_chance(name: str, tmp_path
     (script,) = (each for each in scripts() if f'"{stem}.zip"' in each or f'"{name}"' in each)
     train(script, tmp_path)
     for command in (line for block in blocks(PAGE) for line in commands(block)):
-        if command.endswith(f" {name}"):
+        if f" {stem}.zip " in command:
             run(command.split(), tmp_path)
-    assert mean_return(OnnxPolicy(tmp_path / name)) > mean_return(None)
+    for policy in tmp_path.glob("*.onnx"):
+        assert mean_return(OnnxPolicy(policy)) > mean_return(None)
+
+
+def test_a_recurrent_network_of_torch_is_a_policy_with_memory(tmp_path: Path) -> None:
+    (script,) = (each for each in scripts() if "gru.onnx" in each)
+    (tmp_path / "script.py").write_text(script, encoding="utf-8")
+    run([sys.executable, "script.py"], tmp_path)
+    policy = OnnxPolicy(tmp_path / "gru.onnx")
+    assert (policy.memory, policy.noise) == (64, 0)
+    mean_return(policy)
 
 
 def test_a_policy_that_learns_is_filmed(tmp_path: Path) -> None:
@@ -106,5 +121,5 @@ def test_the_speed_of_every_library_is_measured(tmp_path: Path) -> None:
     tool = (ROOT / "tools" / "library_speed.py").read_text(encoding="utf-8")
     (tmp_path / "tools" / "library_speed.py").write_text(tool, encoding="utf-8")
     lines = run([sys.executable, "tools/library_speed.py"], tmp_path).splitlines()
-    assert len(lines) == len(NEEDED) - 1  # MaskablePPO is not in the table
+    assert len(lines) == len(NEEDED) - 2  # MaskablePPO and RecurrentPPO are not in the table
     assert all("decisions per second" in line for line in lines)

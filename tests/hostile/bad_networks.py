@@ -42,6 +42,16 @@ def network(
     return model
 
 
+def with_port(name: str, shape: Sequence[Any], following: bool = False) -> Any:
+    """A model with one more input, and perhaps an output of the same shape."""
+    model = network()
+    model.graph.input.append(helper.make_tensor_value_info(name, FLOAT, shape))
+    if following:
+        model.graph.output.append(helper.make_tensor_value_info("next", FLOAT, shape))
+        model.graph.node.append(helper.make_node("Identity", [name], ["next"]))
+    return model
+
+
 def outside(place: str) -> Any:
     """A model whose weights are in another file."""
     tensor = TensorProto(name="weights", data_type=FLOAT, dims=[35, 5])
@@ -267,6 +277,10 @@ MODELS: dict[str, Callable[[], Any]] = {
         facts={"observation": '{"name": "Kinematics", "vehicles_count": 1000000000}'}
     ),
     "an observation without end": lambda: network(facts={"observation": "{" * 100_000}),
+    "a history of 10^9 observations": lambda: network(facts={"history": "1000000000"}),
+    "a memory of 10^9 numbers": lambda: with_port("state", ["batch", 10**9], following=True),
+    "a memory that is forgotten": lambda: with_port("state", ["batch", 8]),
+    "10^9 random numbers": lambda: with_port("noise", ["batch", 10**9]),
     "nested 10,000 deep": lambda: nested(10_000),
     "empty": lambda: b"",
     "a text": lambda: b"not a network",

@@ -166,7 +166,7 @@ def test_a_state_may_have_the_vehicles_first(written: Write) -> None:
         ((1, 35), (1, 35), {}),
         (("batch", "width"), ("batch", "width"), {}),
         (("batch", 35), ("batch", 35), {"kind": TensorProto.DOUBLE}),
-        (("batch", 100_001), ("batch", 100_001), {}),
+        (("batch", 4_097), ("batch", 4_097), {}),
         (None, ("batch", 35), {}),
     ],
 )
@@ -262,12 +262,12 @@ def test_a_network_may_take_several_observations(written: Write, shape: Shape) -
     np.testing.assert_array_equal(policy.decide(seen), expected)
 
 
-@pytest.mark.parametrize("said", ["0", "-1", "many", "1.5", "9" * 5000])
+@pytest.mark.parametrize("said", ["0", "-1", "many", "1.5", "101", "9" * 5000])
 def test_a_history_that_is_no_number_is_named(written: Write, said: str) -> None:
     nodes = [helper.make_node("MatMul", ["observations", "weights"], ["values"])]
     ports = {"observations": ("batch", 35)}, {"values": ("batch", 5)}
     path = written(*ports, nodes, constants={"weights": WEIGHTS}, history=said)
-    with pytest.raises(ModelError, match=r"metadata: history is '.{1,40}'; expected the number"):
+    with pytest.raises(ModelError, match=r"metadata: history is '.{1,40}'; expected a number of"):
         OnnxPolicy(path)
     path = written(*ports, nodes, constants={"weights": WEIGHTS}, history="2")
     with pytest.raises(ModelError, match=r"expected one float32 input \(batch, 70\) or \(batch, 2"):
