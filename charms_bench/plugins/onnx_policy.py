@@ -93,12 +93,12 @@ class OnnxPolicy(Policy):
             raise ModelError(f"{self.path}: metadata: {error}") from error
         if found.metadata.get("actions") == "continuous":
             self.actions = "continuous"
-        self.history = _history(self.path, found.metadata.get("history", "1"))
-        history = (self.history,) * (self.history > 1)
+        self.history_length = _history(self.path, found.metadata.get("history", "1"))
+        history = (self.history_length,) * (self.history_length > 1)
         shape = *history, *self.observation.shape
         self._rows = self.observation.shape[0]
         self._roles = _roles(self.path, found, shape, outputs_of(self.actions))
-        self.memory, self.noise = self._roles.memory, self._roles.noise
+        self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
         if self._roles.takes_mask:
             self.observation = _with_mask(self.path, self.observation, self.actions)
         if decision_hz is None:
@@ -120,15 +120,10 @@ class OnnxPolicy(Policy):
     def weights_sha256(self) -> str:
         return self._sha256
 
-    def decide(
-        self,
-        observations: Observations,
-        memory: Floats | None = None,
-        noise: Floats | None = None,
-    ) -> Actions:
-        values, after = self.values_and_memory(observations, memory, noise)
+    def decide(self, observations: Observations, *given: Any) -> Any:
+        values, after = self.values_and_memory(observations, *given)
         actions = self.actions_of(values)
-        return (actions, after) if self.memory else actions  # type: ignore[return-value]
+        return (actions, after) if self.memory_width else actions
 
     def actions_of(self, values: NDArray[np.float32]) -> Actions:
         """The actions (M,) or (M, 2) that the network's output means."""
@@ -157,9 +152,9 @@ class OnnxPolicy(Policy):
             ModelError: It cannot be computed, has another shape, or contains NaN.
         """
         count = len(observations)
-        memory = np.zeros((count, self.memory)) if memory is None else memory
-        noise = np.zeros((count, self.noise)) if noise is None else noise
-        at_once = ROWS_WITH_MEMORY if self.memory else ROWS_AT_ONCE
+        memory = np.zeros((count, self.memory_width)) if memory is None else memory
+        noise = np.zeros((count, self.noise_draws)) if noise is None else noise
+        at_once = ROWS_WITH_MEMORY if self.memory_width else ROWS_AT_ONCE
         parts = []
         for start in range(0, max(count, 1), at_once):
             part = slice(start, start + at_once)
@@ -175,7 +170,7 @@ class OnnxPolicy(Policy):
         roles, seen = self._roles, observations[..., : self._rows, :]
         inputs = {roles.seen: seen.reshape(-1, *roles.shape)}
         if roles.takes_mask:
-            newest = observations if self.history == 1 else observations[:, -1]
+            newest = observations if self.history_length == 1 else observations[:, -1]
             inputs[MASK_INPUT] = newest[:, ACTION_MASK]
         if roles.noise:
             inputs[NOISE_INPUT] = np.minimum(noise.astype(np.float32), _BELOW_ONE)

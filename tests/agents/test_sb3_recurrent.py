@@ -89,7 +89,7 @@ def test_the_file_acts_as_a_recurrent_ppo(tmp_path: Path, settings: dict[str, An
     model.save(tmp_path / "model.zip")
     export_zip(tmp_path / "model.zip", tmp_path / "out.onnx", {})
     policy = OnnxPolicy(tmp_path / "out.onnx")
-    memory, state, chosen = np.zeros((50, policy.memory)), None, set()
+    memory, state, chosen = np.zeros((50, policy.memory_width)), None, set()
     for step in range(12):
         seen, begins = observed(50, step), np.random.default_rng(step).random(50) < 0.1
         expected, state = model.predict(seen, state, begins, deterministic=True)
@@ -133,7 +133,7 @@ def test_a_stochastic_file_draws_each_action_with_its_probability(tmp_path: Path
     path = zipped(tmp_path, ppo_weights(action_net__bias=logits))
     export_zip(path, tmp_path / "out.onnx", {}, stochastic=True)
     policy, count = OnnxPolicy(tmp_path / "out.onnx"), 200_000
-    assert (policy.noise, policy.memory) == (5, 0)
+    assert (policy.noise_draws, policy.memory_width) == (5, 0)
     draws = np.random.default_rng(0).random((count, 5))
     found = policy.decide(np.zeros((count, 7, 5), np.float32), np.zeros((count, 0)), draws)
     expected = count * torch.softmax(logits, dim=0).numpy()
@@ -147,7 +147,7 @@ def test_a_draw_of_zero_and_of_almost_one_have_values(tmp_path: Path) -> None:
     draws = np.array([[0.0] * 5, [0.0, 0.5, np.nextafter(1, 0), 0.5, 1e-300]])
     values, _ = policy.values_and_memory(seen, noise=draws)
     assert np.isfinite(values).all()
-    assert policy.decide(seen[1:], noise=draws[1:]) == [2]
+    assert values[1].argmax() == 2
 
 
 def test_a_recurrent_policy_can_be_stochastic_too(tmp_path: Path) -> None:

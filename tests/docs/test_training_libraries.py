@@ -65,7 +65,7 @@ def mean_return(policy: OnnxPolicy | None) -> float:
     while np.isnan(returns).any():
         actions = rng.integers(5, size=EPISODES)
         if policy is not None:
-            noise = rng.random((EPISODES, policy.noise))
+            noise = rng.random((EPISODES, policy.noise_draws))
             values, memory = policy.values_and_memory(observations, memory, noise)
             actions = policy.actions_of(values)
         observations, _, failed, over, infos = many.step(actions)
@@ -93,7 +93,7 @@ def test_a_recurrent_network_of_torch_is_a_policy_with_memory(tmp_path: Path) ->
     (tmp_path / "script.py").write_text(script, encoding="utf-8")
     run([sys.executable, "script.py"], tmp_path)
     policy = OnnxPolicy(tmp_path / "gru.onnx")
-    assert (policy.memory, policy.noise) == (64, 0)
+    assert (policy.memory_width, policy.noise_draws) == (64, 0)
     mean_return(policy)
 
 

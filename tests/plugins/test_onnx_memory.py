@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.testing import agent_rules
 
 Shape = Sequence[str | int]
 KINDS = {
@@ -69,8 +70,8 @@ def test_a_recurrent_network_acts_as_in_torch_from_decision_to_decision(
 ) -> None:
     network, policy = recurrent
     layers, states = network.shape[0], 2 if network.kind == "LSTM" else 1
-    assert policy.memory == states * layers * 24
-    memory = np.zeros((100, policy.memory))
+    assert policy.memory_width == states * layers * 24
+    memory = np.zeros((100, policy.memory_width))
     state = [torch.zeros(layers, 100, 24) for _ in range(states)]
     for step in range(5):
         seen = observed(100, seed=step)
@@ -90,7 +91,7 @@ def test_no_bit_depends_on_the_other_vehicles_of_a_call(
 ) -> None:
     _, policy = recurrent
     seen = observed(300)
-    memory = np.random.default_rng(1).normal(size=(300, policy.memory)).astype(np.float32)
+    memory = np.random.default_rng(1).normal(size=(300, policy.memory_width)).astype(np.float32)
     values, after = policy.values_and_memory(seen, memory.astype(float))
     order = np.random.default_rng(2).permutation(300)
     for size in (1, 7, 64, 300):
@@ -103,8 +104,10 @@ def test_no_bit_depends_on_the_other_vehicles_of_a_call(
 
 def test_no_vehicles_have_no_memory(recurrent: tuple[Recurrent, OnnxPolicy]) -> None:
     _, policy = recurrent
-    actions, memory = policy.decide(observed(0), np.zeros((0, policy.memory)), np.zeros((0, 0)))
-    assert (actions.shape, memory.shape) == ((0,), (0, policy.memory))
+    actions, memory = policy.decide(
+        observed(0), np.zeros((0, policy.memory_width)), np.zeros((0, 0))
+    )
+    assert (actions.shape, memory.shape) == ((0,), (0, policy.memory_width))
 
 
 Write = Callable[..., Path]
@@ -228,7 +231,7 @@ def test_a_network_with_a_noise_input_receives_the_draws(written: Write) -> None
     inputs = {"observations": ("batch", 35), "noise": ("batch", 5)}
     path = written(inputs, {"values": ("batch", 5)}, NOISY, constants={"weights": WEIGHTS})
     policy = OnnxPolicy(path)
-    assert (policy.memory, policy.noise, policy.history) == (0, 5, 1)
+    assert (policy.memory_width, policy.noise_draws, policy.history_length) == (0, 5, 1)
     draws = np.random.default_rng(5).random((700, 5))
     draws[0, 0] = np.nextafter(1.0, 0.0)
     seen = np.zeros((700, 7, 5), np.float32)
@@ -237,6 +240,8 @@ def test_a_network_with_a_noise_input_receives_the_draws(written: Write) -> None
     )
     values, _ = policy.values_and_memory(seen, noise=draws)
     assert 1 - 1e-7 < values.max() < 1
+    for rule in agent_rules(policy):
+        rule()
 
 
 @pytest.mark.parametrize("shape", [("batch", "any"), (1, 5), ("batch", 1, 5), ("batch",)])
@@ -256,10 +261,12 @@ def test_a_network_may_take_several_observations(written: Write, shape: Shape) -
     weights = np.random.default_rng(6).integers(-3, 4, (105, 5)).astype(np.float32)
     ports = {"observations": shape}, {"values": ("batch", 5)}
     policy = OnnxPolicy(written(*ports, nodes, constants={"weights": weights}, history="3"))
-    assert policy.history == 3
+    assert policy.history_length == 3
     seen = np.random.default_rng(7).integers(-3, 4, (40, 3, 7, 5)).astype(np.float32)
     expected = (seen.reshape(40, 105) @ weights).argmax(axis=1)
     np.testing.assert_array_equal(policy.decide(seen), expected)
+    for rule in agent_rules(policy):
+        rule()
 
 
 @pytest.mark.parametrize("said", ["0", "-1", "many", "1.5", "101", "9" * 5000])
