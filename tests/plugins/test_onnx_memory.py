@@ -14,9 +14,12 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
 from onnx import TensorProto, helper, numpy_helper
 
+from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.traffic import OneAgent
 from charms_bench.testing import agent_rules
+from charms_bench.world.scene import SceneSettings
 
 Shape = Sequence[str | int]
 KINDS = {
@@ -108,6 +111,26 @@ def test_no_vehicles_have_no_memory(recurrent: tuple[Recurrent, OnnxPolicy]) -> 
         observed(0), np.zeros((0, policy.memory_width)), np.zeros((0, 0))
     )
     assert (actions.shape, memory.shape) == ((0,), (0, policy.memory_width))
+
+
+def test_episodes_of_recurrent_networks_do_not_depend_on_those_beside_them(
+    recurrent: tuple[Recurrent, OnnxPolicy],
+) -> None:
+    settings = SceneSettings(duration_s=4.0, traffic_vehicles=8)
+    seeds = np.arange(900_000_000, 900_000_012, dtype=np.uint64)
+    agents = {"network": recurrent[1]}
+
+    def driven(some: np.ndarray) -> Simulation:
+        made = Simulation(settings, len(some), "network", OneAgent("network"), agents)
+        made.reset(some)
+        for _ in range(8):
+            made.step()
+        return made
+
+    together, apart = driven(seeds), driven(seeds[[7, 2, 3]])
+    for name in ("x", "y", "memory"):
+        expected = getattr(together.scene, name)[[7, 2, 3]]
+        assert getattr(apart.scene, name).tobytes() == expected.tobytes()
 
 
 Write = Callable[..., Path]
