@@ -1,0 +1,33 @@
+"""A recurrent network, a stochastic one and a planner: rows that depend on their inputs alone."""
+
+from pathlib import Path
+
+import polars as pl
+from command_line import charms_bench
+
+NETWORKS = Path(__file__).parents[2] / "networks" / "memory"
+AGENTS = (f"{{onnx: {NETWORKS}/recurrent.onnx}}", f"{{onnx: {NETWORKS}/stochastic.onnx}}", "mpc")
+SUITE = """\
+suite: small
+episodes: 8
+scene: {{duration_s: 6.0, traffic_vehicles: 8}}
+egos: [{egos}]
+traffics: [{{traffic: idm_mobil}}]
+"""
+
+
+def rows(folder: Path, workers: int, agents: tuple[str, ...]) -> pl.DataFrame:
+    """The ego's rows of a run."""
+    folder.mkdir()
+    egos = ", ".join(f"{{agent: {agent}, label: {agent[-14:-6]}}}" for agent in agents)
+    (folder / "suite.yaml").write_text(SUITE.format(egos=egos))
+    run = charms_bench("run", "suite.yaml", "--workers", workers, cwd=folder)
+    assert run.returncode == 0, run.stderr
+    found = pl.concat(pl.read_parquet(path) for path in folder.rglob("steps/*.parquet"))
+    return found.sort(found.columns)
+
+
+def test_neither_the_workers_nor_the_order_of_the_egos_change_a_row(tmp_path: Path) -> None:
+    expected = rows(tmp_path / "one", 1, AGENTS)
+    assert rows(tmp_path / "two", 2, AGENTS).equals(expected)
+    assert rows(tmp_path / "reversed", 1, AGENTS[::-1]).equals(expected)
