@@ -9,31 +9,27 @@ Every episode that differs is listed. FOLDER keeps the episodes, so the command 
 was interrupted. `--episodes N` sets their number, by default 200.
 """
 
-import argparse
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
+from against_stock import (
+    VARIABLES,
+    asked,
+    counted,
+    keep,
+    print_difference,
+    simulate_in_processes,
+)
 from numpy.typing import NDArray
 
 import charms_bench.envs  # registers Ego-v0
 from charms_bench.envs.highway_reward import HighwayReward
-from charms_bench.foundation.threads import ONE_THREAD
-from charms_bench.statistics.intervals import wilson
-from charms_bench.statistics.paired import tango
 from charms_bench.testing.verify import random_controls
 from charms_bench.world.actions import ACTIONS, IDLE, SLOWER
 
-DISABLED = "NPY_DISABLE_CPU_FEATURES"
-DISPATCHED = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
-"""The processor's features for which NumPy has functions of their own."""
-VARIABLES = {"stock": {}, "dispatch": {DISABLED: " ".join(DISPATCHED)}, "ours": {}}
-"""The variables in the environment of each contestant's process."""
 TOLERANCE = 1e-6
 
 
@@ -95,12 +91,7 @@ def simulate(configuration: Configuration, contestant: str, continuous: bool, pa
         observations.append(step[0])
         rewards.append(step[1])
         ending = step[2:4]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".unfinished.npz")
-    np.savez_compressed(
-        unfinished, observations=observations, rewards=rewards, terminated=ending[0]
-    )
-    unfinished.replace(path)
+    keep(path, observations=observations, rewards=rewards, terminated=ending[0])
 
 
 def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) -> str:
@@ -117,11 +108,8 @@ def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) ->
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--episodes", type=int, default=200)
+    parser = asked(__doc__, "episodes", 200)
     parser.add_argument("--continuous", action="store_true")
-    parser.add_argument("--simulate", choices=VARIABLES, help=argparse.SUPPRESS)
     given = parser.parse_args()
     configurations = [Configuration.drawn(seed) for seed in range(given.episodes)]
     paths = {
@@ -133,12 +121,7 @@ def main() -> None:
             if not path.exists():
                 simulate(configuration, given.simulate, given.continuous, path)
         return
-    for name, variables in VARIABLES.items():  # NumPy reads its variables when it is imported
-        subprocess.run(
-            [sys.executable, __file__, *sys.argv[1:], "--simulate", name],
-            env={**os.environ, **ONE_THREAD, **variables},
-            check=True,
-        )
+    simulate_in_processes(__file__)
     differs = {}
     for name in ("ours", "dispatch"):
         print(name)
@@ -150,14 +133,8 @@ def main() -> None:
             if found[-1]:
                 print(f"  {each}: {found[-1]}")
         differs[name] = np.array([bool(text) for text in found])
-        count, n = int(differs[name].sum()), len(found)
-        low, high = wilson(count, n)
-        share = f"{count / n:.1%} [{low:.1%}, {high:.1%}]"
-        print(f"  {count} of {n} episodes differ from stock, {share}; {timed} last their full time")
-    only_ours = int((differs["ours"] & ~differs["dispatch"]).sum())
-    only_theirs = int((differs["dispatch"] & ~differs["ours"]).sum())
-    low, high = tango(only_ours, only_theirs, given.episodes)
-    print(f"difference {(only_ours - only_theirs) / given.episodes:+.1%} [{low:+.1%}, {high:+.1%}]")
+        print(f"  {counted(differs[name])}; {timed} last their full time")
+    print_difference(differs["ours"], differs["dispatch"])
 
 
 if __name__ == "__main__":

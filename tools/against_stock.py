@@ -1,10 +1,9 @@
 """Compares the compiled engine with stock highway-env: `python tools/against_stock.py FOLDER`.
 
-Stock highway-env has nothing replaced. The compiled engine, and stock highway-env as it computes on
-other processors, are each held against it in the same episodes. FOLDER keeps the results in chunks
-of 50 episodes, so the command continues where it was interrupted. `--chunks N` sets the number of
-chunks of each profile, by default 20. `--only NAME ...` simulates only these contestants, and
-`--table` only prints what FOLDER holds. An episode of highway-env takes one core about a second.
+Stock highway-env has nothing replaced. The compiled engine, and stock highway-env under another
+NumPy dispatch, are each held against it in the same episodes. FOLDER keeps the results in chunks of
+50 episodes, so the command continues where it was interrupted. `--chunks N` sets the number of
+chunks of each profile, by default 20. An episode of highway-env takes one core about a second.
 
 IDM+MOBIL drives the traffic. It also drives the ego in every second chunk; in the other chunks,
 random meta-actions drive the ego, so that vehicles crash. An episode differs if in any simulation
@@ -36,29 +35,15 @@ from charms_bench.world.scene import SceneSettings
 DRIVER = "idm_mobil"
 EPISODES = 50
 """The episodes of a chunk."""
-DISABLED, CORE_TYPE = "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE"
 DISPATCHED = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
 """The processor's features for which NumPy has functions of their own."""
-
-
-class Contestant(NamedTuple):
-    """An engine, and the variables in the environment of its processes."""
-
-    title: str
-    engine: EngineName
-    variables: dict[str, str]
-
-
-CONTESTANTS = {
-    "stock": Contestant("stock highway-env", "highway-env", {}),
-    "compiled": Contestant("compiled engine", "batched", {}),
-    "dispatch": Contestant(
-        "stock under another NumPy dispatch", "highway-env", {DISABLED: " ".join(DISPATCHED)}
-    ),
-    "openblas": Contestant(
-        "stock under another core type of OpenBLAS", "highway-env", {CORE_TYPE: "Nehalem"}
-    ),
+VARIABLES = {
+    "stock": {},
+    "dispatch": {"NPY_DISABLE_CPU_FEATURES": " ".join(DISPATCHED)},
+    "ours": {},
 }
+"""The variables in the environment of each contestant's process."""
+TITLES = {"ours": "compiled engine", "dispatch": "stock under another NumPy dispatch"}
 
 
 class Chunk(NamedTuple):
@@ -98,26 +83,54 @@ def simulate(chunk: Chunk, engine: EngineName, path: Path) -> None:
             events.append(np.stack([scene.lane, scene.target_lane, scene.crashed], axis=1))
             x.append(scene.x.copy())
         simulation.finish_step()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".unfinished.npz")
-    np.savez_compressed(
-        unfinished,
+    keep(
+        path,
         events=np.stack(events, axis=1).astype(np.int8),
         x=np.stack(x, axis=1),
         ending=simulation.ending,
         steps=simulation.steps,
     )
+
+
+def keep(path: Path, **arrays: Any) -> None:
+    """Writes arrays to a file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_suffix(".unfinished.npz")
+    np.savez_compressed(unfinished, **arrays)
     unfinished.replace(path)
 
 
-def simulate_in_process(chunk: Chunk, contestant: str, folder: Path) -> None:
-    """Simulates a chunk in a process of its own; NumPy reads its variables when it is imported."""
-    inherited = {k: v for k, v in os.environ.items() if k not in (DISABLED, CORE_TYPE)}
-    subprocess.run(
-        [sys.executable, __file__, str(folder), "--simulate", contestant, *map(str, chunk)],
-        env={**inherited, **ONE_THREAD, **CONTESTANTS[contestant].variables},
-        check=True,
-    )
+def simulate_in_processes(script: str) -> None:
+    """Runs a script once per contestant; NumPy reads its variables when it is imported."""
+    for name, variables in VARIABLES.items():
+        subprocess.run(
+            [sys.executable, script, *sys.argv[1:], "--simulate", name],
+            env={**os.environ, **ONE_THREAD, **variables},
+            check=True,
+        )
+
+
+def asked(description: str, unit: str, count: int) -> argparse.ArgumentParser:
+    """What both tools ask for."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument(f"--{unit}", type=int, default=count)
+    parser.add_argument("--simulate", choices=VARIABLES, help=argparse.SUPPRESS)
+    return parser
+
+
+def counted(differs: NDArray[np.bool_]) -> str:
+    """How many episodes (E,) differ, with an interval."""
+    count, n = int(differs.sum()), differs.size
+    low, high = wilson(count, n)
+    return f"{count} of {n} episodes differ, {count / n:.2%} [{low:.2%}, {high:.2%}]"
+
+
+def print_difference(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> None:
+    """Prints the difference between the proportions of episodes (E,) that differ."""
+    only_ours, only_theirs = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    low, high = tango(only_ours, only_theirs, ours.size)
+    print(f"  difference: {(only_ours - only_theirs) / ours.size:+.2%} [{low:+.2%}, {high:+.2%}]")
 
 
 class Compared(NamedTuple):
@@ -146,61 +159,44 @@ def results(chunk: Chunk, contestant: str, folder: Path) -> dict[str, NDArray[An
         return dict(arrays)
 
 
-def report(chunks: list[Chunk], other: str, folder: Path) -> None:
-    """Prints how often the compiled engine and another contestant differ from stock highway-env."""
-    ours, theirs = (compare(chunks, name, folder) for name in ("compiled", other))
-    n = ours.differs.size
+def report(chunks: list[Chunk], folder: Path) -> None:
+    """Prints how often the contestants differ from stock highway-env."""
     events = np.concatenate([results(chunk, "stock", folder)["events"] for chunk in chunks])
     lane_changes = int((np.diff(events[:, :, 1], axis=1) != 0).sum())
-    crashed = int(events[:, -1, 2].sum())
-    only_ours = int((ours.differs & ~theirs.differs).sum())
-    only_theirs = int((theirs.differs & ~ours.differs).sum())
-    low, high = tango(only_ours, only_theirs, n)
     print(*dict.fromkeys(chunk.profile for chunk in chunks), sep=" and ", end=": ")
-    print(f"{n} episodes with {lane_changes} lane changes and {crashed} crashed vehicles")
-    print(f"  {CONTESTANTS['compiled'].title}: {summary(ours)}")
-    print(f"  {CONTESTANTS[other].title}: {summary(theirs)}")
-    print(f"  difference: {(only_ours - only_theirs) / n:+.2%} [{low:+.2%}, {high:+.2%}]", end="; ")
-    print(f"{only_ours} episodes differ only in the former, {only_theirs} only in the latter")
+    print(
+        f"{len(events)} episodes with {lane_changes} lane changes and "
+        f"{int(events[:, -1, 2].sum())} crashed vehicles"
+    )
+    found = {name: compare(chunks, name, folder) for name in TITLES}
+    for name, each in found.items():
+        print(f"  {TITLES[name]}: {summary(each)}")
+    print_difference(found["ours"].differs, found["dispatch"].differs)
 
 
 def summary(found: Compared) -> str:
-    count, n = int(found.differs.sum()), found.differs.size
-    low, high = wilson(count, n)
-    text = f"{count} of {n} episodes differ, {count / n:.2%} [{low:.2%}, {high:.2%}]"
-    if count:
+    text = counted(found.differs)
+    if found.differs.any():
         steps = found.step[found.differs]
         text += f", first in steps {steps.min()} to {steps.max()}, median {np.median(steps):g}"
-    if count < n:
+    if not found.differs.all():
         text += f"; else x differs by at most {found.distance_m[~found.differs].max():.1e} m"
     return text
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--chunks", type=int, default=20)
-    parser.add_argument("--only", nargs="+", choices=CONTESTANTS, default=list(CONTESTANTS))
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--simulate", nargs=3, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    folder = given.folder
-    if given.simulate:
-        name, profile, number = given.simulate
-        chunk = Chunk(profile, int(number))
-        simulate(chunk, CONTESTANTS[name].engine, chunk.path(folder, name))
-        return
+    given = asked(__doc__, "chunks", 20).parse_args()
     chunks = [Chunk(profile, k) for k in range(given.chunks) for profile in PROFILES]
-    for chunk in () if given.table else chunks:
-        for name in given.only:
-            if not chunk.path(folder, name).exists():
-                simulate_in_process(chunk, name, folder)
-    for other in ("dispatch", "openblas"):
-        needed = ("stock", "compiled", other)
-        held = [c for c in chunks if all(c.path(folder, name).exists() for name in needed)]
-        groups = [[c for c in held if c.profile == profile] for profile in PROFILES]
-        for group in filter(None, (*groups, held)):
-            report(group, other, folder)
+    if name := given.simulate:
+        for chunk in chunks:
+            if not chunk.path(given.folder, name).exists():
+                engine: EngineName = "batched" if name == "ours" else "highway-env"
+                simulate(chunk, engine, chunk.path(given.folder, name))
+        return
+    simulate_in_processes(__file__)
+    groups = [[chunk for chunk in chunks if chunk.profile == profile] for profile in PROFILES]
+    for group in (*groups, chunks):
+        report(group, given.folder)
 
 
 if __name__ == "__main__":

@@ -13,17 +13,11 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
-from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.envs.torch_threads import warn_of_torch_threads
-from charms_bench.envs.vector_env import (
-    HighwayVectorEnv,
-    Reward,
-    check_actions,
-    continue_from,
-    spaces_of,
-    state_in,
-)
+from charms_bench.envs.vector_env import HighwayVectorEnv, state_in
 from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
@@ -71,17 +65,21 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         render_mode: str | None = None,
         **scene: Any,
     ) -> None:
-        settings = scene_settings(scene)
-        self._observation = observation_of(observation)
-        self._kind = _kind(actions)
-        self.observation_space, self.action_space = spaces_of(
-            settings, self._observation, self._kind
+        kind = _kind(actions)
+        self._learners = Learners(
+            scene_settings(scene),
+            1,
+            (0,),
+            *made_traffic(traffic),
+            reward or _REWARDS[kind](),
+            observation_of(observation),
+            render_mode,
+            actions=kind,
         )
-        self.simulation = Simulation(settings, 1, None, *drivers_of(traffic), actions=self._kind)
-        self._reward = reward or _REWARDS[self._kind]()
-        self._renderer = Renderer(self.simulation, render_mode)
+        self.simulation: Simulation = self._learners.simulation
+        self.observation_space, self.action_space = self._learners.spaces
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
+        self.metadata = {**self.metadata, "render_fps": self.simulation.settings.decision_hz}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -99,12 +97,12 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         super().reset(seed=seed)
         if (state := state_in(options)) is not None:
             seed = int(state.seeds[0])
-            continue_from(self.simulation, state)
+            self._learners.restore(state)
         else:
             if seed is None:
                 seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
-            self.simulation.reset(np.array([seed], dtype=np.uint64))
-        self._renderer.show()
+            self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
+        self._learners.renderer.show()
         return self._observe(), {"seed": seed, **self._mask()}
 
     def step(
@@ -121,16 +119,11 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: The action is not one of `action_space`.
         """
-        actions = np.array([action])
-        check_actions(actions, self._kind, 1)
-        prepared = self._reward.prepare(self.simulation, actions)
-        self.simulation.step(actions)
-        reward = float(self._reward(self.simulation, prepared)[0])
+        reward = float(self._learners.step(np.array([action])).rewards[0, 0])
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
         info = self._mask()
         if failed or truncated:
             info["ending"] = ENDINGS[self.simulation.ending[0]]
-        self._renderer.show()
         return self._observe(), reward, failed, truncated, info
 
     def action_masks(self) -> Bools:
@@ -147,12 +140,12 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: There is no display for the window.
         """
-        frames = self._renderer.render()
+        frames = self._learners.renderer.render()
         return frames[0] if frames else None
 
     def close(self) -> None:
         """Closes the window."""
-        self._renderer.close()
+        self._learners.renderer.close()
 
     def get_state(self) -> SceneState:
         """The state of the episode, for `set_state`."""
@@ -164,16 +157,16 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: The state does not fit.
         """
-        continue_from(self.simulation, state)
+        self._learners.restore(state)
         return self._observe()
 
     def _observe(self) -> Observations:
         scene, ego = self.simulation.scene, self.simulation.ego_vehicles
-        return np.asarray(self._observation(scene, ego)[0])
+        return np.asarray(self._learners.observation(scene, ego)[0])
 
     def _mask(self) -> dict[str, Any]:
         """The action mask for the info; continuous actions have none."""
-        if self._kind != "meta":
+        if self._learners.kind != "meta":
             return {}
         return {"action_mask": action_masks(self.simulation.scene, self.simulation.ego_vehicles)[0]}
 
@@ -192,7 +185,7 @@ def ego_vector_env(
     return HighwayVectorEnv(
         scene_settings(scene),
         num_envs,
-        *drivers_of(traffic),
+        *made_traffic(traffic),
         reward or _REWARDS[kind](),
         EVALUATION_SEEDS,
         observation_of(observation),
@@ -226,7 +219,7 @@ def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSetting
         raise InputError(f"{environment}: {'.'.join(map(str, location))}: {what}") from error
 
 
-def drivers_of(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
+def made_traffic(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
     """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)

@@ -1,8 +1,8 @@
-"""Several vehicles of each scene that the caller drives, until each crashes or leaves the road."""
+"""L vehicles in each of B scenes that the caller drives: what every environment steps."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import index
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,30 @@ from numpy.typing import NDArray
 from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state import SceneState
+from charms_bench.envs import ID
+from charms_bench.envs.rendering import Renderer
+from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
+from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
+C = TypeVar("C")
 VehicleReward = Callable[[Scene, Vehicles], Floats]
 """The rewards (M,) of M vehicles after a decision interval."""
+
+
+class Reward(Protocol[C]):
+    """The reward of a decision. It keeps no state; `prepare` returns what it needs, of type C."""
+
+    def prepare(self, simulation: Simulation, actions: Actions) -> C:
+        """What to remember of the scene before the egos' actions are carried out."""
+
+    def __call__(self, simulation: Simulation, prepared: C) -> Floats:
+        """The rewards (B,) after the decision interval, before ended episodes restart."""
 
 
 class Outcome(NamedTuple):
@@ -46,11 +62,16 @@ class Learners:
         numbers: The learners' vehicles, which include 0; None for all vehicles.
         traffic: Assigns a driver to each vehicle that is not a learner.
         agents: All agents that `traffic` names, by name.
-        reward: The reward of a decision.
+        reward: The reward of a decision: of the vehicles that drive, or if 0 is the only number,
+            of the egos.
+        observation: The learners' observation.
+        render_mode: One of `RENDER_MODES`, or None.
+        title: The environment's name, for messages and pictures.
+        actions: The kind of the learners' actions.
 
     Raises:
         InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; or
-            there is no scene.
+            there is no scene, or no such render mode.
     """
 
     def __init__(
@@ -60,7 +81,11 @@ class Learners:
         numbers: Iterable[int] | None,
         traffic: Traffic,
         agents: Mapping[str, Agent],
-        reward: VehicleReward,
+        reward: Reward[Any] | VehicleReward,
+        observation: Observation = neighbours,
+        render_mode: str | None = None,
+        title: str = ID,
+        actions: ActionKind = "meta",
     ) -> None:
         if scenes < 1:
             raise InputError(f"scenes is {scenes}; expected at least 1")
@@ -71,49 +96,101 @@ class Learners:
         """[B, L] the learners' places in their scenes, in the order of spawning."""
         self.alive = np.zeros(shape, dtype=np.bool_)
         """[B, L] whether the learner drives, so that its next action counts."""
+        self.vehicles: Vehicles = np.nonzero(self.alive)
+        """The M learners that drive, by scene and then in the order of `numbers`."""
         self.returns = np.zeros(shape)
         """[B, L] sums of the rewards so far."""
-        are_all = len(self.numbers) == settings.vehicles
-        driven = OneAgent("") if are_all else FromOutside(self.numbers, traffic)
-        self.simulation = Simulation(settings, scenes, None, driven, agents)
-        self._reward = reward
-
-    @property
-    def vehicles(self) -> Vehicles:
-        """The M learners that drive, by scene and then in the order of `numbers`."""
-        rows, which = np.nonzero(self.alive)
-        return rows, self.places[rows, which]
+        driven = traffic if self.numbers == (0,) else FromOutside(self.numbers, traffic)
+        if shape[1] == settings.vehicles > 1:
+            driven = OneAgent("")
+        self.simulation = Simulation(settings, scenes, None, driven, agents, actions=actions)
+        self.spaces = spaces_of(settings, observation, actions)
+        """Of a learner's observations and of its actions."""
+        self.renderer = Renderer(self.simulation, render_mode, title)
+        self.kind, self.observation = actions, observation
+        self._reward: Any = reward
 
     def reset(self, seeds: NDArray[np.uint64], rows: Ints) -> None:
         """Starts an episode in each of the scenes `rows`, in which all learners drive."""
         self.simulation.reset(seeds, rows)
+        self._begin(rows)
+
+    def restore(self, state: SceneState) -> None:
+        """Continues all scenes from a state, in which the egos are the only learners.
+
+        Raises:
+            InputError: It is not a `SceneState`, it does not fit, or its scenes are not between two
+                decisions.
+        """
+        if not isinstance(state, SceneState):
+            raise InputError(f"found {type(state).__name__}, expected a SceneState")
+        if state.phase:
+            raise InputError(
+                f"the state was saved {state.phase} simulation steps after a decision; an "
+                "environment continues states between two decisions"
+            )
+        if not state.active.all():
+            ended = state.seeds[~state.active][0]
+            raise InputError(f"the state of episode {ended} was saved after the episode had ended")
+        self.simulation.restore(state.seated(state.ego, ""))
+        self._begin(np.arange(len(self.alive)))
+
+    def _begin(self, rows: Ints) -> None:
         ego = self.simulation.scene.ego[rows, None]
         others = np.array(self.numbers) - 1
         self.places[rows] = np.where(others < 0, ego, others + (others >= ego))
         self.alive[rows] = True
         self.returns[rows] = 0.0
+        self._note_vehicles()
+
+    def _note_vehicles(self) -> None:
+        rows, which = np.nonzero(self.alive)
+        self.vehicles = rows, self.places[rows, which]
 
     def step(self, actions: Actions) -> Outcome:
-        """Carries out the actions [B, L] of the learners that drive for one decision interval."""
-        simulation, alive, vehicles = self.simulation, self.alive.copy(), self.vehicles
-        scene = simulation.scene
-        simulation.command(vehicles, actions[alive])
+        """Carries out the actions (B L,) or (B L, 2) of the learners for one decision interval.
+
+        Raises:
+            InputError: The actions have another shape or type, or one is out of range.
+        """
+        what, wrong = problem_of(actions, self.kind, self.alive.size)
+        if what:
+            meaning = ", ".join(ACTIONS if self.kind == "meta" else CONTROLS)
+            who = "ego" if len(self.numbers) == 1 else "learner"
+            raise InputError(f"step: {who} {wrong}: {what}: {meaning}")
+        simulation, vehicles, reward = self.simulation, self.vehicles, self._reward
+        is_of_egos = hasattr(reward, "prepare")
+        prepared = reward.prepare(simulation, actions) if is_of_egos else None
+        simulation.command(vehicles, actions[self.alive.ravel()])
         simulation.step()
-        rewards = np.zeros(alive.shape)
-        rewards[alive] = self._reward(scene, vehicles)
+        self.renderer.show()
+        if is_of_egos:
+            rewards = reward(simulation, prepared)[:, None]
+        else:
+            rewards = np.zeros(self.alive.shape)
+            rewards[self.alive] = reward(simulation.scene, vehicles)
         self.returns += rewards
+        endings = self._endings()
+        ended, truncated = endings != RUNNING, endings == TIME
+        if ended.any():
+            self.alive = self.alive & ~ended
+            self._note_vehicles()
+        return Outcome(rewards, ended & ~truncated, truncated, endings)
+
+    def _endings(self) -> Ints:
+        """[B, L] how learners have ended in this interval, in which `vehicles` drove."""
+        simulation, vehicles = self.simulation, self.vehicles
+        if len(self.numbers) == 1:
+            return simulation.ending[:, None].copy()
         collision = simulation.collision[vehicles]
         ending = np.where(simulation.truncated[vehicles[0]], TIME, RUNNING)
         if simulation.settings.profile.offroad_terminal:
-            ending[are_off_road(scene, *vehicles)] = OFF_ROAD
+            ending[are_off_road(simulation.scene, *vehicles)] = OFF_ROAD
         ending[collision != NO_COLLISION] = REAR_END
         ending[collision == SIDE_COLLISION] = SIDE
-        endings = np.full(alive.shape, RUNNING)
-        endings[alive] = ending
-        truncated = endings == TIME
-        terminated = (endings != RUNNING) & ~truncated
-        self.alive &= endings == RUNNING
-        return Outcome(rewards, terminated, truncated, endings)
+        endings = np.full(self.alive.shape, RUNNING)
+        endings[self.alive] = ending
+        return endings
 
 
 class FromOutside(Traffic):

@@ -1,6 +1,7 @@
 """Many learners as a PettingZoo `ParallelEnv`; it needs the extra `pettingzoo`."""
 
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,10 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
-from charms_bench.envs.ego_env import TrafficLike, drivers_of, scene_settings
+from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
-from charms_bench.envs.rendering import RENDER_MODES, Renderer
-from charms_bench.envs.vector_env import spaces_of
+from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.errors import InputError
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.actions import ACTIONS
@@ -74,25 +74,22 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         render_mode: str | None = None,
         **scene: Any,
     ) -> None:
-        settings = scene_settings(scene, "HighwayParallelEnv")
-        self._learners = Learners(settings, 1, learners, *drivers_of(traffic), reward)
-        self._observation = observation_of(observation)
-        self._renderer = Renderer(self.simulation, render_mode, "HighwayParallelEnv")
+        title = type(self).__name__
+        settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
+        seen = observation_of(observation)
+        how = (around, agents, reward, seen, render_mode, title)
+        self._learners = Learners(settings, 1, learners, *how)
+        self.simulation: Simulation = self._learners.simulation
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
         self.agents: list[str] = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
         # Each agent has spaces of its own, because a space holds the seed of its samples.
-        spaces = {agent: spaces_of(settings, self._observation) for agent in self._place}
+        spaces = {agent: deepcopy(self._learners.spaces) for agent in self._place}
         self.observation_spaces = {agent: seen for agent, (seen, _) in spaces.items()}
         self.action_spaces = {agent: chosen for agent, (_, chosen) in spaces.items()}
         self._rng = np.random.default_rng()
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of the scene."""
-        return self._learners.simulation
 
     def observation_space(self, agent: str) -> Any:
         """The space of an agent's observations."""
@@ -122,7 +119,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
         self.agents = self.possible_agents.copy()
-        self._renderer.show()
+        self._learners.renderer.show()
         return self._observe(), {
             agent: {"seed": seed, **info} for agent, info in self._masks().items()
         }
@@ -141,7 +138,6 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self._learners.step(self._checked(actions))
-        self._renderer.show()
         acted, observations = self.agents, self._observe()
         rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
         infos = self._masks()
@@ -166,15 +162,15 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         Raises:
             InputError: There is no display for the window.
         """
-        frames = self._renderer.render()
+        frames = self._learners.renderer.render()
         return frames[0] if frames else None
 
     def close(self) -> None:
         """Closes the window."""
-        self._renderer.close()
+        self._learners.renderer.close()
 
     def _checked(self, actions: Mapping[str, int]) -> Ints:
-        """The actions [1, L]; those of agents that have left are 0."""
+        """The actions (L,); those of agents that have left are 0."""
         if actions.keys() != {*self.agents}:
             missing = ", ".join(agent for agent in self.agents if agent not in actions)
             other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
@@ -182,17 +178,17 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
                 "step takes one action for each agent in `agents`; "
                 f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
             )
-        chosen = np.zeros((1, len(self.possible_agents)), dtype=np.int64)
+        chosen = np.zeros(len(self.possible_agents), dtype=np.int64)
         for agent, action in actions.items():
             if action not in self.action_spaces[agent]:
                 expected = f"expected 0 to 4: {', '.join(ACTIONS)}"
                 raise InputError(f"{agent}: no action {action}; {expected}")
-            chosen[0, self._place[agent]] = action
+            chosen[self._place[agent]] = action
         return chosen
 
     def _observe(self) -> dict[str, Observations]:
         """The observations of `agents`."""
-        seen = self._observation(self.simulation.scene, self._vehicles())
+        seen = self._learners.observation(self.simulation.scene, self._vehicles())
         return dict(zip(self.agents, seen, strict=True))
 
     def _masks(self) -> dict[str, dict[str, Any]]:

@@ -37,12 +37,12 @@ class Renderer:
         if mode not in (None, *RENDER_MODES):
             known = " or ".join(map(repr, RENDER_MODES))
             raise InputError(f"{title}: no render_mode {mode!r}; expected {known}")
-        self._simulation, self._mode, self._title = simulation, mode, title
+        self._simulation, self.mode, self._title = simulation, mode, title
         self._window: Window | None = None
 
     def show(self) -> None:
         """Shows the first scenes in a window if the mode is `human`, not faster than real time."""
-        if self._mode != "human":
+        if self.mode != "human":
             return
         if self._window is None:
             from charms_bench.envs.window import Window
@@ -54,9 +54,9 @@ class Renderer:
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The frames (height, width, 3) of all scenes in the mode `rgb_array`."""
-        if self._mode == "rgb_array":
+        if self.mode == "rgb_array":
             return tuple(map(self._frame, range(self._simulation.seeds.size)))
-        if self._mode is None:
+        if self.mode is None:
             modes = " or ".join(RENDER_MODES)
             gymnasium.logger.warn(f"{self._title}: render needs a render_mode: {modes}")
         self.show()

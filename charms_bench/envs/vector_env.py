@@ -1,45 +1,25 @@
-"""Episodes as a `gymnasium.vector.VectorEnv`: the actions given to `step` drive the egos."""
+"""Episodes as a `gymnasium.vector.VectorEnv`: the actions given to `step` drive the learners."""
 
 from collections.abc import Mapping
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.engine.endings import RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
-from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.learners import C, Learners, Reward
+from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.action_mask import ActionMasks, action_masks
-from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
-from charms_bench.world.observations import (
-    EGO,
-    SPEED_SCALE_MPS,
-    Y_SCALE_M,
-    Neighbours,
-    Observation,
-    neighbours,
-)
-from charms_bench.world.scene import Bools, Floats, Ints, Observations, SceneSettings
-
-C = TypeVar("C")
-
-
-class Reward(Protocol[C]):
-    """The reward of a decision. It keeps no state; `prepare` returns what it needs, of type C."""
-
-    def prepare(self, simulation: Simulation, actions: Actions) -> C:
-        """What to remember of the scene before the egos' actions are carried out."""
-
-    def __call__(self, simulation: Simulation, prepared: C) -> Floats:
-        """The rewards (B,) after the decision interval, before ended episodes restart."""
+from charms_bench.world.actions import ActionKind, Actions
+from charms_bench.world.observations import Observation, neighbours
+from charms_bench.world.scene import Bools, Floats, Ints, Observations, SceneSettings, Vehicles
 
 
 class EpisodesState(NamedTuple):
@@ -49,32 +29,6 @@ class EpisodesState(NamedTuple):
     returns: Floats
     """[B] sums of the rewards so far."""
     next_seed: int
-
-
-def spaces_of(
-    settings: SceneSettings, observation: Observation = neighbours, kind: ActionKind = "meta"
-) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
-    """Gymnasium's spaces of the ego's observations and actions.
-
-    In `neighbours` and `paper_neighbours`, the rows of other vehicles and an action mask are within
-    [-1, 1]. The bounds of the ego's position across the road and of its velocity are twice the
-    values that occur while it drives; with continuous actions, its position has no bounds. Other
-    observations have no bounds, as in highway-env.
-    """
-    actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
-    if kind == "continuous":
-        actions = spaces.Box(-1.0, 1.0, (len(CONTROLS),), np.float32)
-    if not isinstance(observation, Neighbours):
-        return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
-    profile = settings.profile
-    targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
-    fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
-    high = np.ones(observation.shape, dtype=np.float32)
-    high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
-    if kind == "continuous":
-        high[EGO, 2] = np.inf
-    high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
-    return spaces.Box(-high, high, dtype=np.float32), actions
 
 
 def state_in(options: dict[str, Any] | None) -> SceneState | None:
@@ -93,63 +47,157 @@ def state_in(options: dict[str, Any] | None) -> SceneState | None:
     return state
 
 
-def check_actions(actions: NDArray[Any], kind: ActionKind, egos: int) -> None:
-    """Refuses arrays that are not actions of B egos.
+class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
+    """B scenes with L learners each, as B L environments; those of the first scene come first.
 
-    Raises:
-        InputError: The shape or the type is wrong, or an action is out of range.
+    When no learner of a scene is left, the next scene starts within the same step. Until then, the
+    observations of learners that have left are zeros, their rewards are 0, and their actions have
+    no effect. The k-th scene to start has the seed `first_seed + k`.
     """
-    what, wrong = problem_of(actions, kind, egos)
-    if what:
-        meaning = ", ".join(ACTIONS if kind == "meta" else CONTROLS)
-        raise InputError(f"step: ego {wrong}: {what}: {meaning}")
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": RENDER_MODES,
+    }
+    autoreset_mode = AutoresetMode.SAME_STEP
+    """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
+
+    def __init__(self, learners: Learners, first_seed: int) -> None:
+        self._learners, self._next_seed = learners, first_seed
+        self.num_envs = learners.alive.size
+        self.single_observation_space, self.single_action_space = learners.spaces
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.simulation: Simulation = learners.simulation
+        self.render_mode = learners.renderer.mode
+        self.metadata = {**self.metadata, "render_fps": self.simulation.settings.decision_hz}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Starts an episode in every scene.
+
+        Args:
+            seed: The first episode's seed; None continues with the next unused seed.
+            options: If the egos are the only learners, `state`, a `SceneState` of B running scenes
+                in which the episodes start.
+
+        Returns:
+            Observations and infos; with meta-actions, these have the `action_mask`; see `step`.
+
+        Raises:
+            InputError: There is another option, or the state does not fit.
+        """
+        warn_of_torch_threads()
+        super().reset(seed=seed)
+        if seed is not None:
+            self._next_seed = seed
+        learners = self._learners
+        if options and len(learners.numbers) > 1:
+            raise InputError(f"reset takes no options, got {', '.join(map(str, options))}")
+        if (state := state_in(options)) is None:
+            self._start(np.arange(len(learners.alive)))
+        else:
+            learners.restore(state)
+        learners.renderer.show()
+        return self._observe(learners.vehicles, learners.alive), self._infos()
+
+    def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
+        """Carries out the actions, (B L,) or continuous (B L, 2), for one decision interval.
+
+        Returns:
+            Observations (B L, rows, columns), rewards (B L,), terminations (B L,), truncations
+            (B L,), and infos. With meta-actions, these have the `action_mask` (B L, 5) of the next
+            step; see `world.action_mask`. They also have the `final_obs` and the `final_info` of
+            the learners whose episodes ended: `ending` (an index into
+            `engine.simulation.ENDINGS`), `steps`, `episode_return` and the scene's `seed`.
+
+        Raises:
+            InputError: The actions have another shape or type, or one is out of range.
+        """
+        learners, simulation = self._learners, self.simulation
+        vehicles, drove = learners.vehicles, learners.alive
+        outcome = learners.step(actions)
+        rewards, terminated = outcome.rewards.ravel(), outcome.terminated.ravel()
+        truncated = outcome.truncated.ravel()
+        observations = self._observe(vehicles, drove)
+        infos: dict[str, Any] = {}
+        ended = terminated | truncated
+        if ended.any():
+            each = drove.shape[1]
+            final_obs = np.full(ended.size, None, dtype=object)
+            for row in np.flatnonzero(ended):
+                final_obs[row] = observations[row].copy()
+            facts = {
+                "ending": outcome.endings.ravel(),
+                "steps": np.repeat(simulation.steps, each),
+                "episode_return": learners.returns.ravel(),
+                "seed": np.repeat(simulation.seeds, each),
+            }
+            final_info = {name: np.where(ended, every, 0) for name, every in facts.items()}
+            final_info |= {f"_{name}": ended.copy() for name in facts}
+            infos = {"final_obs": final_obs, "final_info": final_info}
+            infos |= {f"_{name}": ended.copy() for name in infos}
+            observations[ended] = 0.0
+            if (rows := np.flatnonzero(~learners.alive.any(axis=1))).size:
+                self._start(rows)
+                started = (np.repeat(rows, each), learners.places[rows].ravel())
+                first = (rows[:, None] * each + np.arange(each)).ravel()
+                observations[first] = learners.observation(simulation.scene, started)
+        return observations, rewards, terminated, truncated, infos | self._infos()
+
+    def action_masks(self) -> Bools:
+        """The action masks (B L, 5), as sb3-contrib's `MaskablePPO` asks for them."""
+        return self._masks().astype(np.bool_)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The scenes as animations of replays draw them, B times (height, width, 3), if asked for.
+
+        Where an episode has just ended, this is the start of the next one. In the render mode
+        `human`, `reset` and `step` show the first scenes in a window after each decision, in real
+        time and with the ends of their episodes, and nothing is returned.
+
+        Raises:
+            InputError: There is no display for the window.
+        """
+        return self._learners.renderer.render()
+
+    def close_extras(self, **_: Any) -> None:
+        """Closes the window."""
+        self._learners.renderer.close()
+
+    def _start(self, rows: Ints) -> None:
+        seeds = np.arange(self._next_seed, self._next_seed + rows.size, dtype=np.uint64)
+        self._next_seed += rows.size
+        self._learners.reset(seeds, rows)
+
+    def _observe(self, vehicles: Vehicles, alive: Bools) -> Observations:
+        """The observations (B L, rows, columns), zeros where `alive` [B, L] is false."""
+        return _spread(self._learners.observation(self.simulation.scene, vehicles), alive, 0)
+
+    def _masks(self) -> ActionMasks:
+        """The action masks (B L, 5); all 1 for learners that do not drive any more."""
+        of_drivers = action_masks(self.simulation.scene, self._learners.vehicles)
+        return _spread(of_drivers, self._learners.alive, 1)
+
+    def _infos(self) -> dict[str, Any]:
+        """The infos of every step; continuous actions have no mask."""
+        if self._learners.kind != "meta":
+            return {}
+        known = np.ones(self.num_envs, dtype=np.bool_)
+        return {"action_mask": self._masks(), "_action_mask": known}
 
 
-def continue_from(simulation: Simulation, state: SceneState) -> None:
-    """Continues all scenes of a simulation whose egos are driven from outside.
-
-    Raises:
-        InputError: It is not a `SceneState`, it does not fit, or its scenes are not between two
-            decisions.
-    """
-    if not isinstance(state, SceneState):
-        raise InputError(f"found {type(state).__name__}, expected a SceneState")
-    if state.phase:
-        raise InputError(
-            f"the state was saved {state.phase} simulation steps after a decision; an environment "
-            "continues states between two decisions"
-        )
-    if not state.active.all():
-        ended = state.seeds[~state.active][0]
-        raise InputError(f"the state of episode {ended} was saved after the episode had ended")
-    simulation.restore(state.seated(state.ego, ""))
+def _spread(values: NDArray[Any], alive: Bools, fill: int) -> NDArray[Any]:
+    """Values (M, ...) of the M learners that are `alive` [B, L], as (B L, ...)."""
+    if len(values) == alive.size:
+        return values
+    spread = np.full((alive.size, *values.shape[1:]), fill, dtype=values.dtype)
+    spread[alive.ravel()] = values
+    return spread
 
 
-def mask_infos(masks: ActionMasks) -> dict[str, Any]:
-    """Gymnasium's infos with the action masks (E, 5) of E environments."""
-    return {"action_mask": masks, "_action_mask": np.ones(len(masks), dtype=np.bool_)}
-
-
-def final_infos(
-    ended: Bools, observations: Observations, values: Mapping[str, NDArray[Any]]
-) -> dict[str, Any]:
-    """Gymnasium's infos about the environments (E,) whose episodes ended in this step.
-
-    Args:
-        ended: Which have ended.
-        observations: (E, rows, columns) the last ones.
-        values: The facts in `final_info`, (E,) each.
-    """
-    final_obs = np.full(ended.size, None, dtype=object)
-    for row in np.nonzero(ended)[0]:
-        final_obs[row] = observations[row].copy()
-    final_info = {name: np.where(ended, every, 0) for name, every in values.items()}
-    final_info |= {f"_{name}": ended.copy() for name in values}
-    final = {"final_obs": final_obs, "final_info": final_info}
-    return final | {f"_{name}": ended.copy() for name in final}
-
-
-class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C]):
+class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
     """B episodes side by side; when one ends, the next starts within the same step.
 
     An episode terminates when the ego collides or leaves the road, and is truncated when its time
@@ -170,13 +218,6 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         InputError: There is no such render mode.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-        "render_modes": RENDER_MODES,
-    }
-    autoreset_mode = AutoresetMode.SAME_STEP
-    """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
-
     def __init__(
         self,
         settings: SceneSettings,
@@ -189,110 +230,13 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
         actions: ActionKind = "meta",
         render_mode: str | None = None,
     ) -> None:
-        self.num_envs = scenes
-        spaces_of_one = spaces_of(settings, observation, actions)
-        self.single_observation_space, self.single_action_space = spaces_of_one
-        self.observation_space = batch_space(self.single_observation_space, scenes)
-        self.action_space = batch_space(self.single_action_space, scenes)
-        self.simulation = Simulation(settings, scenes, None, traffic, agents, actions=actions)
-        self._kind = actions
-        self._reward = reward
-        self._observation = observation
-        self._next_seed = first_seed
-        self._returns = np.zeros(scenes)
-        self._renderer = Renderer(self.simulation, render_mode)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
-        """Starts an episode in every scene.
-
-        Args:
-            seed: The first episode's seed; None continues with the next unused seed.
-            options: `state`, a `SceneState` of B running scenes in which the episodes start.
-
-        Returns:
-            Observations and infos; with meta-actions, these have the `action_mask`; see `step`.
-
-        Raises:
-            InputError: There is another option, or the state does not fit.
-        """
-        warn_of_torch_threads()
-        super().reset(seed=seed)
-        if seed is not None:
-            self._next_seed = seed
-        if (state := state_in(options)) is None:
-            self._start(np.arange(self.num_envs))
-        else:
-            continue_from(self.simulation, state)
-            self._returns[:] = 0
-        self._renderer.show()
-        return self._observe(), self._infos()
-
-    def step(self, actions: Actions) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
-        """Carries out the egos' actions, (B,) or continuous (B, 2), for one decision interval.
-
-        Returns:
-            Observations (B, rows, columns), rewards (B,), terminations (B,), truncations (B,), and
-            infos. With meta-actions, these have the `action_mask` (B, 5) of the next step; see
-            `world.action_mask`. They also have the `final_obs` and the `final_info` of the episodes
-            that ended: `ending` (an index into `engine.simulation.ENDINGS`), `steps`,
-            `episode_return` and `seed`.
-
-        Raises:
-            InputError: The actions have another shape or type, or one is out of range.
-        """
-        check_actions(actions, self._kind, self.num_envs)
-        simulation = self.simulation
-        prepared = self._reward.prepare(simulation, actions)
-        simulation.step(actions)
-        self._renderer.show()
-        rewards = self._reward(simulation, prepared)
-        self._returns += rewards
-        terminations, truncations = simulation.failed, simulation.truncated
-        observations = self._observe()
-        infos: dict[str, Any] = {}
-        ended = simulation.ending != RUNNING
-        rows = np.nonzero(ended)[0]
-        if rows.size:
-            values: dict[str, NDArray[Any]] = {
-                "ending": simulation.ending,
-                "steps": simulation.steps,
-                "episode_return": self._returns,
-                "seed": simulation.seeds,
-            }
-            infos = final_infos(ended, observations, values)
-            self._start(rows)
-            started = (rows, simulation.scene.ego[rows])
-            observations[rows] = self._observation(simulation.scene, started)
-        return observations, rewards, terminations, truncations, infos | self._infos()
-
-    def action_masks(self) -> Bools:
-        """The action masks (B, 5) of the egos, as sb3-contrib's `MaskablePPO` asks for them."""
-        simulation = self.simulation
-        return action_masks(simulation.scene, simulation.ego_vehicles).astype(np.bool_)
-
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """The scenes as animations of replays draw them, B times (height, width, 3), if asked for.
-
-        Where an episode has just ended, this is the start of the next one. In the render mode
-        `human`, `reset` and `step` show the first scenes in a window after each decision, in real
-        time and with the ends of their episodes, and nothing is returned.
-
-        Raises:
-            InputError: There is no display for the window.
-        """
-        return self._renderer.render()
-
-    def close_extras(self, **_: Any) -> None:
-        """Closes the window."""
-        self._renderer.close()
+        how = (traffic, agents, reward, observation, render_mode)
+        super().__init__(Learners(settings, scenes, (0,), *how, actions=actions), first_seed)
 
     def get_state(self) -> EpisodesState:
         """The state of every episode, for `set_state`."""
-        return EpisodesState(self.simulation.state(), self._returns.copy(), self._next_seed)
+        returns = self._learners.returns[:, 0].copy()
+        return EpisodesState(self.simulation.state(), returns, self._next_seed)
 
     def set_state(self, state: EpisodesState) -> Observations:
         """Continues as after `get_state`; returns the egos' observations.
@@ -305,22 +249,8 @@ class HighwayVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]], Generic[C
                 f"found {type(state).__name__}, expected an EpisodesState; a SceneState continues "
                 'with reset(options={"state": state})'
             )
-        continue_from(self.simulation, state.scenes)
-        self._returns[:] = state.returns
+        learners = self._learners
+        learners.restore(state.scenes)
+        learners.returns[:, 0] = state.returns
         self._next_seed = state.next_seed
-        return self._observe()
-
-    def _start(self, rows: Ints) -> None:
-        seeds = np.arange(self._next_seed, self._next_seed + rows.size, dtype=np.uint64)
-        self._next_seed += rows.size
-        self._returns[rows] = 0
-        self.simulation.reset(seeds, rows)
-
-    def _observe(self) -> Observations:
-        return self._observation(self.simulation.scene, self.simulation.ego_vehicles)
-
-    def _infos(self) -> dict[str, Any]:
-        """The infos of every step; continuous actions have no mask."""
-        if self._kind != "meta":
-            return {}
-        return mask_infos(action_masks(self.simulation.scene, self.simulation.ego_vehicles))
+        return self._observe(learners.vehicles, learners.alive)

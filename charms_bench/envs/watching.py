@@ -7,7 +7,7 @@ import numpy as np
 
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.simulation import Simulation
-from charms_bench.envs.ego_env import drivers_of
+from charms_bench.envs.ego_env import made_traffic
 from charms_bench.envs.rendering import moment_of
 from charms_bench.plugins.registry import make_agent
 from charms_bench.world.scene import SceneSettings
@@ -29,7 +29,7 @@ class Watched:
     """
 
     def __init__(self, agent: str, traffic: str, seed: int) -> None:
-        around, drivers = drivers_of(traffic)
+        around, drivers = made_traffic(traffic)
         drivers[agent] = make_agent(agent)
         self.settings = SceneSettings()
         self._title = f"{agent} in {traffic}"

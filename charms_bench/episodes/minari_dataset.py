@@ -20,7 +20,7 @@ from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.recording import Recording
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
-from charms_bench.envs.vector_env import spaces_of
+from charms_bench.envs.spaces import spaces_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Policy

@@ -5,9 +5,10 @@ results IEEE 754 and Python define. So the results depend neither on the process
 library. No function branches on its data or reads a table, so loops over them vectorise. Errors are
 below 1 ulp (unit in the last place) on the ranges that the functions state.
 
-The methods are classical: reduction of the argument by Cody and Waite, one polynomial (printed by
-`tools/minimax.py`), and double-double arithmetic (Dekker 1971, Knuth) for what a single double
-would round away. A number that is written as two is their exact sum, the larger part first.
+The methods are classical: reduction of the argument by Cody and Waite, one polynomial (computed by
+`tests/foundation/test_polynomials.py`), and double-double arithmetic (Dekker 1971, Knuth) for what
+a single double would round away. A number that is written as two is their exact sum, the larger
+part first.
 """
 
 import math

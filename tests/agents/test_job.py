@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
-pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
 from charms_agents.training.job import Job, reinforcement_job
 from charms_agents.training.settings import load_training

@@ -13,7 +13,6 @@ import polars as pl
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
-pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training import pipeline

@@ -103,7 +103,7 @@ def test_a_scene_is_that_of_highway_envs_own_multi_agent_environment() -> None:
         alive = ours.alive[0].copy()
         np.testing.assert_allclose(seen, np.array(expected)[alive], rtol=0, atol=1e-6)
         actions = rng.integers(len(ACTIONS), size=count)
-        ours.step(actions[None])
+        ours.step(actions)
         expected, reward, *endings, _ = stock.step(tuple(actions.tolist()))
         np.testing.assert_allclose(scene.speed[0], [v.speed for v in stock.road.vehicles])
         wrecks = [vehicle.crashed for vehicle in stock.road.vehicles]
@@ -123,7 +123,7 @@ def test_learners_of_a_policy_drive_as_the_policy_does_in_a_suite() -> None:
     for _ in range(12):
         actions = np.zeros(found.alive.shape, dtype=np.int64)
         actions[found.alive] = Whims().decide(neighbours(found.simulation.scene, found.vehicles))
-        found.step(actions)
+        found.step(actions.ravel())
         running = expected.scene.active.copy()
         expected.step()
         for name in ("x", "y", "speed", "heading"):
@@ -185,17 +185,17 @@ def test_each_vehicle_gets_the_reward_that_highway_env_computes_for_it(profile: 
 def test_a_crash_ends_two_learners_and_the_others_go_on_until_the_time_is_over() -> None:
     found = on_the_middle_lane(100.0, 106.0, 250.0, duration_s=2.0)
     found.simulation.scene.speed[0, 0] = 33.0
-    first = found.step(np.full((1, 3), IDLE))
+    first = found.step(np.full(3, IDLE))
     assert first.terminated.tolist() == [[True, True, False]]
     assert first.endings.tolist() == [[REAR_END, REAR_END, RUNNING]]
     assert not first.truncated.any()
     for _ in range(4):
-        later = found.step(np.full((1, 3), FASTER))
+        later = found.step(np.full(3, FASTER))
         assert not (later.terminated | later.truncated).any()
         assert later.rewards[0, :2].tolist() == [0.0, 0.0]
     scene = found.simulation.scene
     assert scene.target_speed[0].tolist() == [25.0, 25.0, 29.0]  # wrecks obey nobody
-    last = found.step(np.full((1, 3), IDLE))
+    last = found.step(np.full(3, IDLE))
     assert last.truncated.tolist() == [[False, False, True]]
     assert last.endings.tolist() == [[RUNNING, RUNNING, TIME]]
     assert not found.alive.any()
@@ -206,7 +206,7 @@ def test_leaving_the_road_ends_a_learner_where_the_profile_says_so() -> None:
         found = on_the_middle_lane(100.0, 200.0, profile=PROFILES[profile])
         found.simulation.scene.y[0, 1] = 16.0
         locate(found.simulation.scene, np.array([0]))
-        assert found.step(np.full((1, 2), IDLE)).endings.tolist() == [[RUNNING, ending]]
+        assert found.step(np.full(2, IDLE)).endings.tolist() == [[RUNNING, ending]]
 
 
 def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
@@ -215,7 +215,7 @@ def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
     scene.y[0, 1], scene.target_lane[0, 1] = 8.0, 2
     locate(scene, np.array([0]))
     scene.target_lane[0, 0] = 2
-    endings = [found.step(np.full((1, 2), IDLE)).endings[0].tolist() for _ in range(12)]
+    endings = [found.step(np.full(2, IDLE)).endings[0].tolist() for _ in range(12)]
     assert [SIDE, SIDE] in endings
 
 

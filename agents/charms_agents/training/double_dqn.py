@@ -1,102 +1,131 @@
-"""Double DQN (van Hasselt et al. 2016) on Stable-Baselines3's DQN."""
+"""Double DQN (van Hasselt et al. 2016); `DoubleDQN.step` is its loop."""
 
 import json
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import DQN
-from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.vec_env import VecEnv
-from torch.nn import Linear, Module, Sequential
+from torch.nn import Linear, Sequential
 
 from charms_agents.training.backpropagation import squared_error
-from charms_agents.training.network import Arrays, load_state, state_arrays
+from charms_agents.training.network import Arrays, load_state, state_arrays, untrained
+from charms_agents.training.settings import Hyperparameters
 from charms_agents.training.standardised import folded, standardise
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.world.actions import ACTIONS
+from charms_bench.world.scene import Observations
 
 Returns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
-_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-_COUNTERS = ("num_timesteps", "exploration_rate", "_n_calls", "_n_updates", "_episode_num")
+_COUNTERS = ("steps", "gradient_steps", "stored", "exploration", "loss")
+_ENDED = ("ending", "steps", "episode_return")
 
 
-class DoubleDQN(DQN):
-    """DQN in which the online network chooses the action and the target network values it.
+class DoubleDQN:
+    """The online network chooses actions, and the target network values them.
 
-    It differs from its base class in three more ways. The loss is the squared error, as in the
-    paper. Each environment decides by a draw of its own whether to explore; in the base class all
-    environments explore in the same steps. After the initial weights, all random numbers come from
-    one generator, so that `arrays` holds the complete state.
+    All random numbers but the initial weights come from one generator, so that `arrays` holds the
+    complete state.
 
     Args:
-        environment: The environment; its observations are flattened.
+        episodes: B environments; their observations are flattened.
+        h: The hyperparameters.
         seed: Seed of the initial weights, of exploration and of replay.
-        return_steps: Number of rewards in y_t before the value (n-step returns).
-        standardised: Whether the networks take standardised observations.
-        starts_at_mean_reward: Whether the values of the untrained networks are raised to the mean
-            reward of the steps before the first gradient step, divided by 1 - gamma.
-        arguments: Further arguments of `DQN`.
+        total: Number of steps of the training, which the schedules follow.
     """
 
-    replay_buffer: ReplayBuffer
-
     def __init__(
-        self,
-        environment: VecEnv,
-        seed: int,
-        return_steps: int = 1,
-        standardised: bool = False,
-        starts_at_mean_reward: bool = False,
-        **arguments: Any,
+        self, episodes: HighwayVectorEnv[Any], h: Hyperparameters, seed: int, total: int
     ) -> None:
+        self.h, self.total, self._episodes = h, total, episodes
         self.rng = np.random.default_rng([seed, 2])
-        self.return_steps = return_steps
-        self.standardised = standardised
-        self.starts_at_mean_reward = starts_at_mean_reward
+        self.online = untrained(h.hidden_layers, seed)
+        self.target = deepcopy(self.online)
+        self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
+        self.steps = self.gradient_steps = self.stored = 0
+        self.exploration = 0.0
+        """Probability of a random action."""
         self.loss = float("nan")
-        super().__init__("MlpPolicy", environment, seed=seed, **arguments)
+        """Mean loss of the last gradient steps."""
+        self.observed, _ = episodes.reset()
+        """(B, 7, 5) the last observations."""
+        shape = (max(h.replay_buffer // h.scenes, 1), h.scenes)
+        seen = np.zeros((*shape, *self.observed.shape[1:]), dtype=np.float32)
+        self.replay: Arrays = {
+            "observations": seen,
+            "following": seen.copy(),
+            "actions": np.zeros(shape, dtype=np.int64),
+            "rewards": np.zeros(shape, dtype=np.float32),
+            "failed": np.zeros(shape, dtype=np.bool_),
+            "ended": np.zeros(shape, dtype=np.bool_),
+        }
+        """[rows, B] the last steps; of `stored` rows, each overwrites the oldest."""
 
-    def train(self, gradient_steps: int, batch_size: int = 32) -> None:
+    def step(self) -> list[dict[str, Any]]:
+        """Takes a step in each environment and learns; returns facts about ended episodes."""
+        h, actions = self.h, self.actions()
+        observed, rewards, failed, is_over, infos = self._episodes.step(actions)
+        following, ended = observed.copy(), np.flatnonzero(failed | is_over)
+        for row in ended:
+            following[row] = infos["final_obs"][row]
+        self.remember(self.observed, following, actions, rewards, failed, failed | is_over)
+        self.observed = observed
+        self.steps += h.scenes
+        if self.steps % h.target_update_steps == 0:
+            self._update_target()
+        self.exploration = h.exploration_at(self._remaining)
+        if self.steps > h.learning_starts:
+            self.learn(h.scenes // h.steps_per_gradient_step)
+        return [{name: infos["final_info"][name][row].item() for name in _ENDED} for row in ended]
+
+    def actions(self) -> NDArray[np.int64]:
+        """The actions (B,): random before learning starts, then with a chance for each of them."""
+        actions = self.rng.integers(len(ACTIONS), size=self.h.scenes)
+        if self.steps >= self.h.learning_starts:
+            greedy = self.values(self.observed).argmax(axis=1)
+            explores = self.rng.random(self.h.scenes) < self.exploration
+            actions = np.where(explores, actions, greedy)
+        return actions
+
+    def remember(self, *parts: NDArray[Any]) -> None:
+        """Writes a row of the replay buffer, its parts in the order of `replay`."""
+        for array, part in zip(self.replay.values(), parts, strict=True):
+            array[self.stored % len(array)] = part
+        self.stored += 1
+
+    @property
+    def remembered(self) -> Arrays:
+        """The rows of the replay buffer that have been written."""
+        return {name: array[: self.stored] for name, array in self.replay.items()}
+
+    def learn(self, gradient_steps: int) -> None:
         """Takes gradient steps on the squared error to y_t, eq. 3 of the paper."""
-        if self.starts_at_mean_reward and not self._n_updates:
-            self._raise_values()
-        buffer, shape = self.replay_buffer, (gradient_steps, batch_size)
-        rows = self.rng.integers(buffer.size(), size=shape)
-        envs = self.rng.integers(buffer.n_envs, size=shape)
+        if self.h.starts_at_mean_reward and not self.gradient_steps:
+            self.raise_values()
+        size, shape = len(self.remembered["actions"]), (gradient_steps, self.h.batch_size)
+        rows = self.rng.integers(size, size=shape)
+        envs = self.rng.integers(self.h.scenes, size=shape)
         returns, discounts, last = self.returns(rows, envs)
-        observations = self._seen(buffer.observations[rows, envs])
-        next_observations = self._seen(buffer.next_observations[last, envs])
-        actions = torch.from_numpy(buffer.actions[rows, envs])
+        observations = self._seen(self.replay["observations"][rows, envs])
+        following = self._seen(self.replay["following"][last, envs])
+        actions = torch.from_numpy(self.replay["actions"][rows, envs])[..., None]
         rewards, factors = torch.from_numpy(returns), torch.from_numpy(discounts)
-        # The inner networks: the outer ones only flatten observations first.
-        online, target = self.q_net.q_net, self.q_net_target.q_net
-        optimizer, parameters = self.policy.optimizer, list(online.parameters())
-        for group in optimizer.param_groups:
-            group["lr"] = self.lr_schedule(self._current_progress_remaining)
+        parameters = list(self.online.parameters())
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.h.learning_rate_at(self._remaining)
         with torch.no_grad():  # the target network does not change in between
-            next_values = target(next_observations)
+            next_values = self.target(following)
         losses = np.empty(gradient_steps)
         for k in range(gradient_steps):
             with torch.no_grad():
-                best = online(next_observations[k]).argmax(dim=1, keepdim=True)
-                following = next_values[k].gather(1, best)[:, 0]
-                wanted = rewards[k] + factors[k] * following
-            losses[k] = squared_error(online, observations[k], actions[k], wanted)
-            torch.nn.utils.clip_grad_norm_(parameters, self.max_grad_norm)
-            optimizer.step()
-        self._n_updates += gradient_steps
+                best = self.online(following[k]).argmax(dim=1, keepdim=True)
+                wanted = rewards[k] + factors[k] * next_values[k].gather(1, best)[:, 0]
+            losses[k] = squared_error(self.online, observations[k], actions[k], wanted)
+            torch.nn.utils.clip_grad_norm_(parameters, self.h.max_gradient_norm)
+            self.optimizer.step()
+        self.gradient_steps += gradient_steps
         self.loss = float(losses.mean())
-
-    def _raise_values(self) -> None:
-        """Adds the discounted sum of mean rewards to the values of both networks."""
-        buffer, size = self.replay_buffer, self.replay_buffer.size()
-        has_failed = (buffer.dones[:size] == 1) & (buffer.timeouts[:size] == 0)
-        rewards = buffer.rewards[:size][~has_failed]
-        with torch.no_grad():
-            for network in (self.q_net.q_net, self.q_net_target.q_net):
-                last = network[-1]
-                assert isinstance(last, Linear)
-                last.bias.add_(float(rewards.mean()) / (1 - self.gamma))
 
     def returns(self, rows: NDArray[Any], envs: NDArray[Any]) -> Returns:
         """The parts of y_t, eq. 3 of the paper, from steps in the replay buffer, of any one shape.
@@ -108,77 +137,74 @@ class DoubleDQN(DQN):
             The sums of discounted rewards; the discounts of the values after the last steps, 0
             after a failure; and the rows of the last steps in the buffer.
         """
-        buffer = self.replay_buffer
-        newest = (buffer.pos - 1) % buffer.buffer_size
-        last, rewards = rows, buffer.rewards[rows, envs]
-        discounts = np.full(rows.shape, self.gamma, dtype=np.float32)
-        for _ in range(1, self.return_steps):
-            goes_on = (buffer.dones[last, envs] == 0) & (last != newest)
-            last = np.where(goes_on, (last + 1) % buffer.buffer_size, last)
-            rewards += np.where(goes_on, discounts * buffer.rewards[last, envs], 0)
-            discounts *= np.where(goes_on, np.float32(self.gamma), 1)
+        replay, count = self.replay, len(self.replay["rewards"])
+        newest = (self.stored - 1) % count
+        last, rewards = rows, replay["rewards"][rows, envs]
+        discounts = np.full(rows.shape, self.h.discount, dtype=np.float32)
+        for _ in range(1, self.h.return_steps):
+            goes_on = ~replay["ended"][last, envs] & (last != newest)
+            last = np.where(goes_on, (last + 1) % count, last)
+            rewards += np.where(goes_on, discounts * replay["rewards"][last, envs], 0)
+            discounts *= np.where(goes_on, np.float32(self.h.discount), 1)
         # An episode that ended by time could have continued, so its last observation has a value.
-        discounts *= 1 - buffer.dones[last, envs] * (1 - buffer.timeouts[last, envs])
+        discounts[replay["failed"][last, envs]] = 0
         return rewards, discounts, last
 
-    def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def raise_values(self) -> None:
+        """Adds the discounted sum of mean rewards to the values of both networks."""
+        rewards = self.remembered["rewards"][~self.remembered["failed"]]
+        with torch.no_grad():
+            for network in (self.online, self.target):
+                last = network[-1]
+                assert isinstance(last, Linear)
+                last.bias.add_(float(rewards.mean()) / (1 - self.h.discount))
+
+    @torch.no_grad()
+    def _update_target(self) -> None:
+        rate = self.h.target_update_rate
+        pairs = zip(self.target.parameters(), self.online.parameters(), strict=True)
+        for target, online in pairs:
+            target.mul_(1 - rate).add_(online, alpha=rate)
+
+    @property
+    def _remaining(self) -> float:
+        """The share of all steps that remains."""
+        return 1 - self.steps / self.total
+
+    def values(self, observations: Observations) -> NDArray[np.float32]:
         """The online network's values (M, 5) of observations (M, 7, 5)."""
         with torch.no_grad():
-            values: NDArray[np.float32] = self.q_net.q_net(self._seen(observations)).numpy()
+            values: NDArray[np.float32] = self.online(self._seen(observations)).numpy()
         return values
 
     @property
     def network(self) -> Sequential:
         """The online network, made to take plain observations."""
-        network: Sequential = self.q_net.q_net
-        return folded(network) if self.standardised else network
+        return folded(self.online) if self.h.standardised else self.online
 
-    def _seen(self, observations: NDArray[np.float32]) -> torch.Tensor:
+    def _seen(self, observations: Observations) -> torch.Tensor:
         """Observations (..., 7, 5) in the form that the networks take, (..., 35)."""
         flat = torch.from_numpy(observations).flatten(-2)
-        return standardise(flat) if self.standardised else flat
-
-    def _sample_action(
-        self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
-        count = self.action_space.n  # type: ignore[attr-defined]  # all are Discrete
-        actions = self.rng.integers(count, size=n_envs)
-        if self.num_timesteps >= learning_starts:
-            assert isinstance(self._last_obs, np.ndarray)
-            greedy = self.values(self._last_obs).argmax(axis=1)
-            explores = self.rng.random(n_envs) < self.exploration_rate
-            actions = np.where(explores, actions, greedy)
-        return actions, actions
+        return standardise(flat) if self.h.standardised else flat
 
     @property
-    def _networks(self) -> dict[str, Module]:
-        return {"q_net": self.q_net, "q_net_target": self.q_net_target}
+    def _networks(self) -> dict[str, Sequential]:
+        return {"online": self.online, "target": self.target}
 
     def arrays(self) -> Arrays:
         """Everything that further training depends on except the environment, as plain arrays."""
-        buffer = self.replay_buffer
-        arrays = state_arrays(self._networks, self.policy.optimizer)
-        for name in _REPLAYED:
-            arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()]
-        numbers = {
-            "counters": {name: getattr(self, name) for name in _COUNTERS},
-            "rng": self.rng.bit_generator.state,
-            "loss": self.loss,
-            "replay": {"pos": buffer.pos, "full": buffer.full},
-        }
-        arrays["numbers"] = np.array(json.dumps(numbers))
-        return arrays
+        arrays = state_arrays(self._networks, self.optimizer)
+        arrays |= {f"replay/{name}": array for name, array in self.remembered.items()}
+        counters = {name: getattr(self, name) for name in _COUNTERS}
+        numbers = {"counters": counters, "rng": self.rng.bit_generator.state}
+        return arrays | {"numbers": np.array(json.dumps(numbers))}
 
     def load_arrays(self, arrays: Arrays) -> None:
         """Takes over what `arrays` returned for the same configuration."""
-        buffer = self.replay_buffer
+        load_state(self._networks, self.optimizer, arrays)
         numbers = json.loads(str(arrays["numbers"]))
-        load_state(self._networks, self.policy.optimizer, arrays)
-        for name in _REPLAYED:
-            stored = arrays[f"replay/{name}"]
-            getattr(buffer, name)[: len(stored)] = stored
-        buffer.pos, buffer.full = numbers["replay"]["pos"], numbers["replay"]["full"]
         for name in _COUNTERS:
             setattr(self, name, numbers["counters"][name])
+        for name, array in self.remembered.items():
+            array[:] = arrays[f"replay/{name}"]
         self.rng.bit_generator.state = numbers["rng"]
-        self.loss = numbers["loss"]

@@ -117,6 +117,13 @@ class Hyperparameters(FrozenModel):
             return self.learning_rate
         return self.learning_rate * min(remaining / self.learning_rate_decay, 1.0)
 
+    def exploration_at(self, remaining: float) -> float:
+        """The probability of a random action when the share `remaining` of all steps remains."""
+        if 1 - remaining > self.exploration_share:
+            return self.exploration_final
+        fall = (1 - remaining) * (self.exploration_final - self.exploration_initial)
+        return self.exploration_initial + fall / self.exploration_share
+
     @property
     def inputs(self) -> dict[str, Any]:
         """The hyperparameters, ready for JSON; unused options that the paper lacks are left out."""

@@ -12,7 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import torch
-from stable_baselines3.common.logger import configure
+from torch.utils.tensorboard import SummaryWriter
 
 from charms_agents.training.curve import write_csv
 from charms_agents.training.job import Job
@@ -23,7 +23,7 @@ from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import write_atomically, write_bytes
 
-_VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "stable-baselines3", "torch")
+_VERSIONS = ("charms-bench", "numba", "numpy", "onnx", "onnxruntime", "torch")
 _UNSUITABLE = (OSError, EOFError, BadZipFile, KeyError, ValueError, TypeError, RuntimeError)
 """What reading a checkpoint raises that is damaged or does not fit."""
 
@@ -97,7 +97,7 @@ class _Life:
         self.checkpoint = self.job.folder / "checkpoint.npz"
         if self.checkpoint.exists():
             self._restore()
-        self.logger = configure(str(self.job.folder / "tensorboard"), ["tensorboard"])
+        self.logger = SummaryWriter(str(self.job.folder / "tensorboard"))
         self.saved_at, self.used_s = time.monotonic(), time.process_time()
         try:
             self.learner.learn(self._pause)
@@ -121,8 +121,7 @@ class _Life:
             (_, at), *values = asdict(point).items()
             for name, value in values:
                 if value is not None:
-                    self.logger.record(f"charms/{name}", value)
-            self.logger.dump(at)
+                    self.logger.add_scalar(f"charms/{name}", value, at)
             words = point.in_words
         self.reported += len(points)
         self.tell(self.job.title, self.learner.done, self.job.total, words)

@@ -1,27 +1,38 @@
-"""Prints the polynomials of `charms_bench/foundation/maths.py`: `python tools/minimax.py`.
+"""The polynomials of the elementary functions interpolate at Chebyshev nodes.
 
-Each interpolates its function at Chebyshev nodes, which is within a factor of about two of the
-best polynomial. Needs mpmath.
+Such a polynomial is within a factor of about two of the best one.
 """
 
+import inspect
+import re
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import mpmath as mp
+import mpmath
+import pytest
 
-mp.mp.prec = 300
+from charms_bench.foundation import maths
+
+mp = mpmath.mp.clone()
+mp.prec = 300
+
+
+Real = Callable[[Any], Any]
 
 
 class Fit(NamedTuple):
     """A function, the end points of its interval and the number of coefficients."""
 
-    function: Callable[[mp.mpf], mp.mpf]
-    low: mp.mpf
-    high: mp.mpf
+    function: Real
+    low: Any
+    high: Any
     terms: int
 
 
-def of_square(function: Callable[[mp.mpf], mp.mpf]) -> Callable[[mp.mpf], mp.mpf]:
+SOURCE = inspect.getsource(maths)
+
+
+def of_square(function: Real) -> Real:
     """An even function of r as a function of r squared."""
     return lambda z: function(mp.sqrt(z))
 
@@ -55,9 +66,10 @@ def coefficients(fit: Fit) -> list[float]:
     return [float(c) for c in mp.lu_solve(powers, values)]
 
 
-if __name__ == "__main__":
-    for name, fit in FITS.items():
-        print(f"_{name} = (")
-        for coefficient in coefficients(fit):
-            print(f"    {coefficient!r},")
-        print(")")
+@pytest.mark.parametrize("name", FITS)
+def test_the_coefficients_are_those_of_the_interpolation(name: str) -> None:
+    written = re.findall(r"^    [pq] = (?:[pq] \* \w+ ([+-]) )?(-?[\d.e-]+)$", SOURCE, re.MULTILINE)
+    numbers = [float(f"{sign}{number}".replace("+", "")) for sign, number in written]
+    expected = coefficients(FITS[name])[::-1]
+    starts = [k for k, number in enumerate(numbers) if number == expected[0]]
+    assert [numbers[k : k + len(expected)] for k in starts] == [expected]
