@@ -70,9 +70,9 @@ class _Numpy(ModuleType):
         return np.float64(x * x if y == 2 else maths.power(x, y))
 
 
-def _for_numpy(function: Callable[[float], float]) -> Callable[[float], np.float64]:
+def _for_numpy(function: Callable[..., float]) -> Callable[..., np.float64]:
     """The function with NumPy's type of result, which divides by zero without an exception."""
-    return lambda x: np.float64(function(x))
+    return lambda *numbers: np.float64(function(*map(float, numbers)))
 
 
 _numpy = _Numpy("numpy")
@@ -82,6 +82,7 @@ for _name, _function in {
     "tan": maths.tan,
     "arcsin": maths.asin,
     "arctan": maths.atan,
+    "arctan2": maths.atan2,
     "exp": maths.exp,
 }.items():
     setattr(_numpy, _name, _for_numpy(_function))
