@@ -1,7 +1,8 @@
 """The geometry of one lane of a network, by its kind, operation for operation as in highway-env.
 
-The functions take a row of the table of lanes, which compiled code passes as a pointer. Only those
-of polylines take an array, the table of curves.
+The functions take a row of the table of lanes, which compiled code passes as a pointer. Those of
+polylines are compiled into their callers, because they take an array, the table of curves: to pass
+it takes longer than to compute the answer.
 """
 
 import math
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled, wrap_to_pi
+from charms_bench.foundation.compiled import clip, compiled, inlined, wrap_to_pi
 
 KINDS = ("straight", "sine", "circular", "polyline")
 """The kinds of lanes; a lane's `kind` is an index into this tuple."""
@@ -73,7 +74,7 @@ def line_coordinates(lane: Row, x: float, y: float) -> Pair:
     return longitudinal, lateral
 
 
-@compiled
+@inlined
 def curve_position(lane: Row, curves: Curves, longitudinal: float, lateral: float) -> Pair:
     """[`PolyLaneFixedWidth.position`, with `numpy_interp1d`]"""
     low, last = lane.curve, lane.curve + lane.point_count - 1
@@ -93,19 +94,19 @@ def curve_position(lane: Row, curves: Curves, longitudinal: float, lateral: floa
     return x - sine * lateral, y + cosine * lateral
 
 
-@compiled
+@inlined
 def curve_heading(lane: Row, curves: Curves, longitudinal: float) -> float:
     """[`PolyLaneFixedWidth.heading_at`]"""
     return float(curves[lane.curve + int(clip(longitudinal, 0.0, lane.pose_count - 1.0))].heading)
 
 
-@compiled
+@inlined
 def curve_width(lane: Row, curves: Curves, longitudinal: float) -> float:
     """[`PolyLane.width_at`]"""
     return float(curves[lane.curve + int(clip(longitudinal, 0.0, lane.width_count - 1.0))].width)
 
 
-@compiled
+@inlined
 def curve_coordinates(lane: Row, curves: Curves, x: float, y: float) -> Pair:
     """[`LinearSpline2D.cartesian_to_frenet`]"""
     metres = lane.pose_count

@@ -43,8 +43,8 @@ LANE = np.dtype(
 """A row of the table of lanes. `x` and `y` are the lane's start, or the centre of a circular lane,
 whose `turn` is 1 if it is clockwise and -1 otherwise. `left` and `right` are the neighbours, -1
 for none. `first` is the first lane of the same road between two nodes, and `lanes` their number;
-`next_roads` and `next_count` are a part of `Network.successors`. A polyline has
-so many points, poses and widths in `Network.curves`, from the row `curve` on."""
+`next_roads` and `next_count` are a part of `Network.successors`. A polyline has so many points,
+poses and widths in `Network.curves`, from the row `curve` on."""
 
 
 class Network(NamedTuple):

@@ -98,12 +98,12 @@ def closest_lane(road: Any, x: Any, y: Any, heading: Any) -> Any:
 def first_nearest(y: float, lanes: int, lane_width: float) -> int:
     """The lane whose centre is nearest to y; of two that are equally near, the left one."""
     best = 0
-    distance = abs(y)
+    nearest = abs(y)
     for lane in range(1, lanes):
         other = abs(y - lane * lane_width)
-        if other < distance:
+        if other < nearest:
             best = lane
-            distance = other
+            nearest = other
     return best
 
 

@@ -53,7 +53,7 @@ def straight_lanes(draw: st.DrawFn, kind: Any, **more: Any) -> Any:
 @st.composite
 def polylines(draw: st.DrawFn, kind: Any) -> Any:
     """Points that turn by at most 1 rad; the boundaries, if there are any, are beside them."""
-    bends = draw(st.lists(st.tuples(st.floats(-1, 1), st.floats(0.6, 60)), min_size=2, max_size=6))
+    bends = draw(st.lists(st.tuples(st.floats(-1, 1), st.floats(0.6, 15)), min_size=2, max_size=6))
     headings = draw(PHASES) + np.cumsum([bend for bend, _ in bends])
     steps = [
         size * np.array([np.cos(a), np.sin(a)])
@@ -151,7 +151,7 @@ def assert_same_answers(road: Road, number: int, lane: Any, draw: st.DataObject)
 
 @pytest.mark.parametrize("kind", LANES)
 def test_a_lane_gives_the_same_bits(kind: str) -> None:
-    @settings(derandomize=True, deadline=None, max_examples=300)
+    @settings(derandomize=True, deadline=None, max_examples=200)
     @given(LANES[kind], st.data())
     def compare(lane: Any, draw: st.DataObject) -> None:
         network = RoadNetwork()
@@ -170,7 +170,7 @@ STRAIGHT_ROADS = st.builds(
 )
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@settings(derandomize=True, deadline=None, max_examples=200)
 @given(STRAIGHT_ROADS, st.data())
 def test_a_straight_road_gives_the_same_bits(road: Straight, draw: st.DataObject) -> None:
     lanes = highway_env_network(road).lanes_list()
@@ -178,7 +178,7 @@ def test_a_straight_road_gives_the_same_bits(road: Straight, draw: st.DataObject
     assert_same_answers(road, number, lanes[number], draw)
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@settings(derandomize=True, deadline=None, max_examples=200)
 @given(STRAIGHT_ROADS, st.floats(0, 1), st.floats(-10, 40))
 def test_the_nearest_lane_of_a_straight_road_is_the_same(
     road: Straight, along: float, y: float
