@@ -17,8 +17,8 @@ from charms_baselines.idm import (
 )
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
-from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.road import is_reachable
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 BLOCK_VEHICLES = 1024
@@ -90,7 +90,7 @@ def drive_block(
             else:
                 timer_s[at] = 0.0
                 for side in (lane - 1, lane + 1):
-                    if is_reachable(x[b, i], y[b, i], side, scene.constants) and _changes(
+                    if is_reachable(scene.constants, side, x[b, i], y[b, i]) and _changes(
                         own,
                         free[m],
                         motion_ahead(b, leaders[b, i, lane], scene),

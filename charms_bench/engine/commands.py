@@ -6,8 +6,8 @@ import numpy as np
 
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
-from charms_bench.world.lanes import is_reachable
 from charms_bench.world.profile import Profile
+from charms_bench.world.road import is_reachable
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 
@@ -51,7 +51,7 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
         elif action in (LANE_LEFT, LANE_RIGHT):
             lane = target_lane[b, i] if rule.from_target_lane else scene.lane[b, i]
             lane = min(max(lane + (1 if action == LANE_RIGHT else -1), 0), c.lanes - 1)
-            if is_reachable(scene.x[b, i], scene.y[b, i], lane, c):
+            if is_reachable(c, lane, scene.x[b, i], scene.y[b, i]):
                 target_lane[b, i] = lane
 
 

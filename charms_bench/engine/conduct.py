@@ -25,7 +25,7 @@ from charms_bench.engine.lane_changes import NOBODY, imposed_decisions, note_lan
 from charms_bench.engine.rss import note_rss
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
-from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
 HARSH_MPS2 = 2.5
@@ -171,7 +171,7 @@ def note_driving(
                 mine.rear_end_striking += collision[b, i] == STRIKING
                 mine.rear_end_struck += collision[b, i] == STRUCK
                 mine.side += collision[b, i] == SIDE_COLLISION
-            if crashed[b, i] or not is_on_lane(x[b, i], y[b, i], lanes[b, i], c, 0.0):
+            if crashed[b, i] or not is_on_lane(c, lanes[b, i], x[b, i], y[b, i], 0.0):
                 own.lost = True
                 mine.crashed += 1
                 mine.at_fault += at_fault[b, i] or not crashed[b, i]

@@ -57,6 +57,8 @@ def use_exact_maths(engine: EngineName) -> None:
         raise RuntimeError("the engine highway-env needs a process with exact maths")
     for name in _MODULES:
         import_module(f"highway_env.{name}").np = _numpy  # type: ignore[attr-defined]
+    spline: Any = import_module("highway_env.road.spline")
+    spline.CurvePose = _of_arrays(spline.CurvePose)
 
 
 class _Numpy(ModuleType):
@@ -70,18 +72,25 @@ class _Numpy(ModuleType):
         return np.float64(x * x if y == 2 else maths.power(x, y))
 
 
-def _for_numpy(function: Callable[[float], float]) -> Callable[[float], np.float64]:
+def _of_arrays(pose: Any) -> Any:
+    """`CurvePose`, but of arrays: NumPy squares a number by `pow` of the C library."""
+    return lambda x, y, dx, dy: pose(x, y, np.array([dx]), np.array([dy]))
+
+
+def _for_numpy(function: Callable[..., float]) -> Callable[..., np.float64]:
     """The function with NumPy's type of result, which divides by zero without an exception."""
-    return lambda x: np.float64(function(x))
+    return lambda *numbers: np.float64(function(*map(float, numbers)))
 
 
 _numpy = _Numpy("numpy")
-for _name, _function in {
+_FUNCTIONS: dict[str, Callable[..., float]] = {
     "sin": maths.sin,
     "cos": maths.cos,
     "tan": maths.tan,
     "arcsin": maths.asin,
     "arctan": maths.atan,
+    "arctan2": maths.atan2,
     "exp": maths.exp,
-}.items():
+}
+for _name, _function in _FUNCTIONS.items():
     setattr(_numpy, _name, _for_numpy(_function))

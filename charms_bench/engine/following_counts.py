@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.columns import COUNT_SCHEMA, table
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
-from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Ints, Scene
 
 
@@ -48,7 +48,7 @@ def _count(scene: Scene, scenes: Ints, target_lane: Ints, counts: Ints) -> None:
             x, lane, target = scene.x[b, i], scene.lane[b, i], scene.target_lane[b, i]
             starts = target not in (target_lane[b, i], lane)
             target_lane[b, i] = target
-            on_road = is_on_lane(x, scene.y[b, i], lane, scene.constants, 0.0)
+            on_road = is_on_lane(scene.constants, lane, x, scene.y[b, i], 0.0)
             leader = scene.leaders[b, i, lane]
             if scene.crashed[b, i] or not on_road or leader < 0:
                 continue

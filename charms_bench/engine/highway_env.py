@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
-from highway_env.road.lane import StraightLane
-from highway_env.road.road import Road, RoadNetwork
+from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from charms_bench.engine.draws import ReplayedDraws
+from charms_bench.engine.highway_env_roads import highway_env_network
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.restored_vehicles import RestoredVehicles
@@ -61,7 +61,7 @@ class HighwayEnvEngine:
         """Spawns vehicles, and is the class of those with continuous actions."""
         self._continuous = list(continuous)
         self._actions = ContinuousAction(None)
-        self._network = _network(settings)
+        self._network = highway_env_network(settings.road)
         self._restored = RestoredVehicles(self._network)
         scenario = settings.scenario
         self._script = None if scenario is None else Script(scenario, settings, scenes)
@@ -289,17 +289,6 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     def step(self, dt: float) -> None:
         self.timer += dt
         super().step(dt)
-
-
-def _network(settings: SceneSettings) -> RoadNetwork:
-    """[`HighwayEnv._create_road`]"""
-    network, profile = RoadNetwork(), settings.profile
-    width = profile.lane_width_m
-    for lane in range(settings.lanes):
-        ends = np.array([[0.0, lane * width], [settings.road_length_m, lane * width]])
-        straight = StraightLane(*ends, width=width, speed_limit=profile.speed_limit_mps)
-        network.add_lane("0", "1", straight)
-    return network
 
 
 def _reference_class(model: DriverModel, profile: Profile) -> Any:

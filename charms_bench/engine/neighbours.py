@@ -4,18 +4,19 @@ import numpy as np
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, index
-from charms_bench.world.lanes import closest_lane, is_near_lane, is_on_lane, is_on_length
+from charms_bench.world.road import closest_lane, is_on_lane
 from charms_bench.world.scene import Ints, Scene
+from charms_bench.world.straight_road import NEIGHBOUR_MARGIN_M, is_near_lane, is_on_length
 
 
 @compiled
 def locate(scene: Scene, rows: Ints) -> None:
     """Computes what follows from x, y and heading: directions, lanes, order and neighbours."""
-    c = scene.constants
+    c, heading = scene.constants, scene.heading
     for b in rows:
         for i in range(scene.x.shape[1]):
-            scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(scene.heading[b, i])
-            scene.lane[b, i] = closest_lane(scene.y[b, i], c.lanes, c.lane_width)
+            scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(heading[b, i])
+            scene.lane[b, i] = closest_lane(c, scene.x[b, i], scene.y[b, i], heading[b, i])
         sort_by_x(scene, b, b + 1)
         find_neighbours(scene, b, b + 1)
 
@@ -65,7 +66,7 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
         last_x = -np.inf
         for k in range(vehicles):
             i = index(order[k])
-            sorted_y[k] = y[i] if is_on_length(x[i], c) else np.nan
+            sorted_y[k] = y[i] if is_on_length(c, x[i]) else np.nan
             any_level |= x[i] == last_x
             last_x = x[i]
         for lane in range(c.lanes):
@@ -73,12 +74,12 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
             nearest = np.int32(-1)
             for k in range(vehicles):
                 followers[index(order[k]), on] = nearest
-                nearest = order[k] if is_near_lane(sorted_y[k], lane, c) else nearest
+                nearest = order[k] if is_near_lane(c, lane, sorted_y[k]) else nearest
             nearest = np.int32(-1)
             for k in range(vehicles - 1, -1, -1):
                 at = index(k)
                 leaders[index(order[at]), on] = nearest
-                nearest = order[at] if is_near_lane(sorted_y[at], lane, c) else nearest
+                nearest = order[at] if is_near_lane(c, lane, sorted_y[at]) else nearest
         if any_level:
             for k in range(1, vehicles):
                 if x[order[k - 1]] == x[order[k]]:
@@ -96,6 +97,6 @@ def find_level_neighbours(b: int, k: int, scene: Scene) -> None:
     while m >= 0 and x[b, order[b, m]] == x[b, i]:
         j = order[b, m]
         for on in range(c.lanes):
-            if is_on_lane(x[b, j], scene.y[b, j], on, c):
+            if is_on_lane(c, on, x[b, j], scene.y[b, j], NEIGHBOUR_MARGIN_M):
                 scene.leaders[b, i, on] = j
         m -= 1

@@ -13,6 +13,7 @@ from charms_bench.engine.neighbours import locate
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.world.placement import Placement, place
+from charms_bench.world.road import position
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Bools, Ints, Scene, SceneSettings
 
@@ -35,7 +36,7 @@ class Script:
         found = self.choose(rows, numbers)
         scene.ego[rows] = 0
         scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
-        scene.y[rows] = found.lane * self._constants.lane_width
+        _, scene.y[rows] = position(self._constants, found.lane, found.x, 0.0)
         scene.target_speed[rows], scene.target_lane[rows] = found.speed, found.lane
         for name in ("heading", "acceleration", "steering", "timer_s", "crashed", "impact"):
             getattr(scene, name)[rows] = 0
@@ -66,7 +67,7 @@ def _prescribe(scene: Scene, rows: Ints, is_prescribed: Bools, placed: Placement
             time = scene.timer_s[b, i]
             speed, heading = scene.speed[b, i], scene.heading[b, i]
             acceleration = 0.0
-            y = placed.lane[b, i] * c.lane_width
+            _, y = position(c, placed.lane[b, i], scene.x[b, i], 0.0)
             for k in range(placed.brakes_at.shape[2]):
                 # Sums of intervals differ from their product in the last bits.
                 if placed.brakes_at[b, i, k] <= time + 1e-9:

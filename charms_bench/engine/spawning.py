@@ -7,6 +7,7 @@ from charms_bench.engine.draws import DISTANCE, LANE, SPEED, TEMPERAMENT
 from charms_bench.engine.neighbours import locate
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.world.road import position
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings
 
 
@@ -65,7 +66,7 @@ def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
             temperament[b, i] = drawn[TEMPERAMENT + 4 * i]
             scene.order[b, i] = scene.rank[b, i] = i
         for i in range(x.shape[1]):
-            scene.y[b, i] = lane[b, i] * scene.constants.lane_width
+            _, scene.y[b, i] = position(scene.constants, lane[b, i], x[b, i], 0.0)
             scene.target_speed[b, i] = speed[b, i]
             scene.target_lane[b, i] = lane[b, i]
             phase = (x[b, i] + scene.y[b, i]) * math.pi  # as IDMVehicle.__init__

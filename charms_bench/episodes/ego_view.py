@@ -6,8 +6,9 @@ import numpy as np
 
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
-from charms_bench.world.lanes import is_on_lane
+from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.straight_road import NEIGHBOUR_MARGIN_M
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class EgoView:
 def ego_view(replay: Replay) -> EgoView:
     """Returns what surrounds the ego; leader and follower follow the rule of `Scene.leader`."""
     constants, ego = replay.settings.constants, replay.ego
-    on_lane = is_on_lane(replay.x, replay.y, replay.lane[:, [ego]], constants)
+    lane = replay.lane[:, [ego]]
+    on_lane = is_on_lane(constants, lane, replay.x, replay.y, NEIGHBOUR_MARGIN_M)
     on_lane[:, ego] = False
     ahead = replay.x - replay.x[:, [ego]]
     leader, to_leader = _nearest(ahead, on_lane & (ahead >= 0))

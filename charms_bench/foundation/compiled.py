@@ -1,5 +1,6 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
+import math
 import sys
 from contextlib import suppress
 from functools import cache, update_wrapper
@@ -195,3 +196,12 @@ def not_zero(value: float) -> float:
     if abs(value) > 1e-2:
         return value
     return 1e-2 if value >= 0 else -1e-2
+
+
+@compiled
+def wrap_to_pi(angle: float) -> float:
+    """The same direction as an angle from -pi to pi [`utils.wrap_to_pi`]."""
+    shifted = angle + math.pi
+    if not 0 <= shifted < 2 * math.pi:
+        shifted %= 2 * math.pi
+    return shifted - math.pi

@@ -25,6 +25,8 @@ _SPLIT = 134217729.0
 
 _HALF_PI, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 _QUARTER_PI, _QUARTER_PI_LOW = 0.7853981633974483, 3.061616997868383e-17
+_PI, _PI_LOW = 3.141592653589793, 1.2246467991473532e-16
+_THREE_QUARTERS_PI, _THREE_QUARTERS_PI_LOW = 2.356194490192345, 9.184850993605148e-17
 _TWO_OVER_PI = 0.6366197723675814
 _HALF_PI_1, _HALF_PI_2 = 1.5707963267341256, 6.077100506303966e-11
 _HALF_PI_3 = 2.0222662487959506e-21
@@ -109,18 +111,33 @@ def asin(x: float) -> float:
 @inlined
 def atan(x: float) -> float:
     """Arctangent of x in rad, |x| < 1e280."""
-    size = abs(x)
-    is_large, is_small = size > 1 + math.sqrt(2), size <= _TAN_EIGHTH_PI
-    # atan(x) is pi / 4 + atan((x - 1) / (x + 1)), or pi / 2 + atan(-1 / x).
-    minus, minus_low = _add(size, -1.0)
-    plus, plus_low = _add(size, 1.0)
-    above = size if is_small else (-1.0 if is_large else minus)
+    return atan2(x, 1.0)
+
+
+@inlined
+def atan2(y: float, x: float) -> float:
+    """The angle of the point (x, y) in rad, above -pi to pi; a zero counts as positive.
+
+    The sizes of the coordinates are 0 or between 1e-140 and 1e140; the point may be (0, 0).
+    """
+    aside, along = abs(y), abs(x)
+    is_large, is_small = aside > (1 + math.sqrt(2)) * along, aside <= _TAN_EIGHTH_PI * along
+    # atan(z) is pi / 4 + atan((z - 1) / (z + 1)), or pi / 2 + atan(-1 / z).
+    minus, minus_low = _add(aside, -along)
+    plus, plus_low = _add(aside, along)
+    above = aside if is_small else (-along if is_large else minus)
     above_low = 0.0 if is_small | is_large else minus_low
-    below = 1.0 if is_small else (size if is_large else plus)
+    below = along if is_small else (aside if is_large else plus)
     below_low = 0.0 if is_small | is_large else plus_low
+    below = 1.0 if below == 0.0 else below
+    is_behind = x < 0.0
     base = 0.0 if is_small else (_HALF_PI if is_large else _QUARTER_PI)
     base_low = 0.0 if is_small else (_HALF_PI_LOW if is_large else _QUARTER_PI_LOW)
+    behind = _PI if is_small else (_HALF_PI if is_large else _THREE_QUARTERS_PI)
+    behind_low = _PI_LOW if is_small else (_HALF_PI_LOW if is_large else _THREE_QUARTERS_PI_LOW)
+    base, base_low = (behind, behind_low) if is_behind else (base, base_low)
     t, t_low = _divide(above, above_low, below, below_low)
+    t, t_low = (-t, -t_low) if is_behind else (t, t_low)
     z = t * t
     p = 0.01627552169304575
     p = p * z - 0.03456132297692475
@@ -136,7 +153,7 @@ def atan(x: float) -> float:
     p = p * z - 0.3333333333333333
     high, high_low = _add(base, t)
     value = high + (high_low + (base_low + (t * z * p + t_low * (1.0 - z))))
-    return -value if x < 0 else value
+    return -value if y < 0 else value
 
 
 @inlined

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, field_validator
 from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import Finite, FrozenModel
+from charms_bench.world.road import local_coordinates
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 FEATURES = (
@@ -159,7 +160,8 @@ def _feature(feature: int, b: int, i: int, scene: Scene) -> float:
     if feature == 7:
         return float(scene.direction_y[b, i])
     if feature == 11:
-        return float(scene.y[b, i] - scene.lane[b, i] * scene.constants.lane_width)
+        x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
+        return float(local_coordinates(scene.constants, lane, x, y)[1])
     if feature == 12:
         return float((heading + np.pi) % (2 * np.pi) - np.pi)
     return 0.0

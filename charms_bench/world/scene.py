@@ -16,6 +16,7 @@ from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.scenario import Scenario
+from charms_bench.world.straight_road import Straight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -125,14 +126,17 @@ class SceneSettings(FrozenModel):
         return max(profile.road_length_m, furthest + fastest * self.duration_s)
 
     @property
+    def road(self) -> Straight:
+        """The road of a scene."""
+        limit = self.profile.speed_limit_mps
+        return Straight(self.lanes, self.profile.lane_width_m, self.road_length_m, limit)
+
+    @property
     def constants(self) -> Constants:
         """The constants of a scene as compiled code reads them."""
         profile = self.profile
         return Constants(
-            lanes=self.lanes,
-            lane_width=profile.lane_width_m,
-            road_length=self.road_length_m,
-            speed_limit=profile.speed_limit_mps,
+            **self.road._asdict(),
             length=profile.vehicle_length_m,
             width=profile.vehicle_width_m,
             speed_min=profile.speed_min_mps,

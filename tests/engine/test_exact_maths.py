@@ -24,6 +24,7 @@ for module in (behavior, controller, kinematics, objects):
     for theirs, ours in (("sin", "sin"), ("cos", "cos"), ("tan", "tan"), ("arcsin", "asin"),
                          ("arctan", "atan"), ("exp", "exp")):
         assert getattr(module.np, theirs)(0.3) == getattr(maths, ours)(0.3)
+    assert module.np.arctan2(3, -4) == maths.atan2(3.0, -4.0)
     assert module.np.power(0.3, 4.1) == maths.power(0.3, 4.1)
     assert module.np.power(0.3, 2) == 0.3 * 0.3
     assert module.np.sqrt is np.sqrt

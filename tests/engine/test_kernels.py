@@ -17,8 +17,9 @@ from scenes import scene_of, scenes
 from charms_bench.engine.contacts import collide
 from charms_bench.engine.motion import follow_no_lane, move, room_to_turn, wrap_to_pi
 from charms_bench.engine.neighbours import locate
-from charms_bench.world.lanes import closest_lane, is_reachable
+from charms_bench.world.road import closest_lane, is_reachable
 from charms_bench.world.scene import Scene
+from charms_bench.world.straight_road import Straight
 
 DT = 1 / 15
 ROW = np.array([0])
@@ -101,7 +102,7 @@ def test_the_road_reaches_5_m_beyond_its_ends_whatever_the_length_of_vehicles(
     )
     assert (scene.leaders[0, 0, 0], scene.followers[0, 0, 0]) == (3, 2)
     x = np.array([-0.1, 0.0, 104.9, 105.0])
-    assert list(is_reachable(x, 0.0, 1, scene.constants)) == [False, True, True, False]
+    assert list(is_reachable(scene.constants, 1, x, 0.0)) == [False, True, True, False]
 
 
 @settings(derandomize=True, deadline=None)
@@ -115,7 +116,9 @@ def test_order_runs_from_the_rear_and_rank_is_its_inverse(scene: Scene) -> None:
 @settings(derandomize=True, deadline=None)
 @given(st.floats(-10.0, 40.0), st.integers(2, 8), st.sampled_from([3.5, 4.0]))
 def test_the_closest_lane_is_the_first_nearest(y: float, lanes: int, width: float) -> None:
-    assert closest_lane(y, lanes, width) == naive.closest_lane(y, lanes, width)
+    assert closest_lane(Straight(lanes, width, 100.0, 30.0), 0.0, y, 0.0) == naive.closest_lane(
+        y, lanes, width
+    )
 
 
 @settings(derandomize=True, deadline=None)
@@ -136,7 +139,7 @@ def test_without_a_target_the_lane_is_highway_envs_at_any_heading(
 
 @pytest.mark.parametrize(("y", "lane"), [(-9.0, 0), (1.9, 0), (2.0, 0), (2.1, 1), (30.0, 2)])
 def test_on_three_lanes_of_4_m_the_border_belongs_to_the_left(y: float, lane: int) -> None:
-    assert closest_lane(y, 3, 4.0) == lane
+    assert closest_lane(Straight(3, 4.0, 100.0, 30.0), 0.0, y, 0.0) == lane
 
 
 @settings(derandomize=True, deadline=None)

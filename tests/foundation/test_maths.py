@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import mpmath
@@ -22,6 +23,9 @@ MULTIPLES = st.builds(
     st.sampled_from([-math.inf, math.inf]),
 )
 """Angles next to multiples of a quarter turn, where most digits cancel."""
+SIDES = st.one_of(
+    *(st.floats(-size, size).filter(lambda side: abs(side) >= 1e-140) for size in (1e140, 1e4, 2.0))
+)
 UNARY = ("sin", "cos", "tan", "asin", "atan", "exp")
 
 
@@ -46,6 +50,28 @@ def test_the_arcsine_errs_by_less_than_1_ulp(x: float) -> None:
 @given(x=st.one_of(st.floats(-1e280, 1e280), st.floats(-4, 4), st.floats(0.41, 0.42)))
 def test_the_arctangent_errs_by_less_than_1_ulp(x: float) -> None:
     assert error_in_ulp(maths.atan(x), PRECISE.atan(PRECISE.mpf(x))) < 1
+
+
+@given(
+    y=SIDES,
+    x=SIDES,
+    ratio=st.one_of(
+        st.none(), st.floats(0.41, 0.42), st.floats(2.41, 2.42), st.floats(0.999, 1.001)
+    ),
+)
+def test_the_angle_of_a_point_errs_by_less_than_1_ulp(
+    y: float, x: float, ratio: float | None
+) -> None:
+    y = y if ratio is None else x * ratio
+    exact = PRECISE.atan2(PRECISE.mpf(y), PRECISE.mpf(x))
+    assert error_in_ulp(maths.atan2(y, x), exact) < 1
+
+
+@pytest.mark.parametrize(("y", "x"), [*product((-1.0, 0.0, 1.0), (-1.0, 0.0, 1.0))])
+def test_the_angles_of_points_on_axes_and_diagonals_are_those_of_the_c_library(
+    y: float, x: float
+) -> None:
+    assert maths.atan2(y, x) == math.atan2(y, x)
 
 
 @given(x=st.one_of(st.floats(-708, 709), st.floats(-2, 2)))
@@ -103,6 +129,12 @@ def powers(x: np.ndarray, y: np.ndarray, results: np.ndarray) -> None:
         results[i] = maths.power(x[i], y[i])
 
 
+@numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
+def angles(y: np.ndarray, x: np.ndarray, results: np.ndarray) -> None:
+    for i in range(x.size):
+        results[i] = maths.atan2(y[i], x[i])
+
+
 @pytest.mark.parametrize("name", UNARY)
 def test_vectorised_code_and_plain_python_compute_the_same_bits(name: str) -> None:
     function, loop = getattr(maths, name), over_arrays(getattr(maths, name))
@@ -121,6 +153,15 @@ def test_vectorised_powers_are_those_of_plain_python() -> None:
     plain = [maths.power.py_func(*pair) for pair in zip(x, y, strict=True)]
     np.testing.assert_array_equal(results, plain)
     assert_vectorised_without_fused_operations(powers)
+
+
+def test_vectorised_angles_are_those_of_plain_python() -> None:
+    y, x = np.random.default_rng(0).uniform(-1, 1, (2, 1001))
+    results = np.empty(1001)
+    angles(y, x, results)
+    plain = [maths.atan2.py_func(*pair) for pair in zip(y, x, strict=True)]
+    np.testing.assert_array_equal(results, plain)
+    assert_vectorised_without_fused_operations(angles)
 
 
 def assert_vectorised_without_fused_operations(loop: Any) -> None:
