@@ -15,7 +15,8 @@ from charms_agents.human.samples import SampleSettings, SampleStore
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.report.markdown import markdown
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.world.actions import ACTIONS
 
 

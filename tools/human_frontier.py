@@ -38,7 +38,8 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.report.figures.drawing import crosses, panels, save
 from charms_bench.report.markdown import markdown
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Row, Table
 
 DOCS = Path(__file__).parent.parent / "docs"
 PULLS = (0.0, 0.002, 0.02, 0.2, 2.0, 20.0)

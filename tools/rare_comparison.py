@@ -9,8 +9,9 @@ from pathlib import Path
 import polars as pl
 
 from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
 from charms_bench.report.rare_table import plain_episodes
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.statistics.intervals import wilson
 
 PLAIN = Path(__file__).parents[1] / "docs" / "results" / "rare-plain.csv"

@@ -12,8 +12,9 @@ from typing import Any
 import polars as pl
 
 from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
-from charms_bench.report.table import Column, Number, Table
+from charms_bench.report.table import Column, Table
 from charms_bench.runs.folder import RunFolder
 from charms_bench.world.scene import SceneSettings
 

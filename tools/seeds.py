@@ -18,7 +18,8 @@ from scipy import special
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.report.figures.drawing import SERIES, panels, save
 from charms_bench.report.markdown import markdown
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import RunFolder
 from charms_bench.statistics.intervals import CONFIDENCE, Bounds

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.folder import RunFolder
 
 METRICS = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from rich.text import Text
 
-from charms_bench.report.table import Number
+from charms_bench.report.number import Number
 
 BLOCKS = "▁▂▃▄▅▆▇█"
 INTERVAL, VALUE, REFERENCE, ZERO = "━", "●", "◇", "┊"

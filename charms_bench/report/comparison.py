@@ -10,7 +10,8 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.labels import set_label_of
 from charms_bench.report.definitions import installed_column
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.pairing import Pair
 from charms_bench.statistics.intervals import CONFIDENCE, resample
 from charms_bench.statistics.paired import differences, holm

@@ -6,9 +6,10 @@ the next agent is multiplied by the number of all pairs that could have been cho
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from charms_bench.report.number import Number
 from charms_bench.report.preventable_table import crashed
 from charms_bench.report.realism_table import FLOOR, WITHIN_LIMITS
-from charms_bench.report.table import Number, Table
+from charms_bench.report.table import Table
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import CONFIDENCE

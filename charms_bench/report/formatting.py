@@ -1,10 +1,16 @@
 """How the numbers of a table are written: the same digits in every view."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from charms_bench.report.table import Cell, Column, Number, Table
+from charms_bench.report.number import Cell, Number
+
+if TYPE_CHECKING:
+    from charms_bench.report.table import Column, Table
 
 NOTHING = "–"
 """Stands for a value that is not defined."""

@@ -9,9 +9,10 @@ first metric that has one. In every other suite, it is the table of the suite's 
 from dataclasses import replace
 from itertools import chain
 
+from charms_bench.report.number import Cell, Number
 from charms_bench.report.stored import RunTables
 from charms_bench.report.suite_table import MATRICES, across, matrices, one_per_metric, printed
-from charms_bench.report.table import Cell, Column, Number, Row, Table
+from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.suite import Suite
 
 DISTANCE = "js"

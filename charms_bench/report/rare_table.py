@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import polars as pl
 
-from charms_bench.report.table import Column, Number, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Table
 from charms_bench.runs.rare import RareCell
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.subset_simulation import interval

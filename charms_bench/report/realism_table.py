@@ -14,7 +14,8 @@ import numpy as np
 import polars as pl
 
 from charms_bench.people.reference import Reference
-from charms_bench.report.table import Column, Number, Table, long_frame
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Table, long_frame
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.divergence import (

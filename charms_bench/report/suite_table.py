@@ -8,7 +8,8 @@ import polars as pl
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.report.definitions import columns_of, installed_column
-from charms_bench.report.table import Number, Row, Table, long_frame
+from charms_bench.report.number import Number
+from charms_bench.report.table import Row, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate

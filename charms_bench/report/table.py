@@ -13,6 +13,7 @@ import polars as pl
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.metrics.labels import in_words, key_label_of, set_label_of
+from charms_bench.report.number import Cell, Number
 
 LONG = {
     name: name
@@ -42,34 +43,6 @@ def long_frame(
     frame = pl.DataFrame(records, schema=long_schema(keys, long), orient="row")
     rounded = pl.col("value", "low", "high").fill_nan(None).round_sig_figs(DIGITS)
     return frame.with_columns(rounded)
-
-
-@dataclass(frozen=True)
-class Number:
-    """A value and what is known about it; None stands for whatever is not defined."""
-
-    value: float | None = None
-    low: float | None = None
-    """Lower end of the 95 % interval."""
-    high: float | None = None
-    n: int | None = None
-    """How many observations the value is computed from; `Column.counted` says of what."""
-    reference: float | None = None
-    """The value to compare with, such as the paper's; `Table.reference` names its source."""
-    p: float | None = None
-    """The p-value, corrected for the number of tests."""
-    marked: bool = False
-    """Whether the number stands out, for the reason that the table's note gives."""
-
-    def scaled(self, factor: float) -> "Number":
-        """The number times a factor, without its reference value."""
-        value, low, high = (
-            None if each is None else each * factor for each in (self.value, self.low, self.high)
-        )
-        return replace(self, value=value, low=low, high=high, reference=None)
-
-
-Cell = Number | str
 
 
 @dataclass(frozen=True)

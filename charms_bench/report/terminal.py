@@ -1,9 +1,12 @@
 """Tables in a terminal: as numbers side by side (`grid`), or drawn to scale (`drawn`)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
 from itertools import chain
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console, Group
@@ -13,7 +16,10 @@ from rich.text import Text
 from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.bars import INTERVAL, REFERENCE, VALUE, Scale, bar
 from charms_bench.report.formatting import Written, write_cells, write_column
-from charms_bench.report.table import Column, Number, Table
+from charms_bench.report.number import Number
+
+if TYPE_CHECKING:
+    from charms_bench.report.table import Column, Table
 
 COLUMN_WIDTH = 16
 """Characters that a column of numbers needs: its interval and the space around it."""

@@ -3,7 +3,7 @@
 import pytest
 
 from charms_bench.report.bars import Scale, bar, line
-from charms_bench.report.table import Number
+from charms_bench.report.number import Number
 
 TENTHS = Scale(0.0, 1.0, 11)
 

@@ -8,7 +8,8 @@ import pytest
 
 from charms_bench.errors import InputError
 from charms_bench.report.formatting import write_column
-from charms_bench.report.table import Column, Number, Row, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Column, Row, Table
 
 SPEED = Column("speed_mean", "m/s", "speed in logged steps", "logged steps", group="paper-2")
 CRASHED = Column("crashed_episodes", group="standard-3")

@@ -7,10 +7,11 @@ import pytest
 from ego_table import EGO, SUITE
 from rich.console import Console, RenderableType
 
+from charms_bench.report.number import Number
 from charms_bench.report.pairs_table import KEYS, LONG
 from charms_bench.report.pairs_table import from_frame as pairs_from_frame
 from charms_bench.report.suite_table import from_frame, printed
-from charms_bench.report.table import Column, Number, Row, Table, long_schema
+from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.report.terminal import drawn, grid
 
 TABLE = from_frame(pl.read_csv(io.StringIO(EGO)), SUITE)

@@ -14,7 +14,7 @@ from matplotlib.typing import ColorType
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import write_atomically
-from charms_bench.report.table import Number
+from charms_bench.report.number import Number
 from charms_bench.world.scene import Floats
 
 ENDINGS = (".pdf", ".png", ".svg")

@@ -10,7 +10,8 @@ from matplotlib.transforms import Bbox
 
 from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.figures.drawing import PAPER, crosses, panels, points, take_text_as_it_is
-from charms_bench.report.table import Number, Table
+from charms_bench.report.number import Number
+from charms_bench.report.table import Table
 from charms_bench.runs.suite import Suite
 
 TICKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)

@@ -1,10 +1,13 @@
 """A table as HTML: in a page, linked to its definitions, or alone in a notebook."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -13,7 +16,10 @@ from charms_bench.foundation.names import unused
 from charms_bench.metrics.labels import key_label_of
 from charms_bench.report.bars import Scale
 from charms_bench.report.formatting import Written, write_cells
-from charms_bench.report.table import Cell, Column, Row, Table
+from charms_bench.report.number import Cell
+
+if TYPE_CHECKING:
+    from charms_bench.report.table import Column, Row, Table
 
 TEMPLATES = Path(__file__).with_name("templates")
 

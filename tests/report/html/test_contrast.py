@@ -17,8 +17,9 @@ from charms_bench.report.figures.heat_map import COLOURS, draw_matrices
 from charms_bench.report.figures.styles import draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff
 from charms_bench.report.html.svg import in_page
+from charms_bench.report.number import Number
 from charms_bench.report.suite_table import KEYS, LONG, from_frame
-from charms_bench.report.table import Column, Number, Row, Table, long_schema
+from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.suite import Suite
 
 SUITE = Suite.model_validate(
