@@ -460,7 +460,8 @@ def test_what_it_cannot_have_been_trained_on_is_one_message(
         CliRunner().invoke(app, arguments, catch_exceptions=False)
 
 
-def test_a_maskable_ppos_file_takes_the_mask(tmp_path: Path) -> None:
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_a_maskable_ppos_file_takes_the_mask(tmp_path: Path, stochastic: bool) -> None:
     _, path = saved_ppo(tmp_path)
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
@@ -469,9 +470,12 @@ def test_a_maskable_ppos_file_takes_the_mask(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in (members | {"data": json.dumps(data).encode()}).items():
             archive.writestr(name, content)
-    export_zip(path, tmp_path / "ppo.onnx", {})
+    export_zip(path, tmp_path / "ppo.onnx", {}, stochastic=stochastic)
     policy, scene = OnnxPolicy(tmp_path / "ppo.onnx"), example_scene()
     seen = policy.observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
-    chosen = seen[np.arange(len(seen)), ACTION_MASK, policy.decide(seen)]
+    noise = np.random.default_rng(0).random((len(seen), 5 * stochastic))
+    actions = policy.decide(seen, np.zeros((len(seen), 0)), noise)
+    chosen = seen[np.arange(len(seen)), ACTION_MASK, actions]
     assert seen.shape[1:] == (8, 5)
+    assert len(set(actions)) == 5 or not stochastic
     assert (chosen == 1).all()

@@ -29,7 +29,7 @@ actions that differ by less are equal."""
 MASKED = 1e8
 """What a masked action loses of its value, as in sb3-contrib."""
 SMALLEST_DRAW, LARGEST_DRAW = 1e-20, 1 - 2**-24
-"""Random numbers are kept between these: 0 and 1 have no double logarithm."""
+"""The range of random numbers whose double logarithm is finite."""
 STEPS = 4
 """Decisions in a row for which a network with memory is compared."""
 
@@ -77,10 +77,10 @@ def export(
         observation: The observation of the network.
         masked: Whether the file has a second input, the action mask, and never chooses a masked
             action.
-        lstm: What comes before the network; the file then has its states. The observations are
-            those of `STEPS` decisions, one after another, of the same vehicles.
-        stochastic: Whether the file has an input of random numbers, by which it draws its actions
-            with the probabilities of which the network's values are the logarithms.
+        lstm: The network's inputs are the outputs of this LSTM, and the file has its states. The
+            observations are compared as those of `STEPS` decisions in a row.
+        stochastic: Whether the file has an input of random numbers, by which it draws its actions;
+            the network's values are the logits.
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different

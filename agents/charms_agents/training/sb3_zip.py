@@ -72,9 +72,9 @@ def export_zip(
     logit belongs to the most probable action. For a SAC it is the actor up to the tanh of its mean,
     and for a TD3 or DDPG the actor; their actions are continuous. The file of a `MaskablePPO` also
     takes the action mask, unless the observation is `Kinematics`. The file of a `RecurrentPPO` has
-    states, those of its actor's LSTM. If `data` cannot be read, the
-    activation is assumed to be Stable-Baselines3's default: tanh for a PPO or A2C, ReLU for the
-    others. A checkpoint does not hold the statistics of a `VecNormalize`, so they are not exported.
+    the states of its actor's LSTM. If `data` cannot be read, the activation is assumed to be
+    Stable-Baselines3's default: tanh for a PPO or A2C, ReLU for the others. A checkpoint does not
+    hold the statistics of a `VecNormalize`, so they are not exported.
 
     Args:
         checkpoint: The zip that Stable-Baselines3 saved.
