@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
-from charms_bench.engine.restored_vehicles import RestoredVehicles
+from charms_bench.engine.restored_vehicles import RestoredVehicles, set_size
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -171,6 +172,7 @@ class HighwayEnvEngine:
             vehicle_class = self._class_of(int(self.drivers[row, place]))
             position = [scene.x[row, place], scene.y[row, place]]
             vehicle = vehicle_class(road, position, 0.0, scene.speed[row, place])
+            set_size(vehicle, scene.length[row, place], scene.width[row, place])
             if isinstance(vehicle, IDMVehicle):
                 low, high = vehicle.DELTA_RANGE
                 vehicle.DELTA = low + scene.temperament[row, place] * (high - low)
@@ -193,6 +195,7 @@ class HighwayEnvEngine:
             )
             vehicle_class = self._class_of(int(self.drivers[row, place]))
             vehicle = vehicle_class(road, spawned.position, spawned.heading, spawned.speed)
+            set_size(vehicle, self.scene.length[row, place], self.scene.width[row, place])
             road.vehicles.append(vehicle)
             if not is_ego:
                 self._draw_temperament(row, place, vehicle, rng)
@@ -311,9 +314,16 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
 
 def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
     """A subclass of a highway-env vehicle class with the profile's constants."""
-    idm = profile.idm_mobil
+    idm, standard_length = profile.idm_mobil, profile.vehicle_length_m
+
+    def lane_distance_to(self: Any, other: Any, lane: Any = None) -> Any:
+        """[`RoadObject.lane_distance_to`] for lengths that differ; see `following_distance`."""
+        distance = vehicle_class.lane_distance_to(self, other, lane)
+        lengths = self.LENGTH, (other or self).LENGTH
+        return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
+
     values = {
-        "LENGTH": profile.vehicle_length_m,
+        "LENGTH": standard_length,
         "WIDTH": profile.vehicle_width_m,
         "MIN_SPEED": profile.speed_min_mps,
         "MAX_SPEED": profile.speed_max_mps,
@@ -329,6 +339,7 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         **_idm_attributes(idm.model_dump()),
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
+    held["lane_distance_to"] = lane_distance_to
     return type(vehicle_class.__name__, (vehicle_class,), held)
 
 

@@ -165,6 +165,10 @@ class _Fields(NamedTuple):
     """[B, N] the command of the last simulation step after clipping, m/s2."""
     steering: Floats
     """[B, N] steering angle of the last simulation step, rad."""
+    length: Floats
+    """[B, N] m."""
+    width: Floats
+    """[B, N] m."""
     target_speed: Floats
     """[B, N] desired speed, m/s; 0 for a vehicle with continuous actions."""
     lane: Ints
@@ -222,7 +226,10 @@ class Scene(_Fields):
 
     @classmethod
     def empty(cls, settings: SceneSettings, scenes: int, parameters: int = 0) -> "Scene":
-        """Some scenes, all zeros; an engine fills them. Drivers have so many `parameters`."""
+        """Some scenes of vehicles of the profile's size, all zeros else; an engine fills them.
+
+        Drivers have so many `parameters`.
+        """
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
         nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
@@ -232,6 +239,8 @@ class Scene(_Fields):
             for name in names.split()
         }
         per_vehicle["direction_x"][:] = 1.0
+        per_vehicle["length"][:] = settings.profile.vehicle_length_m
+        per_vehicle["width"][:] = settings.profile.vehicle_width_m
         return cls(
             **per_vehicle,
             parameters=np.zeros((*shape, parameters)),
@@ -278,8 +287,8 @@ class Scene(_Fields):
 
 
 _PER_VEHICLE: dict[type, str] = {
-    np.float64: "x y heading direction_x direction_y speed acceleration steering target_speed "
-    "timer_s temperament impact_x impact_y",
+    np.float64: "x y heading direction_x direction_y speed acceleration steering length width "
+    "target_speed timer_s temperament impact_x impact_y",
     np.int64: "lane target_lane",
     np.bool_: "crashed impact",
 }
