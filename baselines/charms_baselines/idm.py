@@ -55,7 +55,8 @@ def motion_behind(b: int, i: int, scene: Scene) -> Motion:
 @inlined
 def distance(vehicle: Motion, leader: Motion) -> float:
     """The distance to a leader, m [`RoadObject.lane_distance_to`]; see `following_distance`."""
-    return following_distance(vehicle.x, leader.x, vehicle.overhang, leader.overhang)
+    overhangs = vehicle.overhang, leader.overhang
+    return float(following_distance(vehicle.x, leader.x, *overhangs))
 
 
 @compiled
@@ -110,8 +111,13 @@ def on_own_lane(
         free[m] = max(v, 0.0) / abs(not_zero(clip(wanted_speed[i], 0.0, c.speed_limit)))
         ahead, aside = v * ux - speed[j] * direction_x[j], v * uy - speed[j] * direction_y[j]
         wanted[m] = desired_gap(v, ahead * ux + aside * uy, p)
-        overhangs = overhang(length[i], c.length), overhang(length[j], c.length)
-        gap[m] = following_distance(x[i], x[j], *overhangs) if leader >= 0 else math.inf
+        gap[m] = x[j] - x[i] if leader >= 0 else math.inf
+    for m in range(rows.size if c.mixed_sizes else 0):
+        i = rows[m] * vehicles + places[m]
+        leader = leaders[index(i * c.lanes + lane[index(i)])]
+        j = rows[m] * vehicles + leader if leader >= 0 else i
+        own, other = overhang(length[index(i)], c.length), overhang(length[index(j)], c.length)
+        gap[m] = following_distance(0.0, gap[m], own, other)
     for m in range(rows.size):
         free[m] = p.acceleration_mps2 * (1 - maths.power(free[m], exponents[m]))
     for m in range(rows.size):

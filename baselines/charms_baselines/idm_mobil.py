@@ -86,7 +86,8 @@ def drive_block(
             if lane != target:
                 if b != scene_of_fastest:
                     scene_of_fastest, fastest = b, np.abs(scene.speed[b]).max()
-                    uneven = np.abs(scene.length[b] - scene.constants.length).max()
+                    if scene.constants.mixed_sizes:
+                        uneven = np.abs(scene.length[b] - scene.constants.length).max()
                 if _someone_takes_the_gap(b, i, own, target, fastest, uneven, scene, targets, p):
                     target = lane
             else:
@@ -131,7 +132,7 @@ def _someone_takes_the_gap(
     """
     x, lane, order = scene.x, scene.lane, scene.order
     furthest = desired_gap(abs(own.speed), abs(own.speed) + fastest, p)
-    first = scene.rank[b, i]
+    first = scene.rank[b, i] + 1
     while first > 0 and x[b, order[b, first - 1]] > own.x - uneven:
         first -= 1
     for k in range(first, order.shape[1]):

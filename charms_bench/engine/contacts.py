@@ -28,15 +28,13 @@ def collide(scene: Scene, first: int, after: int) -> None:
     for row in range(first, after):
         b = index(row)
         fastest = USUAL_SPEED_MPS
-        is_faster = is_larger = False
+        is_faster = False
         for i in range(vehicles):
             is_faster |= abs(speed[b, i]) > fastest
-        for i in range(vehicles):
-            is_larger |= (length[b, i] > c.length) | (width[b, i] > c.width)
         if is_faster:
             fastest = np.abs(speed[b]).max()
         largest = standard
-        if is_larger:
+        if c.mixed_sizes:
             largest = math.sqrt(length[b].max() ** 2 + width[b].max() ** 2)
         reach = largest + fastest * c.dt
         found = 0
