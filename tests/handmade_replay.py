@@ -27,9 +27,10 @@ def replay_of(
     """
     shape = np.shape(fields["x"])
     moving = {"y": 0.0, "heading": 0.0, "speed": 25.0, "acceleration": 0.0} | fields
+    moving = {"length": 5.0, "width": 2.0} | moving
     floats = {
         name: np.broadcast_to(np.asarray(moving[name], dtype=float), shape).copy()
-        for name in ("x", "y", "heading", "speed", "acceleration")
+        for name in ("x", "y", "heading", "speed", "acceleration", "length", "width")
     }
     lane = np.broadcast_to(fields.get("lane", np.round(floats["y"] / 4)), shape).astype(int)
     rows = [

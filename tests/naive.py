@@ -47,13 +47,13 @@ def planar_ttc(scene: Scene, i: int) -> float:
     Two rectangles overlap while the way between their centres lies in the convex hull of the
     differences of their corners (their Minkowski difference).
     """
-    c, times = scene.constants, [math.inf]
+    times = [math.inf]
     signs = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)])
-    corners = signs * [c.length / 2, c.width / 2]
 
     def turned(j: int) -> np.ndarray:
         angle = scene.heading[0, j]
         matrix = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+        corners = signs * [scene.length[0, j] / 2, scene.width[0, j] / 2]
         return corners @ np.transpose(matrix)
 
     for j in range(scene.x.shape[1]):
@@ -112,6 +112,12 @@ def paper_observation(scene: Scene, i: int) -> np.ndarray:
     return rows
 
 
+def distance(scene: Scene, i: int, j: int) -> float:
+    """The bumper gap from vehicle i to vehicle j ahead, and one of the profile's lengths."""
+    lengths = (scene.length[0, i] + scene.length[0, j]) / 2
+    return scene.x[0, j] - scene.x[0, i] - lengths + scene.constants.length
+
+
 def desired_gap(driver: Driver, i: int, j: int) -> float:
     """[`IDMVehicle.desired_gap`]"""
     scene, p, _ = driver
@@ -130,7 +136,7 @@ def idm_acceleration(driver: Driver, i: int, leader: int) -> float:
     wanted = np.clip(scene.target_speed[0, i], 0, scene.constants.speed_limit)
     acceleration = p.acceleration_mps2 * (1 - (max(scene.speed[0, i], 0) / wanted) ** exponent)
     if leader >= 0:
-        gap = scene.x[0, leader] - scene.x[0, i]
+        gap = distance(scene, i, leader)
         gap = gap if abs(gap) > 0.01 else math.copysign(0.01, gap)
         acceleration -= p.acceleration_mps2 * (desired_gap(driver, i, leader) / gap) ** 2
     return float(acceleration)
@@ -163,9 +169,8 @@ def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
         driver = (scene, p, exponent)
         if lanes[i] != targets[i]:
             for j in range(len(targets)):
-                distance = scene.x[0, j] - scene.x[0, i]
                 rival = targets[j] == targets[i] != lanes[j]
-                if j != i and rival and 0 < distance < desired_gap(driver, i, j):
+                if j != i and rival and 0 < distance(scene, i, j) < desired_gap(driver, i, j):
                     targets[i] = int(lanes[i])
                     break
         elif scene.timer_s[0, i] > p.lane_change_period_s and scene.speed[0, i] >= 1:
@@ -193,12 +198,12 @@ def stackelberg(scene: Scene, i: int) -> tuple[float, int]:
 
     def utility(on: int) -> float:
         leader, _ = neighbours(scene, i, on)
-        gap = scene.x[0, leader] - scene.x[0, i]
+        gap = distance(scene, i, leader)
         return 1.0 if leader < 0 else gap / 200 + scene.speed[0, leader] / 66
 
     def is_open(on: int) -> bool:
         leader, follower = neighbours(scene, i, on)
-        if follower < 0 or scene.x[0, i] - scene.x[0, follower] > 50:
+        if follower < 0 or distance(scene, follower, i) > 50:
             return True
         before = idm_acceleration(driver, follower, leader)
         return before - idm_acceleration(driver, follower, i) <= 1

@@ -11,7 +11,7 @@ History = dict[str, np.ndarray]
 """Arrays [T + 1, N] of one scene: the beginning and every decision."""
 NAMES = (
     "x", "y", "speed", "direction_x", "direction_y", "acceleration", "lane", "target_lane",
-    "crashed", "collision",
+    "crashed", "collision", "length", "width",
 )  # fmt: skip
 
 
@@ -28,6 +28,11 @@ def ahead(h: History, t: int, i: int, lane: int, c: Constants, sign: int = 1) ->
         if best < 0 or distance < sign * (h["x"][t, best] - h["x"][t, i]):
             best = j
     return best
+
+
+def bumper_gap(h: History, t: int, i: int, j: int) -> float:
+    """From the front of i to the rear of j."""
+    return h["x"][t, j] - h["length"][t, j] / 2 - (h["x"][t, i] + h["length"][t, i] / 2)
 
 
 def lost_at(h: History, i: int, c: Constants) -> int:
@@ -83,14 +88,14 @@ def _lane_change(
     if lane == h["lane"][t - 1, i]:
         return
     sums[i]["lane_changes"] += 1
-    f, rear = ahead(h, t, i, lane, c, -1), h["x"][t, i] - c.length / 2
+    f, rear = ahead(h, t, i, lane, c, -1), h["x"][t, i] - h["length"][t, i] / 2
     window = [s for s in range(t, t + round(2 / dt)) if s < min(lost[i], len(h["x"]))]
     if f >= 0 and any(not h["crashed"][s, f] and h["acceleration"][s, f] < -2 for s in window):
         sums[i]["hard_braking_by"] += 1
         sums[f]["hard_braking_to"] += 1
     if f < 0 or h["lane"][t, f] != lane or lost[f] <= t:
         return
-    front = h["x"][:, f] + c.length / 2
+    front = h["x"][:, f] + h["length"][:, f] / 2
     if front[t] >= rear:
         return
     for s in range(t + 1, len(h["x"])):
@@ -147,7 +152,7 @@ def _conflicts(h: History, i: int, driving: range, dt: float, c: Constants, sums
     events: list[list[Any]] = []  # leader, began, ended, whether it was a conflict
     for t in driving:
         leader = ahead(h, t, i, h["lane"][t, i], c)
-        gap = h["x"][t, leader] - h["x"][t, i] - c.length
+        gap = bumper_gap(h, t, i, leader)
         closing = h["speed"][t, i] - h["speed"][t, leader]
         if leader < 0 or gap <= 0 or closing <= 0:
             continue
@@ -197,12 +202,12 @@ def is_dangerous(h: History, t: int, rear: int, front: int, c: Constants) -> boo
     v = h["speed"][t] * h["direction_x"][t]
     after = v[rear] + 3.5
     safe = v[rear] + 3.5 / 2 + after**2 / (2 * 4) - v[front] ** 2 / (2 * 8)
-    gap = h["x"][t, front] - h["x"][t, rear] - c.length
+    gap = bumper_gap(h, t, rear, front)
     left, right = sorted((rear, front), key=lambda j: (h["y"][t, j], j == rear))
     aside = h["speed"][t] * h["direction_y"][t]
     drift = 0.0
     for towards in (aside[left], -aside[right]):
         after = towards + 0.2
         drift += towards + 0.1 + (after**2 / 1.6 if after > 0 else 0)
-    side_gap = h["y"][t, right] - h["y"][t, left] - c.width
+    side_gap = h["y"][t, right] - h["y"][t, left] - (h["width"][t, right] + h["width"][t, left]) / 2
     return bool(gap < max(safe, 0) and side_gap < 0.1 + max(drift, 0))

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from naive_conduct import History, ahead
+from naive_conduct import History, ahead, bumper_gap
 
 from charms_bench.world.profile import Constants
 
@@ -33,7 +33,7 @@ def _is_at_fault(
         return False
     t, kind = frames[0], h["collision"][frames[0], i]
     past = [each for each in samples if each.frame <= t]
-    j = other_of(h, t, i, c)
+    j = other_of(h, t, i)
     behind, front = sorted((i, j), key=lambda v: bool((kind == 1) == (v != i)))
     if kind == 3 or h["speed"][t, behind] <= h["speed"][t, front]:
         return moved_out(h, i, past, c) >= moved_out(h, j, past, c)
@@ -42,10 +42,12 @@ def _is_at_fault(
     return (entrant == front and seconds <= 2) == (i == front)
 
 
-def other_of(h: History, t: int, i: int, c: Constants) -> int:
+def other_of(h: History, t: int, i: int) -> int:
     """The vehicle that overlaps i most."""
+    length, width = h["length"][t], h["width"][t]
     depth = np.minimum(
-        c.length - abs(h["x"][t] - h["x"][t, i]), c.width - abs(h["y"][t] - h["y"][t, i])
+        (length + length[i]) / 2 - abs(h["x"][t] - h["x"][t, i]),
+        (width + width[i]) / 2 - abs(h["y"][t] - h["y"][t, i]),
     )
     depth[i] = -np.inf
     return int(depth.argmax())
@@ -73,7 +75,7 @@ def last_entry(h: History, behind: int, past: list[Sample], c: Constants) -> tup
         for i in range(h["x"].shape[1]):
             lane = int(h["lane"][frame, i])
             beside = h["y"][frame, i] - lane * c.lane_width
-            if abs(beside) + c.width / 2 <= c.lane_width / 2:
+            if abs(beside) + h["width"][frame, i] / 2 <= c.lane_width / 2:
                 continue
             entered = lane + (1 if beside > 0 else -1)
             both = {lane, entered}
@@ -85,7 +87,7 @@ def last_entry(h: History, behind: int, past: list[Sample], c: Constants) -> tup
             if j != behind or h["lane"][frame, j] != entered:
                 continue
             closing = h["speed"][frame, j] - h["speed"][frame, i]
-            gap = h["x"][frame, i] - h["x"][frame, j] - c.length
+            gap = bumper_gap(h, frame, j, i)
             if closing > 0 and (gap <= 0 or closing**2 / (2 * gap) > 3.35):
                 found = (i, interval)
     return found

@@ -28,6 +28,7 @@ def scene_of(
     parameters = np.shape(fields.get("parameters", [[]]))[-1]
     scene = Scene.empty(settings, 1, parameters)
     scene = scene._replace(constants=scene.constants._replace(**(sizes or {})))
+    scene.length[:], scene.width[:] = scene.constants.length, scene.constants.width
     for name, values in fields.items():
         getattr(scene, name)[0] = values
     scene.order[0] = np.random.default_rng(0).permutation(vehicles)
@@ -53,7 +54,7 @@ def scenes(
 ) -> Scene:
     """Crowded scenes: vehicles level with each other, on two lanes, beside the road and beyond it.
 
-    Vehicles, lanes and the road have different sizes.
+    Vehicles, lanes and the road have different sizes, and so have the vehicles of half the scenes.
     """
     lanes = draw(st.integers(2, 5))
     vehicles = draw(st.integers(2, most_vehicles))
@@ -62,17 +63,20 @@ def scenes(
         return draw(st.lists(values, min_size=vehicles, max_size=vehicles))
 
     level = st.sampled_from([-6.0, -5.0, 0.0, 10.0, 25.0, 35.0, 40.0])
+    lengths, widths = st.sampled_from([5.0, 3.0, 18.0]), st.sampled_from([2.0, 1.6, 2.6])
     sizes = {
-        "length": draw(st.sampled_from([5.0, 3.0, 18.0])),
-        "width": draw(st.sampled_from([2.0, 1.6, 2.6])),
+        "length": draw(lengths),
+        "width": draw(widths),
         "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5])),
         "road_length": draw(st.sampled_from([10_000.0, 30.0])),
     }
+    own = {"length": each(lengths), "width": each(widths)} if draw(st.booleans()) else {}
     centres = st.integers(0, lanes - 1).map(lambda lane: sizes["lane_width"] * lane)
     return scene_of(
         profile=draw(st.sampled_from(profiles)),
         lanes=lanes,
         sizes=sizes,
+        **own,
         x=each(st.one_of(level, st.floats(-8.0, 120.0))),
         y=each(st.one_of(centres, st.floats(-4.0, 4.0 * lanes))),
         heading=each(st.one_of(st.just(0.0), st.floats(-0.5, 0.5))),

@@ -35,6 +35,7 @@ import numpy as np
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375
@@ -114,7 +115,7 @@ def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
             continue
         is_in_lane = aside <= WANDERING_M
         closing = speed[b, i] - speed[b, j]
-        gap = x[b, j] - x[b, i] - c.length
+        gap = gap_to(x[b, i], x[b, j], scene.length[b, i], scene.length[b, j])
         brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
         fastest = max(fastest, closing)
         is_risk |= closing > 0 or brakes_hard

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled, index, not_zero
+from charms_bench.foundation.compiled import clip, compiled, index, inlined, not_zero
+from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene
 
@@ -23,6 +24,7 @@ class Motion(NamedTuple):
     direction_x: float
     direction_y: float
     wanted_speed: float
+    overhang: float
 
 
 @compiled
@@ -34,19 +36,27 @@ def motion(b: int, i: int, scene: Scene) -> Motion:
         scene.direction_x[b, i],
         scene.direction_y[b, i],
         clip(scene.target_speed[b, i], 0.0, scene.constants.speed_limit),
+        overhang(scene.length[b, i], scene.constants.length),
     )
 
 
 @compiled
 def motion_ahead(b: int, i: int, scene: Scene) -> Motion:
     """The motion of a leader; if there is none (-1), it is infinitely far ahead."""
-    return Motion(math.inf, 0.0, 1.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
+    return Motion(math.inf, 0.0, 1.0, 0.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
 
 
 @compiled
 def motion_behind(b: int, i: int, scene: Scene) -> Motion:
     """The motion of a follower; if there is none (-1), it is infinitely far behind."""
-    return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
+    return Motion(-math.inf, 0.0, 1.0, 0.0, 0.0, 0.0) if i < 0 else motion(b, i, scene)
+
+
+@inlined
+def distance(vehicle: Motion, leader: Motion) -> float:
+    """The distance to a leader, m [`RoadObject.lane_distance_to`]; see `following_distance`."""
+    overhangs = vehicle.overhang, leader.overhang
+    return float(following_distance(vehicle.x, leader.x, *overhangs))
 
 
 @compiled
@@ -75,7 +85,7 @@ def free_acceleration(vehicle: Motion, exponent: float, p: IdmMobilParameters) -
 def interaction(vehicle: Motion, leader: Motion, p: IdmMobilParameters) -> float:
     """IDM deceleration behind a leader, m/s2, Treiber et al. 2000 eq. 3, second part."""
     wanted = desired_gap(vehicle.speed, closing_speed(vehicle, leader), p)
-    crowding = wanted / not_zero(leader.x - vehicle.x)
+    crowding = wanted / not_zero(distance(vehicle, leader))
     return p.acceleration_mps2 * (crowding * crowding)
 
 
@@ -90,7 +100,7 @@ def on_own_lane(
     c, vehicles = scene.constants, scene.x.shape[1]
     x, speed, wanted_speed = scene.x.ravel(), scene.speed.ravel(), scene.target_speed.ravel()
     direction_x, direction_y = scene.direction_x.ravel(), scene.direction_y.ravel()
-    lane, leaders = scene.lane.ravel(), scene.leaders.ravel()
+    lane, leaders, length = scene.lane.ravel(), scene.leaders.ravel(), scene.length.ravel()
     free, wanted = np.empty(rows.size), np.empty(rows.size)
     gap = np.empty(rows.size)
     for m in range(rows.size):
@@ -102,6 +112,12 @@ def on_own_lane(
         ahead, aside = v * ux - speed[j] * direction_x[j], v * uy - speed[j] * direction_y[j]
         wanted[m] = desired_gap(v, ahead * ux + aside * uy, p)
         gap[m] = x[j] - x[i] if leader >= 0 else math.inf
+    for m in range(rows.size if c.mixed_sizes else 0):
+        i = rows[m] * vehicles + places[m]
+        leader = leaders[index(i * c.lanes + lane[index(i)])]
+        j = rows[m] * vehicles + leader if leader >= 0 else i
+        own, other = overhang(length[index(i)], c.length), overhang(length[index(j)], c.length)
+        gap[m] = following_distance(0.0, gap[m], own, other)
     for m in range(rows.size):
         free[m] = p.acceleration_mps2 * (1 - maths.power(free[m], exponents[m]))
     for m in range(rows.size):

@@ -8,6 +8,7 @@ from charms_baselines.idm import (
     Motion,
     closing_speed,
     desired_gap,
+    distance,
     following,
     interaction,
     motion,
@@ -74,7 +75,7 @@ def drive_block(
         share = temperament[index(rows[m] * vehicles + places[m])]
         exponents[m] = p.exponent_low + share * (p.exponent_high - p.exponent_low)
     free, wanted = on_own_lane(scene, rows, places, exponents, p)
-    scene_of_fastest, fastest = -1, 0.0
+    scene_of_fastest, fastest, uneven = -1, 0.0, 0.0
     for m in range(rows.size):
         at = index(rows[m] * vehicles + places[m])
         lane, target = lanes[at], all_targets[at]
@@ -85,7 +86,9 @@ def drive_block(
             if lane != target:
                 if b != scene_of_fastest:
                     scene_of_fastest, fastest = b, np.abs(scene.speed[b]).max()
-                if _someone_takes_the_gap(b, i, own, target, fastest, scene, targets, p):
+                    if scene.constants.mixed_sizes:
+                        uneven = np.abs(scene.length[b] - scene.constants.length).max()
+                if _someone_takes_the_gap(b, i, own, target, fastest, uneven, scene, targets, p):
                     target = lane
             else:
                 timer_s[at] = 0.0
@@ -117,28 +120,29 @@ def _someone_takes_the_gap(
     own: Motion,
     target: int,
     fastest: float,
+    uneven: float,
     scene: Scene,
     targets: Ints,
     p: IdmMobilParameters,
 ) -> bool:
     """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`].
 
-    `fastest` is the highest speed in the scene, which bounds how far ahead that can matter.
+    They bound how far away that can matter: `fastest` is the highest speed in the scene, and no
+    length differs from the profile's by more than `uneven`.
     """
     x, lane, order = scene.x, scene.lane, scene.order
     furthest = desired_gap(abs(own.speed), abs(own.speed) + fastest, p)
-    for k in range(scene.rank[b, i] + 1, order.shape[1]):
+    first = scene.rank[b, i] + 1
+    while first > 0 and x[b, order[b, first - 1]] > own.x - uneven:
+        first -= 1
+    for k in range(first, order.shape[1]):
         j = order[b, k]
-        distance = x[b, j] - own.x
-        if distance > furthest:
+        if x[b, j] - own.x > furthest + uneven:
             return False
-        if (
-            distance > 0
-            and targets[b, j] == target
-            and lane[b, j] != target
-            and distance < desired_gap(own.speed, closing_speed(own, motion(b, j, scene)), p)
-        ):
-            return True
+        if j != i and targets[b, j] == target and lane[b, j] != target:
+            other = motion(b, j, scene)
+            if 0 < distance(own, other) < desired_gap(own.speed, closing_speed(own, other), p):
+                return True
     return False
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from charms_baselines.idm import (
     Motion,
+    distance,
     interaction,
     motion,
     motion_ahead,
@@ -107,7 +108,7 @@ def _drive(
                 side_follower = motion_behind(b, followers[b, i, side], scene)
                 utility = _utility(own, side_leader)
                 if utility > best and (
-                    own.x - side_follower.x > options.open_distance
+                    distance(side_follower, own) > options.open_distance
                     or _loss(side_follower, side_leader, own, p) <= options.follower_loss
                 ):
                     best, target = utility, side
@@ -124,7 +125,7 @@ def _utility(own: Motion, leader: Motion) -> float:
     """Room and speed ahead on a lane: gap / 200 + leader's speed / 66; 1 if the lane is empty."""
     if leader.x == math.inf:
         return 1.0
-    return (leader.x - own.x) / 200 + leader.speed / 66
+    return distance(own, leader) / 200 + leader.speed / 66
 
 
 @compiled

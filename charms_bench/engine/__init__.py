@@ -35,17 +35,17 @@ class Engine(Protocol):
     drivers: Ints
     """[B, N] the index of each vehicle's agent. Agent 0 drives the ego."""
 
-    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+    def reset(
+        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+    ) -> None:
         """Spawns new scenes.
 
         Args:
             rows: (R,) the scenes to spawn.
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
             traffic: (R, N - 1) the agents of the other vehicles, in the order of spawning.
+            draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
         """
-
-    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
-        """Spawns new scenes from draws (R, 4 N + 1) instead of seeds; see `engine.draws`."""
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).

@@ -13,6 +13,7 @@ from charms_bench.engine.prescribed import Script
 from charms_bench.engine.seats import mark_seats, seat, vehicles_of
 from charms_bench.engine.spawning import spawn, spawn_rule
 from charms_bench.engine.stepping import advance
+from charms_bench.engine.type_draws import set_types
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
@@ -51,19 +52,18 @@ class BatchedEngine:
         scenario = settings.scenario
         self._script = None if scenario is None else Script(scenario, settings, scenes)
 
-    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
-        if self._script is None:
-            self.place(rows, draws_of(seeds, self._settings), traffic)
+    def reset(
+        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+    ) -> None:
+        scene, settings = self.scene, self._settings
+        if self._script is not None:
+            self._script.place(scene, rows, seeds)
         else:
-            self._script.place(self.scene, rows, seeds)
-            self._seat(rows, traffic)
-
-    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
-        spawn(self.scene, rows, draws, self._spawn_rule)
-        self._seat(rows, traffic)
-
-    def _seat(self, rows: Ints, traffic: Ints) -> None:
-        scene = self.scene
+            draws = draws_of(seeds, settings) if draws is None else draws
+            scene.ego[rows] = draws[:, 0] * settings.ego_slots
+            desired = set_types(scene, settings, rows, seeds)
+            spawn(scene, rows, draws, self._spawn_rule)
+            scene.target_speed[rows] = np.where(np.isnan(desired), scene.speed[rows], desired)
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         seat(rows, scene.ego, traffic, *seats)
         self._vehicles.clear()
@@ -81,7 +81,7 @@ class BatchedEngine:
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
-            self._script.choose(rows, seeds)
+            self._script.choose(self.scene, rows, seeds)
         drivers, ego = self.drivers, self.scene.ego
         mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.world.profile import Constants
+from charms_bench.world.gaps import side_gap
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 COLLISIONS = ("none", "striking", "struck", "side")
@@ -12,7 +12,9 @@ NO_COLLISION, STRIKING, STRUCK, SIDE_COLLISION = range(len(COLLISIONS))
 
 
 @compiled
-def vehicle_hit(x: Floats, y: Floats, vehicle: int, c: Constants) -> tuple[int, bool]:
+def vehicle_hit(
+    x: Floats, y: Floats, length: Floats, width: Floats, vehicle: int
+) -> tuple[int, bool]:
     """The vehicle that a vehicle has hit, and whether this is a rear-end collision.
 
     Of the vehicles with centres `x` and `y` (N,), this is the one that overlaps it most. In a
@@ -20,7 +22,8 @@ def vehicle_hit(x: Floats, y: Floats, vehicle: int, c: Constants) -> tuple[int, 
     """
     other, most, is_rear_end = 0, -np.inf, False
     for i in range(x.size):
-        along, across = c.length - abs(x[i] - x[vehicle]), c.width - abs(y[i] - y[vehicle])
+        along = (length[i] + length[vehicle]) / 2 - abs(x[i] - x[vehicle])
+        across = -side_gap(y[i], y[vehicle], width[i], width[vehicle])
         if i != vehicle and min(along, across) > most:
             other, most, is_rear_end = i, min(along, across), along < across
     return other, is_rear_end
@@ -39,11 +42,11 @@ def are_noted(crashed: Bools, collision: Ints) -> bool:
 @compiled_of_scenes
 def note_collisions(scene: Scene, collision: Ints) -> None:
     """Sets how vehicles [B, N] have just collided, as indices into `COLLISIONS`."""
-    x, y = scene.x, scene.y
+    x, y, length, width = scene.x, scene.y, scene.length, scene.width
     for b in range(x.shape[0]):
         for i in range(x.shape[1]):
             if scene.crashed[b, i] and collision[b, i] == NO_COLLISION:
-                other, is_rear_end = vehicle_hit(x[b], y[b], i, scene.constants)
+                other, is_rear_end = vehicle_hit(x[b], y[b], length[b], width[b], i)
                 is_behind = x[b, i] < x[b, other]
                 at_an_end = STRIKING if is_behind else STRUCK
                 collision[b, i] = at_an_end if is_rear_end else SIDE_COLLISION

@@ -37,6 +37,7 @@ STEP: Mapping[str, Column] = {
     "steering": Column(
         pl.Float32(), "rad", "Steering angle commanded in the last simulation step."
     ),
+    "length": Column(pl.Float64(), "m", "Length of the ego."),
     "lane": Column(pl.Int8(), "", "Lane nearest to the ego; 0 is the leftmost."),
     "target_lane": Column(
         pl.Int8(), "", "Lane that the ego steers to; with continuous actions, `lane`."
@@ -51,11 +52,13 @@ STEP: Mapping[str, Column] = {
         pl.Int16(), "", "Leader on the ego's lane, by its place in the order of spawning."
     ),
     "leader_distance": Column(pl.Float32(), "m", "Distance to that leader, centre to centre."),
+    "leader_length": Column(pl.Float64(), "m", "Length of that leader."),
     "leader_speed": Column(pl.Float32(), "m/s", "Speed of that leader."),
     "follower": Column(
         pl.Int16(), "", "Follower on the ego's lane, by its place in the order of spawning."
     ),
     "follower_distance": Column(pl.Float32(), "m", "Distance to that follower, centre to centre."),
+    "follower_length": Column(pl.Float64(), "m", "Length of that follower."),
     "follower_speed": Column(pl.Float32(), "m/s", "Speed of that follower."),
     "follower_acceleration": Column(
         pl.Float32(),
@@ -210,10 +213,22 @@ SCHEMAS = {
     "episodes": EPISODE_SCHEMA,
 }
 """The kinds of rows that a shard has."""
+LENGTHS = ("length", "leader_length", "follower_length")
+"""The columns that step rows of earlier versions lack: all vehicles had the profile's length."""
 NO_DRIVERS = DRIVER_SCHEMA.to_frame()
 """No driver rows."""
 DRIVER_KEYS = ("episode", "agent", "is_ego")
 DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
+
+
+def with_lengths(steps: pl.DataFrame, standard_m: float) -> pl.DataFrame:
+    """Step rows in which a vehicle without a recorded length has the profile's."""
+    own, leader, follower = (pl.col(name).fill_null(standard_m) for name in LENGTHS)
+    return steps.with_columns(
+        own,
+        pl.when(pl.col("leader_distance").is_not_null()).then(leader).alias("leader_length"),
+        pl.when(pl.col("follower_distance").is_not_null()).then(follower).alias("follower_length"),
+    )
 
 
 def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:

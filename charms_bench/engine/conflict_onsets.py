@@ -13,6 +13,7 @@ from typing import Any
 
 from charms_bench.engine.lane_changes import HARD_BRAKING_MPS2
 from charms_bench.foundation.compiled import compiled, index
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Ints, Scene
 
 CONFLICT_TTC_S = 1.5
@@ -27,7 +28,7 @@ def note_conflicts(
     scene: Scene, scenes: Ints, steps: Ints, interval_s: float, state: Any, sums: Any
 ) -> None:
     """Adds the conflicts that begin and the near misses that end in a decision interval."""
-    x, speed, length = scene.x, scene.speed, scene.constants.length
+    x, speed, length = scene.x, scene.speed, scene.length
     leaders, lanes, target_lane = scene.leaders, scene.lane, scene.target_lane
     acceleration, active = scene.acceleration, scene.active
     window = round(MANOEUVRE_S / interval_s)
@@ -40,7 +41,7 @@ def note_conflicts(
                 continue
             found = leaders[b, i, lanes[b, i]]
             leader = max(found, 0)
-            gap = x[b, leader] - x[b, i] - length
+            gap = gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader])
             closing = speed[b, i] - speed[b, leader]
             is_closing = (found >= 0) & (gap > 0) & (closing > 0)
             is_conflict = is_closing & (gap < CONFLICT_TTC_S * closing)

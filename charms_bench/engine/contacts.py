@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled, index
-from charms_bench.world.profile import Constants
 from charms_bench.world.scene import Floats, Scene
 
 USUAL_SPEED_MPS = 50.0
@@ -22,8 +21,8 @@ def collide(scene: Scene, first: int, after: int) -> None:
     c, vehicles = scene.constants, scene.x.shape[1]
     hits = np.empty((vehicles, 6))
     corners = np.empty((2, 4, 2))
-    diagonal = math.sqrt(c.length**2 + c.width**2)
-    beside = c.width + 1e-6  # where rounding does not decide whether they touch
+    standard = math.sqrt(c.length**2 + c.width**2)
+    length, width = scene.length, scene.width
     x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
     direction_x, direction_y, order = scene.direction_x, scene.direction_y, scene.order
     for row in range(first, after):
@@ -34,7 +33,10 @@ def collide(scene: Scene, first: int, after: int) -> None:
             is_faster |= abs(speed[b, i]) > fastest
         if is_faster:
             fastest = np.abs(speed[b]).max()
-        reach = diagonal + fastest * c.dt
+        largest = standard
+        if c.mixed_sizes:
+            largest = math.sqrt(length[b].max() ** 2 + width[b].max() ** 2)
+        reach = largest + fastest * c.dt
         found = 0
         for k in range(vehicles - 1):
             near = index(order[b, k])
@@ -45,13 +47,20 @@ def collide(scene: Scene, first: int, after: int) -> None:
                 dx, dy = x[b, far] - x[b, near], y[b, far] - y[b, near]
                 if dx > reach:
                     break
+                # A margin, so that rounding does not decide whether they touch.
+                beside = (width[b, near] + width[b, far]) / 2 + 1e-6
                 if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > beside:
                     continue  # side by side and straight, so they are apart across the road
                 i, j = min(order[b, k], order[b, m]), max(order[b, k], order[b, m])
-                if math.sqrt(dx * dx + dy * dy) > diagonal + speed[b, i] * c.dt:
+                diagonal = math.sqrt(length[b, i] ** 2 + width[b, i] ** 2)
+                other_diagonal = math.sqrt(length[b, j] ** 2 + width[b, j] ** 2)
+                distance = math.sqrt(dx * dx + dy * dy)
+                if distance > (diagonal + other_diagonal) / 2 + speed[b, i] * c.dt:
                     continue
-                fill_polygon(x[b, i], y[b, i], direction_x[b, i], direction_y[b, i], c, corners[0])
-                fill_polygon(x[b, j], y[b, j], direction_x[b, j], direction_y[b, j], c, corners[1])
+                for corner, v in enumerate((i, j)):
+                    cos, sin = direction_x[b, v], direction_y[b, v]
+                    size = length[b, v], width[b, v]
+                    fill_polygon(x[b, v], y[b, v], cos, sin, *size, corners[corner])
                 relative_x = speed[b, i] * direction_x[b, i] * c.dt
                 relative_x -= speed[b, j] * direction_x[b, j] * c.dt
                 relative_y = speed[b, i] * direction_y[b, i] * c.dt
@@ -97,11 +106,13 @@ def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
 
 
 @compiled
-def fill_polygon(x: float, y: float, cos: float, sin: float, c: Constants, corners: Floats) -> None:
+def fill_polygon(
+    x: float, y: float, cos: float, sin: float, length: float, width: float, corners: Floats
+) -> None:
     """Writes a vehicle's corners (4, 2) [`RoadObject.polygon` without the repeated corner]."""
     for corner in range(4):
-        ahead = -c.length / 2 if corner < 2 else c.length / 2
-        aside = -c.width / 2 if corner in (0, 3) else c.width / 2
+        ahead = -length / 2 if corner < 2 else length / 2
+        aside = -width / 2 if corner in (0, 3) else width / 2
         corners[corner, 0] = cos * ahead - sin * aside + x
         corners[corner, 1] = sin * ahead + cos * aside + y
 

@@ -24,7 +24,7 @@ def note_encroachments(
     scene: Scene, scenes: Ints, steps: Ints, interval_s: float, state: Any, sums: Any
 ) -> None:
     """Adds the PETs of vehicles that reach the place, then notes the vehicles that cut in."""
-    x, lanes, followers, length = scene.x, scene.lane, scene.followers, scene.constants.length
+    x, lanes, followers, length = scene.x, scene.lane, scene.followers, scene.length
     for row in scenes:
         b = index(row)
         step = steps[b]
@@ -53,7 +53,7 @@ def note_encroachments(
             j = followers[b, i, lane]
             if j < 0 or state[b, j].lost or lanes[b, j] != lane:
                 continue
-            other, place = state[b, j], x[b, i] - length
+            other, place = state[b, j], x[b, i] - (length[b, j] + length[b, i]) / 2
             other.cutter = NOBODY
             if place > x[b, j]:
                 other.cutter, other.place, other.cut_in = i, place, step

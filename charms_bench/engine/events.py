@@ -111,7 +111,7 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
         The least time (R,) until the ego touches a vehicle, s, at most `HORIZON_S`; and 1 over the
         largest deceleration (R,) needed, s²/m, at most `HARMLESS_S2_PER_M`.
     """
-    c, times = scene.constants, np.full(rows.size, HORIZON_S)
+    times = np.full(rows.size, HORIZON_S)
     inverse_decelerations = np.full(rows.size, HARMLESS_S2_PER_M)
     for r in range(rows.size):
         b = rows[r]
@@ -123,8 +123,10 @@ def closest(scene: Scene, rows: Ints) -> tuple[Floats, Floats]:
                 continue
             along = scene.speed[b, i] * scene.direction_x[b, i] - ahead
             across = scene.speed[b, i] * scene.direction_y[b, i] - aside
-            begin, end = overlap(scene.x[b, i] - scene.x[b, ego], along, c.length)
-            start, stop = overlap(scene.y[b, i] - scene.y[b, ego], across, c.width)
+            length = (scene.length[b, i] + scene.length[b, ego]) / 2
+            width = (scene.width[b, i] + scene.width[b, ego]) / 2
+            begin, end = overlap(scene.x[b, i] - scene.x[b, ego], along, length)
+            start, stop = overlap(scene.y[b, i] - scene.y[b, ego], across, width)
             time = max(begin, start, 0.0)
             if time > min(end, stop):
                 continue

@@ -22,6 +22,7 @@ import numpy as np
 
 from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Bools, Ints, Scene
 
 if TYPE_CHECKING:
@@ -93,15 +94,15 @@ def _note_movements(scene: Scene, scenes: Ints, now: Ints, state: Any) -> None:
     """
     c, x, y, speed, lanes = scene.constants, scene.x, scene.y, scene.speed, scene.lane
     direction_y, followers = scene.direction_y, scene.followers
-    inside = (c.lane_width - c.width) / 2
-    least = min(LANE_KEEPING_M, inside)
+    length, width = scene.length, scene.width
     for row in scenes:
         b = index(row)
         for place in range(y.shape[1]):
             i = index(place)
             lane = lanes[b, i]
             beside = y[b, i] - lane * c.lane_width
-            if abs(beside) <= least:
+            inside = (c.lane_width - width[b, i]) / 2
+            if abs(beside) <= min(LANE_KEEPING_M, inside):
                 continue
             own, aside = state[b, i], speed[b, i] * direction_y[b, i]
             away = aside if beside > 0 else -aside
@@ -119,7 +120,8 @@ def _note_movements(scene: Scene, scenes: Ints, now: Ints, state: Any) -> None:
             j = followers[b, i, index(entered)]
             if j >= 0 and lanes[b, index(j)] == entered:
                 closing = speed[b, index(j)] - speed[b, i]
-                gap = max(x[b, i] - x[b, index(j)] - c.length, 0.0)
+                lengths = length[b, index(j)], length[b, i]
+                gap = max(gap_to(x[b, index(j)], x[b, i], *lengths), 0.0)
                 if closing > 0 and closing**2 > 2 * ENTRY_DRAC_MPS2 * gap:
                     other = state[b, index(j)]
                     other.entrant, other.entered = place, now[b]
@@ -128,6 +130,7 @@ def _note_movements(scene: Scene, scenes: Ints, now: Ints, state: Any) -> None:
 @compiled
 def _judge(scene: Scene, scenes: Ints, collision: Ints, since: Ints, state: Any) -> None:
     """Judges the vehicles that have just collided; entries count from the decision `since` on."""
+    x, y = scene.x, scene.y
     for row in scenes:
         b = index(row)
         for i in range(collision.shape[1]):
@@ -135,7 +138,7 @@ def _judge(scene: Scene, scenes: Ints, collision: Ints, since: Ints, state: Any)
             if collision[b, i] == NO_COLLISION or own.is_judged:
                 continue
             own.is_judged = True
-            j, _ = vehicle_hit(scene.x[b], scene.y[b], i, scene.constants)
+            j, _ = vehicle_hit(x[b], y[b], scene.length[b], scene.width[b], i)
             other, faster = state[b, j], scene.speed[b, i] - scene.speed[b, j]
             is_behind = collision[b, i] == STRIKING
             if collision[b, i] == SIDE_COLLISION or (faster if is_behind else -faster) <= 0:

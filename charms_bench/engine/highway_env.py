@@ -20,9 +20,11 @@ from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.highway_env_roads import highway_env_network
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
-from charms_bench.engine.restored_vehicles import RestoredVehicles
+from charms_bench.engine.restored_vehicles import RestoredVehicles, set_size
+from charms_bench.engine.type_draws import set_types
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -66,9 +68,11 @@ class HighwayEnvEngine:
         scenario = settings.scenario
         self._script = None if scenario is None else Script(scenario, settings, scenes)
 
-    def reset(self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints) -> None:
+    def reset(
+        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+    ) -> None:
         if self._script is None:
-            self._reset(rows, [np.random.default_rng(int(seed)) for seed in seeds], traffic)
+            self._draw(rows, seeds, traffic, draws)
             return
         self._script.place(self.scene, rows, seeds)
         for row, others in zip(map(int, rows), traffic, strict=True):
@@ -77,22 +81,27 @@ class HighwayEnvEngine:
             self._copy_state(row)
         locate(self.scene, rows)
 
-    def place(self, rows: Ints, draws: Floats, traffic: Ints) -> None:
-        self._reset(rows, [ReplayedDraws(each, self._settings) for each in draws], traffic)
-
-    def _reset(self, rows: Ints, rngs: Sequence[RandomSource], traffic: Ints) -> None:
-        for row, rng, others in zip(rows, rngs, traffic, strict=True):
-            ego = int(rng.integers(0, self._settings.ego_slots))
-            self.scene.ego[row] = ego
+    def _draw(
+        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None
+    ) -> None:
+        rngs: Sequence[RandomSource] = (
+            [np.random.default_rng(int(seed)) for seed in seeds]
+            if draws is None
+            else [ReplayedDraws(each, self._settings) for each in draws]
+        )
+        self.scene.ego[rows] = [int(rng.integers(0, self._settings.ego_slots)) for rng in rngs]
+        desired = set_types(self.scene, self._settings, rows, seeds)
+        for row, rng, others, speeds in zip(rows, rngs, traffic, desired, strict=True):
+            ego = int(self.scene.ego[row])
             self.scene.active[row] = True
             self.drivers[row] = np.insert(others, ego, 0)
-            self.roads[row] = self._spawn(row, ego, rng)
+            self.roads[row] = self._spawn(row, ego, rng, speeds)
             self._copy_state(int(row))
         locate(self.scene, rows)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
-            self._script.choose(rows, seeds)
+            self._script.choose(self.scene, rows, seeds)
         locate(self.scene, rows)
         is_continuous = np.isin(self.drivers[rows], self._continuous)
         self.scene.target_speed[rows] *= ~is_continuous
@@ -172,6 +181,7 @@ class HighwayEnvEngine:
             vehicle_class = self._class_of(int(self.drivers[row, place]))
             position = [scene.x[row, place], scene.y[row, place]]
             vehicle = vehicle_class(road, position, 0.0, scene.speed[row, place])
+            set_size(vehicle, scene.length[row, place], scene.width[row, place])
             if isinstance(vehicle, IDMVehicle):
                 low, high = vehicle.DELTA_RANGE
                 vehicle.DELTA = low + scene.temperament[row, place] * (high - low)
@@ -180,8 +190,11 @@ class HighwayEnvEngine:
             road.vehicles.append(vehicle)
         return road
 
-    def _spawn(self, row: int, ego: int, rng: RandomSource) -> Road:
-        """[`HighwayEnv._create_vehicles`, with the ego at its place]"""
+    def _spawn(self, row: int, ego: int, rng: RandomSource, desired: Floats) -> Road:
+        """[`HighwayEnv._create_vehicles`, with the ego at its place]
+
+        `desired` (N,) are the vehicles' desired speeds, not a number for those at which they start.
+        """
         settings, profile = self._settings, self._settings.profile
         road = Road(network=self._network, np_random=rng)
         spacing = 1 / settings.density
@@ -192,8 +205,16 @@ class HighwayEnvEngine:
                 speed=profile.ego_speed_mps if is_ego else None,
                 spacing=(profile.ego_spacing or spacing) if is_ego else spacing,
             )
+            if place > 0:  # as far apart as vehicles of the profile's length, bumper to bumper
+                last = int(np.argmax([vehicle.position[0] for vehicle in road.vehicles]))
+                lengths = self.scene.length[row, [place, last]]
+                spawned.position[0] += overhang(lengths, profile.vehicle_length_m).sum()
             vehicle_class = self._class_of(int(self.drivers[row, place]))
-            vehicle = vehicle_class(road, spawned.position, spawned.heading, spawned.speed)
+            state = spawned.position, spawned.heading, spawned.speed
+            wants_own = issubclass(vehicle_class, ControlledVehicle) and desired[place] > 0
+            own = {"target_speed": float(desired[place])} if wants_own else {}
+            vehicle = vehicle_class(road, *state, **own)
+            set_size(vehicle, self.scene.length[row, place], self.scene.width[row, place])
             road.vehicles.append(vehicle)
             if not is_ego:
                 self._draw_temperament(row, place, vehicle, rng)
@@ -301,9 +322,16 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
 
 def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
     """A subclass of a highway-env vehicle class with the profile's constants."""
-    idm = profile.idm_mobil
+    idm, standard_length = profile.idm_mobil, profile.vehicle_length_m
+
+    def lane_distance_to(self: Any, other: Any, lane: Any = None) -> Any:
+        """[`RoadObject.lane_distance_to`] for lengths that differ; see `following_distance`."""
+        distance = vehicle_class.lane_distance_to(self, other, lane)
+        lengths = self.LENGTH, (other or self).LENGTH
+        return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
+
     values = {
-        "LENGTH": profile.vehicle_length_m,
+        "LENGTH": standard_length,
         "WIDTH": profile.vehicle_width_m,
         "MIN_SPEED": profile.speed_min_mps,
         "MAX_SPEED": profile.speed_max_mps,
@@ -319,6 +347,7 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         **_idm_attributes(idm.model_dump()),
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
+    held["lane_distance_to"] = lane_distance_to
     return type(vehicle_class.__name__, (vehicle_class,), held)
 
 

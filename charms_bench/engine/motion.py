@@ -38,6 +38,7 @@ class Turning(NamedTuple):
     """Position beside the centre of the target lane, m."""
     heading: Floats
     speed: Floats
+    half_length: Floats
     angle: Floats
     """Intermediate results, rad."""
     steering: Floats
@@ -51,7 +52,7 @@ class Turning(NamedTuple):
 @compiled
 def room_to_turn(vehicles: int) -> Turning:
     """Arrays for a block of so many vehicles."""
-    floats = np.empty((10, vehicles))
+    floats = np.empty((11, vehicles))
     return Turning(
         np.empty(vehicles, dtype=np.int64),
         np.empty(vehicles, dtype=np.bool_),
@@ -65,6 +66,7 @@ def room_to_turn(vehicles: int) -> Turning:
         floats[7],
         floats[8],
         floats[9],
+        floats[10],
     )
 
 
@@ -77,6 +79,7 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
     [`ControlledVehicle.steering_control`]
     """
     lateral, heading, speed = turning.lateral, turning.heading, turning.speed
+    half_length = turning.half_length
     angle, steering, is_steered = turning.angle, turning.steering, turning.is_steered
     for k in range(count):
         lateral_speed = -(1 / c.tau_lateral) * lateral[k]
@@ -86,7 +89,7 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
         angle[k] = wrap_to_pi(angle[k])
     for k in range(count):
         heading_rate = (1 / c.tau_heading) * angle[k]
-        angle[k] = maths.asin(clip(c.length / 2 / not_zero(speed[k]) * heading_rate, -1.0, 1.0))
+        angle[k] = maths.asin(clip(half_length[k] / not_zero(speed[k]) * heading_rate, -1.0, 1.0))
     for k in range(count):
         angle[k] = 2 * maths.tan(angle[k])
     for k in range(count):
@@ -98,6 +101,7 @@ def steer(turning: Turning, count: int, c: Constants) -> None:
 def turn(turning: Turning, count: int, c: Constants) -> None:
     """Computes the displacements and new headings of `count` vehicles [`Vehicle.step`]."""
     heading, speed, angle = turning.heading, turning.speed, turning.angle
+    half_length = turning.half_length
     steering, ahead, aside = turning.steering, turning.ahead, turning.aside
     direction_x, direction_y = turning.direction_x, turning.direction_y
     for k in range(count):
@@ -108,7 +112,7 @@ def turn(turning: Turning, count: int, c: Constants) -> None:
         sine, cosine = maths.sin_cos(heading[k] + angle[k])
         ahead[k], aside[k] = speed[k] * cosine * c.dt, speed[k] * sine * c.dt
     for k in range(count):
-        heading[k] += speed[k] * maths.sin(angle[k]) / (c.length / 2) * c.dt
+        heading[k] += speed[k] * maths.sin(angle[k]) / half_length[k] * c.dt
     for k in range(count):
         direction_y[k], direction_x[k] = maths.sin_cos(heading[k])
 
@@ -126,6 +130,7 @@ def move(
     c = scene.constants
     x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
     heading, speed = scene.heading[first:after].reshape(-1), scene.speed[first:after].reshape(-1)
+    length = scene.length[first:after].reshape(-1)
     acceleration = scene.acceleration[first:after].reshape(-1)
     steering = scene.steering[first:after].reshape(-1)
     target_speed = scene.target_speed[first:after].reshape(-1)
@@ -147,6 +152,7 @@ def move(
         turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
         turning.heading[k] = heading[i]
         turning.speed[k] = speed[i]
+        turning.half_length[k] = length[i] / 2
     # Each loop has few arrays: LLVM does not vectorise a loop over many that might overlap.
     for i in range(x.size):
         v = speed[i]

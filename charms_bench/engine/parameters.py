@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from charms_bench.engine.type_draws import draw_types
 from charms_bench.world.placement import driver_parameters
 from charms_bench.world.scene import Ints
 
@@ -23,20 +24,27 @@ _STREAM = 3
 def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     """Sets the parameters of the drivers in the scenes `rows` (R,).
 
-    They are uniform in the ranges that their model declares, and independent. In a scenario,
+    They are uniform in the ranges that the vehicle's type gives, or else their model declares, and
+    independent. In a scenario,
     nothing is left to chance: they are the middles of the ranges, or what the scenario gives.
     """
+    if not simulation.ranges:
+        return
+    settings, seeds = simulation.settings, simulation.seeds[rows]
+    kinds, _ = draw_types(settings, seeds, simulation.scene.ego[rows])
+    given = [*(each.driver_parameters for each in settings.vehicle_types), {}]
     for agent, ranges in simulation.ranges.items():
         name = simulation.agents[agent].encode()
-        low, high = np.array([*ranges.values()]).T
-        shape = (simulation.settings.vehicles, len(ranges))
-        for row in rows:
+        of_kinds = [[own.get(key, each) for key, each in ranges.items()] for own in given]
+        shape = (settings.vehicles, len(ranges))
+        for row, kind in zip(rows, kinds, strict=True):
             shares = np.full(shape, 0.5)
-            if simulation.settings.scenario is None:
+            if settings.scenario is None:
                 # Each model has its own random stream: other drivers do not change the draws.
                 rng = np.random.default_rng([int(simulation.seeds[row]), _STREAM, crc32(name)])
                 shares = rng.random(shape)
             own = simulation.engine.drivers[row] == agent
+            low, high = np.moveaxis(np.array(of_kinds)[kind[own]], -1, 0)
             drawn = low + (high - low) * shares[own]
             simulation.scene.parameters[row, own, : len(ranges)] = drawn
         _set_given(simulation, rows, agent, ranges)

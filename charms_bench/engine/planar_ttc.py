@@ -25,12 +25,13 @@ def planar_ttc(scene: Scene, scenes: Ints) -> Floats:
     times = np.empty(scenes.size)
     x, y, speed, egos = scene.x, scene.y, scene.speed, scene.ego
     direction_x, direction_y = scene.direction_x, scene.direction_y
-    length, width = scene.constants.length, scene.constants.width
+    lengths, widths = scene.length, scene.width
     for s in range(scenes.size):
         b = index(scenes[s])
         ego = index(egos[b])
         own_x, own_y = x[b, ego], y[b, ego]
         cos, sin = direction_x[b, ego], direction_y[b, ego]
+        length, width = lengths[b, ego], widths[b, ego]
         own_ahead, own_aside = speed[b, ego] * cos, speed[b, ego] * sin
         reach_x = (length * (1 + abs(cos)) + width * abs(sin)) / 2
         reach_y = (width * (1 + abs(cos)) + length * abs(sin)) / 2
@@ -45,16 +46,16 @@ def planar_ttc(scene: Scene, scenes: Ints) -> Floats:
             aside = speed[b, i] * other_sin - own_aside
             # Upright boxes around both are larger, so nearly all vehicles are rejected by theirs.
             turned = abs(other_sin)
-            gap_x = abs(dx) - reach_x - width * turned / 2
-            gap_y = abs(dy) - reach_y - length * turned / 2
+            longer, wider = lengths[b, i] - length, widths[b, i] - width
+            gap_x = abs(dx) - reach_x - widths[b, i] * turned / 2 - longer / 2
+            gap_y = abs(dy) - reach_y - lengths[b, i] * turned / 2 - wider / 2
             closing_x = -ahead if dx > 0 else ahead
             closing_y = -aside if dy > 0 else aside
             # Without branches: where vehicles are cannot be predicted.
             if (gap_x > max(closing_x * least, 0.0)) | (gap_y > max(closing_y * least, 0.0)):
                 continue
-            time = time_to_touch(
-                dx, dy, ahead, aside, cos, sin, other_cos, other_sin, length, width
-            )
+            sizes = length, width, lengths[b, i], widths[b, i]
+            time = time_to_touch(dx, dy, ahead, aside, cos, sin, other_cos, other_sin, *sizes)
             if time <= least:
                 least, found = time, True
         times[s] = least if found else np.inf
@@ -73,22 +74,26 @@ def time_to_touch(
     other_sin: float,
     length: float,
     width: float,
+    other_length: float,
+    other_width: float,
 ) -> float:
-    """When two rectangles of the same size touch, s; infinite if they never do.
+    """When two rectangles touch, s; infinite if they never do.
 
     Args:
         dx, dy: Position of the other rectangle's centre from the first one's, m.
         ahead, aside: Its velocity relative to the first one's, m/s.
         cos, sin: Direction of the first one's heading.
         other_cos, other_sin: Direction of the other one's heading.
-        length, width: Of both, m.
+        length, width: Of the first one, m.
+        other_length, other_width: Of the other one, m.
     """
     parallel = abs(cos * other_cos + sin * other_sin)
     turned = abs(cos * other_sin - sin * other_cos)
-    along = (length * (1 + parallel) + width * turned) / 2
-    across = (width * (1 + parallel) + length * turned) / 2
+    own, other = (cos, sin, length, width), (other_cos, other_sin, other_length, other_width)
     begin, end = 0.0, np.inf
-    for axis_x, axis_y in ((cos, sin), (other_cos, other_sin)):
+    for (axis_x, axis_y, long, wide), (_, _, far_long, far_wide) in ((own, other), (other, own)):
+        along = (far_long * (1 + parallel) + (long - far_long) + far_wide * turned) / 2
+        across = (far_wide * (1 + parallel) + (wide - far_wide) + far_long * turned) / 2
         one, until = overlap(dx * axis_x + dy * axis_y, ahead * axis_x + aside * axis_y, along)
         begin, end = max(begin, one), min(end, until)
         one, until = overlap(dy * axis_x - dx * axis_y, aside * axis_x - ahead * axis_y, across)

@@ -33,7 +33,7 @@ class Script:
 
     def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
-        found = self.choose(rows, numbers)
+        found = self.choose(scene, rows, numbers)
         scene.ego[rows] = 0
         scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
         _, scene.y[rows] = position(self._constants, found.lane, found.x, 0.0)
@@ -45,11 +45,12 @@ class Script:
         scene.active[rows] = True
         locate(scene, rows)
 
-    def choose(self, rows: Ints, numbers: NDArray[Any]) -> Placement:
-        """Prescribes the motion of the points with these numbers in the scenes `rows` (R,)."""
+    def choose(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> Placement:
+        """Prescribes the sizes and motion of points with these numbers in scenes `rows` (R,)."""
         found = place(self._scenario, self._constants, numbers)
         for whole, part in zip(self._placement, found, strict=True):
             whole[rows] = part
+        scene.length[rows], scene.width[rows] = found.length, found.width
         return found
 
     def prescribe(self, scene: Scene, rows: Ints) -> None:

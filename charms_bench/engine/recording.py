@@ -24,8 +24,8 @@ from charms_bench.world.scene import Bools, Floats, Ints, Scene
 INTERACTION_RANGE_M = 30.0
 MASKS = {
     "has_action": ["action"],
-    "has_leader": ["leader", "leader_distance", "leader_speed"],
-    "has_follower": ["follower", "follower_distance", "follower_speed"],
+    "has_leader": ["leader", "leader_distance", "leader_length", "leader_speed"],
+    "has_follower": ["follower", "follower_distance", "follower_length", "follower_speed"],
     "follower_drives": ["follower_acceleration"],
     "new_follower_drives": ["new_follower_acceleration"],
     "has_planar_ttc": ["planar_ttc"],
@@ -148,6 +148,7 @@ def note_step(
         row.speed = scene.speed[b, ego]
         row.acceleration = scene.acceleration[b, ego]
         row.steering = scene.steering[b, ego]
+        row.length = scene.length[b, ego]
         row.lane = lane
         row.target_lane = scene.target_lane[b, ego]
         row.action = action[b, ego]
@@ -157,12 +158,14 @@ def note_step(
             mask.has_leader = True
             row.leader = leader
             row.leader_distance = scene.x[b, leader] - x
+            row.leader_length = scene.length[b, leader]
             row.leader_speed = scene.speed[b, leader]
         follower = scene.followers[b, ego, lane]
         if follower >= 0:
             mask.has_follower = True
             row.follower = follower
             row.follower_distance = x - scene.x[b, follower]
+            row.follower_length = scene.length[b, follower]
             row.follower_speed = scene.speed[b, follower]
             row.follower_acceleration = scene.acceleration[b, follower]
             mask.follower_drives = not scene.crashed[b, follower]

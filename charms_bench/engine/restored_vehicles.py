@@ -14,6 +14,12 @@ from highway_env.vehicle.behavior import IDMVehicle
 from charms_bench.world.scene import Scene
 
 
+def set_size(vehicle: Any, length: float, width: float) -> None:
+    """Gives a vehicle a size of its own [`RoadObject.__init__`]."""
+    vehicle.LENGTH, vehicle.WIDTH = length, width
+    vehicle.diagonal = np.sqrt(length**2 + width**2)
+
+
 class RestoredVehicles:
     """Places vehicles on a road network of parallel lanes."""
 
@@ -49,7 +55,9 @@ class RestoredVehicles:
                 acceleration,
                 timer_s,
                 temperament,
+                *size,
             ) = values
+            set_size(vehicle, *size)
             vehicle.position = positions[place]
             vehicle.impact = impacts[place] if has_impact else None
             vehicle.lane_index, vehicle.lane = self._lanes[lane]
@@ -74,5 +82,5 @@ class RestoredVehicles:
 
 _COLUMNS = (
     "heading", "speed", "target_speed", "crashed", "impact", "lane", "target_lane", "steering",
-    "acceleration", "timer_s", "temperament",
+    "acceleration", "timer_s", "temperament", "length", "width",
 )  # fmt: skip

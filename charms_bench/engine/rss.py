@@ -9,6 +9,7 @@ under control, because each is judged as one driver among others.
 from typing import Any
 
 from charms_bench.foundation.compiled import compiled, index, inlined
+from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.scene import Ints, Scene
 
 # ad-rss-lib, Appendix-ParameterDiscussion.md.
@@ -52,6 +53,7 @@ def note_rss(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums: An
     """Adds the time in danger from the nearest vehicles ahead on the own and adjacent lanes."""
     c, x, y, speed, lanes = scene.constants, scene.x, scene.y, scene.speed, scene.lane
     direction_x, direction_y, leaders = scene.direction_x, scene.direction_y, scene.leaders
+    length, width = scene.length, scene.width
     for row in scenes:
         b = index(row)
         for i in range(x.shape[1]):
@@ -63,15 +65,15 @@ def note_rss(scene: Scene, scenes: Ints, interval_s: float, state: Any, sums: An
             for on in range(max(lanes[b, i] - 1, 0), min(lanes[b, i] + 2, c.lanes)):
                 found = leaders[b, i, on]
                 j = max(found, 0)
-                gap = x[b, j] - x[b, i] - c.length
+                gap = gap_to(x[b, i], x[b, j], length[b, i], length[b, j])
                 to_the_right = 1.0 if y[b, j] > y[b, i] else -1.0
-                side_gap = abs(y[b, j] - y[b, i]) - c.width
+                aside_m = side_gap(y[b, i], y[b, j], width[b, i], width[b, j])
                 approach = -to_the_right * speed[b, j] * direction_y[b, j]
                 # No branches: what is true of a pair cannot be predicted, which costs more.
                 is_dangerous = (
                     (found >= 0)
                     & (gap < safe_distance(forward, speed[b, j] * direction_x[b, j]))
-                    & (side_gap < safe_side_distance(to_the_right * aside, approach))
+                    & (aside_m < safe_side_distance(to_the_right * aside, approach))
                 )
                 is_too_close |= is_dangerous
                 state[b, j].is_pressed |= is_dangerous

@@ -24,6 +24,7 @@ from charms_bench.errors import (
     AgentError,
     BrokenWordError,
     InputError,
+    ScenarioError,
     raised,
 )
 from charms_bench.foundation.compiled import compiled
@@ -35,6 +36,7 @@ from charms_bench.world.actions import ActionKind, Actions, problem_of
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.vehicle_types import check_driver_parameters
 
 
 class Simulation:
@@ -105,6 +107,12 @@ class Simulation:
             for k, agent in self.made.items()
             if isinstance(agent, DriverModel)
         }
+        ranges_of = {self.agents[k]: models[k].parameters if k in models else {} for k in self.made}
+        try:
+            check_driver_parameters(settings.vehicle_types, ranges_of)
+        except ScenarioError as error:
+            at = ".".join(map(str, error.location))
+            raise InputError(f"scene.{at}: {error}") from error
         self.ranges = {k: model.parameters for k, model in models.items() if model.parameters}
         """The parameters of driver models and their ranges, by the index of the agent."""
         continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
@@ -155,7 +163,7 @@ class Simulation:
         """Starts an episode in each of the scenes `rows`; by default, in all scenes.
 
         If `draws` (R, 4 N + 1) are given, vehicles are placed by them (see `engine.draws`), and the
-        seeds only decide what the traffic and its drivers' parameters draw.
+        seeds only decide what the traffic, types and drivers' parameters draw.
         """
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
@@ -166,10 +174,7 @@ class Simulation:
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
             traffic[r] = [index[name] for name in self._assigned(rng, int(seed), others)]
-        if draws is None:
-            self.engine.reset(rows, seeds, traffic)
-        else:
-            self.engine.place(rows, draws, traffic)
+        self.engine.reset(rows, seeds, traffic, draws)
         set_parameters(self, rows)
         self.scene.memory[rows] = 0.0
         self.steps[rows] = 0

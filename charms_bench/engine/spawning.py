@@ -7,6 +7,7 @@ from charms_bench.engine.draws import DISTANCE, LANE, SPEED, TEMPERAMENT
 from charms_bench.engine.neighbours import locate
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.world.gaps import overhang
 from charms_bench.world.road import position
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings
 
@@ -15,7 +16,6 @@ class SpawnRule(NamedTuple):
     """How `spawn` draws vehicles; SI units."""
 
     lanes: int
-    ego_slots: int
     ego_speed: float
     ego_spacing: float
     spacing: float
@@ -30,7 +30,6 @@ def spawn_rule(settings: SceneSettings) -> SpawnRule:
     profile, spacing = settings.profile, 1 / settings.density
     return SpawnRule(
         lanes=settings.lanes,
-        ego_slots=settings.ego_slots,
         ego_speed=profile.ego_speed_mps,
         ego_spacing=profile.ego_spacing or spacing,
         spacing=spacing,
@@ -44,13 +43,15 @@ def spawn_rule(settings: SceneSettings) -> SpawnRule:
 def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
     """Places new vehicles in the scenes `rows` (R,) by their draws (R, 4 N + 1); see `draws`.
 
-    The rule is that of `Vehicle.create_random` in `HighwayEnv._create_vehicles`.
+    The rule is that of `Vehicle.create_random` in `HighwayEnv._create_vehicles`. The scenes have
+    their egos and the sizes of their vehicles already.
     """
     x, speed, lane, temperament = scene.x, scene.speed, scene.lane, scene.temperament
+    length, standard = scene.length, scene.constants.length
     for r in range(rows.size):
         b, drawn = rows[r], draws[r]
-        ego = scene.ego[b] = int(drawn[0] * rule.ego_slots)
-        furthest = 0.0
+        ego = scene.ego[b]
+        furthest, last = 0.0, -1
         for i in range(x.shape[1]):
             lane[b, i] = int(drawn[LANE + 4 * i] * rule.lanes)
             if i == ego:
@@ -62,12 +63,15 @@ def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
             offset = spacing * (12 + 1.0 * speed[b, i]) * rule.crowding
             x[b, i] = 3 * offset if i == 0 else furthest
             x[b, i] += offset * (0.9 + (1.1 - 0.9) * drawn[DISTANCE + 4 * i])
-            furthest = max(furthest, x[b, i])
+            if i > 0:  # as far apart as two vehicles of the profile's length, bumper to bumper
+                own, other = overhang(length[b, i], standard), overhang(length[b, last], standard)
+                x[b, i] += own + other
+            if x[b, i] > furthest:
+                furthest, last = x[b, i], i
             temperament[b, i] = drawn[TEMPERAMENT + 4 * i]
             scene.order[b, i] = scene.rank[b, i] = i
         for i in range(x.shape[1]):
             _, scene.y[b, i] = position(scene.constants, lane[b, i], x[b, i], 0.0)
-            scene.target_speed[b, i] = speed[b, i]
             scene.target_lane[b, i] = lane[b, i]
             phase = (x[b, i] + scene.y[b, i]) * math.pi  # as IDMVehicle.__init__
             scene.timer_s[b, i] = phase % scene.constants.idm_mobil.lane_change_period_s

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.type_draws import set_types
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
@@ -197,6 +198,7 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     width = min(memory.shape[2], state.memory.shape[2])
     memory[rows] = 0.0
     memory[rows, :, :width] = state.memory[:, :, :width]
+    set_types(simulation.scene, simulation.settings, rows, state.seeds)
     simulation.engine.restore(rows, state.seeds)
     set_parameters(simulation, rows)
 

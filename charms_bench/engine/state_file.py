@@ -201,11 +201,12 @@ def _magnitudes(settings: SceneSettings) -> dict[str, float]:
     acceleration = max(2 * speed / profile.tau_acceleration_s, speed, ACCELERATION_LIMIT_MPS2)
     distance = settings.road_length_m + speed * settings.duration_s
     # A collision moves two overlapping vehicles apart, and what they cover in one step [`SAT`].
-    impact = 2 * (profile.vehicle_length_m + profile.vehicle_width_m)
+    lengths, widths = zip(*settings.sizes_m, strict=True)
+    impact = 2 * (max(lengths) + max(widths))
     impact += speed / settings.simulation_hz
     # The bicycle model turns by at most speed / (length / 2), and no further than steering to the
     # side takes it; full circles are not taken off.
-    heading = 2 * math.pi + 2 * speed / profile.vehicle_length_m * settings.duration_s
+    heading = 2 * math.pi + 2 * speed / min(lengths) * settings.duration_s
     return {
         "x": distance,
         "y": distance,

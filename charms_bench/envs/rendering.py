@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.errors import InputError
+from charms_bench.world.gaps import gap_to
 
 if TYPE_CHECKING:
     from charms_bench.envs.window import Window
@@ -102,6 +103,8 @@ def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
         x=scene.x[row],
         y=scene.y[row],
         heading=scene.heading[row],
+        length=scene.length[row],
+        width=scene.width[row],
         speed=scene.speed[row],
         acceleration=scene.acceleration[row],
         lane=scene.lane[row],
@@ -119,7 +122,8 @@ def _to_leader(simulation: Simulation, row: int, ego: int) -> tuple[float, float
     scene = simulation.scene
     vehicle = (np.array([row]), np.array([ego]))
     leader, found = scene.leader(vehicle, scene.lane[vehicle])
-    gap = scene.x[row, leader[0]] - scene.x[row, ego] - scene.constants.length
+    lengths = scene.length[row, ego], scene.length[row, leader[0]]
+    gap = gap_to(scene.x[row, ego], scene.x[row, leader[0]], *lengths)
     if not found[0] or scene.crashed[row, ego] or gap <= 0:
         return np.nan, np.nan
     closing = scene.speed[row, ego] - scene.speed[row, leader[0]]

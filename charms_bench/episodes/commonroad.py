@@ -14,6 +14,7 @@ import numpy as np
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import write_bytes
+from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 FIRST_VEHICLE = 1001
 """Identifier of the obstacle that is vehicle 0; lanelets are counted from 1."""
@@ -94,11 +95,12 @@ def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
 def _add_vehicle(root: ElementTree.Element, replay: Replay, vehicle: int) -> None:
     number = str(FIRST_VEHICLE + vehicle)
     obstacle = ElementTree.SubElement(root, "dynamicObstacle", id=number)
-    ElementTree.SubElement(obstacle, "type").text = "car"
+    length, width = float(replay.length[0, vehicle]), float(replay.width[0, vehicle])
+    kind = "car" if length < TRUCK_LENGTH_M else "truck"
+    ElementTree.SubElement(obstacle, "type").text = kind
     shape = ElementTree.SubElement(ElementTree.SubElement(obstacle, "shape"), "rectangle")
-    profile = replay.settings.profile
-    ElementTree.SubElement(shape, "length").text = _decimal(profile.vehicle_length_m)
-    ElementTree.SubElement(shape, "width").text = _decimal(profile.vehicle_width_m)
+    ElementTree.SubElement(shape, "length").text = _decimal(length)
+    ElementTree.SubElement(shape, "width").text = _decimal(width)
     initial = ElementTree.SubElement(obstacle, "initialState")
     _add_state(initial, replay, vehicle, 0)
     trajectory = ElementTree.SubElement(obstacle, "trajectory")

@@ -6,6 +6,7 @@ import numpy as np
 
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
 from charms_bench.world.straight_road import NEIGHBOUR_MARGIN_M
@@ -31,7 +32,7 @@ class EgoView:
 
 def ego_view(replay: Replay) -> EgoView:
     """Returns what surrounds the ego; leader and follower follow the rule of `Scene.leader`."""
-    constants, ego = replay.settings.constants, replay.ego
+    constants, ego, frames = replay.settings.constants, replay.ego, np.arange(len(replay.t_s))
     lane = replay.lane[:, [ego]]
     on_lane = is_on_lane(constants, lane, replay.x, replay.y, NEIGHBOUR_MARGIN_M)
     on_lane[:, ego] = False
@@ -39,19 +40,19 @@ def ego_view(replay: Replay) -> EgoView:
     leader, to_leader = _nearest(ahead, on_lane & (ahead >= 0))
     follower, to_follower = _nearest(-ahead, on_lane & (ahead < 0))
 
-    def gap(distance: Floats) -> Floats:
-        apart = ~replay.crashed[:, ego] & (distance > constants.length)
-        return np.where(apart, distance - constants.length, np.nan)
+    def gap(distance: Floats, other: Ints) -> Floats:
+        between = gap_to(0.0, distance, replay.length[:, ego], replay.length[frames, other])
+        return np.where(~replay.crashed[:, ego] & (between > 0), between, np.nan)
 
-    gap_ahead = gap(to_leader)
-    closing = replay.speed[:, ego] - replay.speed[np.arange(len(leader)), leader]
+    gap_ahead = gap(to_leader, leader)
+    closing = replay.speed[:, ego] - replay.speed[frames, leader]
     ttc = np.full(gap_ahead.shape, np.nan)
     np.divide(gap_ahead, closing, out=ttc, where=closing > 0)
     return EgoView(
         leader=leader,
         follower=follower,
         gap_ahead=gap_ahead,
-        gap_behind=gap(to_follower),
+        gap_behind=gap(to_follower, follower),
         ttc=ttc,
         reward=_rewards(replay),
     )

@@ -17,7 +17,9 @@ import polars as pl
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.people.highd import LOWER
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 MEDIAN_M = 4.0
 """Distance between the carriageways."""
@@ -69,7 +71,7 @@ def _markings(replay: Replay) -> tuple[Floats, Floats]:
 def _tracks(replay: Replay) -> pl.DataFrame:
     """Returns one row per vehicle and frame, sorted by both; frames are counted from 1."""
     profile, hz = replay.settings.profile, replay.settings.simulation_hz
-    length, width = profile.vehicle_length_m, profile.vehicle_width_m
+    length, width = replay.length, replay.width
     upper, lower = _markings(replay)
     frames, vehicles = replay.x.shape
     x, y = replay.x, replay.y + lower[0] + profile.lane_width_m / 2
@@ -79,7 +81,7 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1
     some = max(1, PAIRS_AT_ONCE // vehicles**2)
     parts = [
-        _neighbours(x[first : first + some], lane[first : first + some], length)
+        _neighbours(x[first : first + some], lane[first : first + some], length[0])
         for first in range(0, frames, some)
     ]
     neighbours = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -87,14 +89,15 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     exists = preceding != NO_NEIGHBOUR
     leader = np.maximum(preceding - 1, 0)
     leader_speed = np.take_along_axis(velocity[0], leader, axis=1)
-    gap = np.where(exists, np.take_along_axis(x, leader, axis=1) - x - length, 0.0).clip(min=0.0)
+    leader_x, leader_length = (np.take_along_axis(each, leader, axis=1) for each in (x, length))
+    gap = np.where(exists, gap_to(x, leader_x, length, leader_length), 0.0).clip(min=0.0)
     columns = {
         "frame": np.broadcast_to(np.arange(1, frames + 1)[:, None], x.shape),
         "id": np.broadcast_to(np.arange(1, vehicles + 1), x.shape),
         "x": x - length / 2,
         "y": y - width / 2,
-        "width": np.full(x.shape, length),
-        "height": np.full(x.shape, width),
+        "width": length,
+        "height": width,
         "xVelocity": velocity[0],
         "yVelocity": velocity[1],
         "xAcceleration": along,
@@ -118,8 +121,8 @@ def _ratio(gap: Floats, speed: Floats) -> Floats:
     return ratio
 
 
-def _neighbours(x: Floats, lane: Ints, length: float) -> dict[str, Ints]:
-    """Returns highD's eight columns of ids, [T, N] each."""
+def _neighbours(x: Floats, lane: Ints, length: Floats) -> dict[str, Ints]:
+    """Returns highD's eight columns of ids, [T, N] each, of vehicles of these lengths (N,)."""
     ahead = x[:, None, :] - x[:, :, None]  # [T, N, N]: of each vehicle, the distance to the others
     towards = lane[:, None, :] - lane[:, :, None]
     is_other = ~np.eye(x.shape[1], dtype=bool)
@@ -130,7 +133,7 @@ def _neighbours(x: Floats, lane: Ints, length: float) -> dict[str, Ints]:
         "precedingId": _nearest(ahead, in_lane & is_first),
         "followingId": _nearest(-ahead, in_lane & ~is_first),
     }
-    alongside = np.abs(ahead) < length
+    alongside = np.abs(ahead) < (length + length[:, None]) / 2
     for side, lanes in BESIDE.items():
         there = towards == lanes
         found[f"{side}PrecedingId"] = _nearest(ahead, there & ~alongside & (ahead > 0))
@@ -158,7 +161,10 @@ def _tracks_meta(replay: Replay, tracks: pl.DataFrame) -> pl.DataFrame:
         frame.first().alias("initialFrame"),
         frame.last().alias("finalFrame"),
         pl.len().alias("numFrames"),
-        pl.lit("Car").alias("class"),
+        pl.when(pl.first("width") < TRUCK_LENGTH_M)
+        .then(pl.lit("Car"))
+        .otherwise(pl.lit("Truck"))
+        .alias("class"),
         pl.lit(LOWER).alias("drivingDirection"),
         (pl.col("x").last() - pl.col("x").first()).alias("traveledDistance"),
         speed.min().alias("minXVelocity"),
@@ -174,6 +180,7 @@ def _tracks_meta(replay: Replay, tracks: pl.DataFrame) -> pl.DataFrame:
 def _recording_meta(replay: Replay) -> pl.DataFrame:
     """Returns the only row of the recording."""
     vehicles, duration = len(replay.agents), float(replay.t_s[-1])
+    cars = int((replay.length[0] < TRUCK_LENGTH_M).sum())
     # No two recordings start at the same time, which would mean that they show the same traffic.
     start = datetime(1970, 1, 1) + timedelta(minutes=replay.episode)
     upper, lower = (";".join(f"{y:.2f}" for y in each) for each in _markings(replay))
@@ -189,8 +196,8 @@ def _recording_meta(replay: Replay) -> pl.DataFrame:
         "totalDrivenDistance": float((replay.x[-1] - replay.x[0]).sum()),
         "totalDrivenTime": duration * vehicles,
         "numVehicles": vehicles,
-        "numCars": vehicles,
-        "numTrucks": 0,
+        "numCars": cars,
+        "numTrucks": vehicles - cars,
         "upperLaneMarkings": upper,
         "lowerLaneMarkings": lower,
     }

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.engine.columns import with_lengths
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent
@@ -101,7 +102,8 @@ class RecordedCell:
             and any(0 <= episode - shard.first_seed < shard.episodes for episode in episodes)
         ]
         _, steps = read_rows(run.folder, EPISODES_AND_STEPS, shards)
-        return steps.filter(pl.col("episode").is_in(list(episodes)))
+        steps = steps.filter(pl.col("episode").is_in(list(episodes)))
+        return with_lengths(steps, self.cell.scene.profile.vehicle_length_m)
 
     def shard_of(self, episode: int) -> range:
         """The seeds of the episodes that the run simulated together with this one."""

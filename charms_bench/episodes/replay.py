@@ -29,6 +29,8 @@ TRAJECTORY_SCHEMA = pl.Schema(
         "x": pl.Float64(),  # m, centre along the road
         "y": pl.Float64(),  # m, centre to the right of the leftmost lane's centre
         "heading": pl.Float64(),  # rad, positive to the right
+        "length": pl.Float64(),  # m
+        "width": pl.Float64(),  # m
         "speed": pl.Float64(),  # m/s
         "acceleration": pl.Float64(),  # m/s2, as commanded
         "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost
@@ -131,7 +133,8 @@ class Replay(Motion):
 
 
 _OF_SCENE = (
-    "x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "crashed"
+    "x", "y", "heading", "length", "width", "speed", "acceleration", "lane", "target_lane",
+    "crashed",
 )  # fmt: skip
 
 

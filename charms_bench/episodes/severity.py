@@ -4,6 +4,7 @@ import numpy as np
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
+from charms_bench.world.gaps import side_gap
 from charms_bench.world.scene import Floats, Ints, Scene
 
 TOUCH = -0.1
@@ -31,14 +32,15 @@ def margins(simulation: Simulation, seeds: Ints) -> Floats:
 @compiled
 def _lower(scene: Scene, speed: Floats, found: Floats) -> None:
     """Lowers the margins to that of the step that has ended; `speed` is from before the step."""
-    c, x, y = scene.constants, scene.x, scene.y
+    x, y, length, width = scene.x, scene.y, scene.length, scene.width
     for b in range(found.size):
         if not scene.active[b] or found[b] < 0:
             continue
         i = scene.ego[b]
         least, nearest = np.inf, i
         for j in range(x.shape[1]):
-            along, across = abs(x[b, j] - x[b, i]) - c.length, abs(y[b, j] - y[b, i]) - c.width
+            along = abs(x[b, j] - x[b, i]) - (length[b, i] + length[b, j]) / 2
+            across = side_gap(y[b, i], y[b, j], width[b, i], width[b, j])
             if j != i and max(along, across) < least:
                 least, nearest = max(along, across), j
         if scene.crashed[b, i]:

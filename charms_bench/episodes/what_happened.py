@@ -112,7 +112,7 @@ def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
         return f"left the road at {replay.speed[-1, ego]:.1f} m/s", -1
     frame = int(replay.crashed[:, ego].argmax())
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
-    other, _ = vehicle_hit(x, y, ego, replay.settings.constants)
+    other, _ = vehicle_hit(x, y, replay.length[frame], replay.width[frame], ego)
     faster = speed[ego] - speed[other]
     if replay.ending == "rear_end" and x[other] > x[ego]:
         how = f"at {speed[ego]:.1f} m/s, {_faster(faster)} than it"

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.engine.columns import NO_DRIVERS
+from charms_bench.engine.columns import NO_DRIVERS, with_lengths
 from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
 from charms_bench.world.scene import Floats, SceneSettings
@@ -42,7 +42,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     leader_changed: Whether the ego has another leader than at the previous decision.
     changer: Whose lane change within the last 2 s gave the ego its leader, `EGO` or `ANOTHER`;
         otherwise 0.
-    gap_m: Distance from the ego's front to the leader's rear; both are `vehicle_length_m` long.
+    gap_m: Distance from the ego's front to the leader's rear.
     ttc_s: Time to collision at constant speeds; null unless the ego closes in.
     drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.
     time_headway_s: Time from the leader's front to the ego's front at the ego's speed.
@@ -58,7 +58,9 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     collided = pl.col("ending").is_in(["rear_end", "side"]) & (pl.col("step") == pl.col("steps"))
     lateral_mps = pl.col("speed") * pl.col("heading").sin()
     return (
-        episodes.join(steps, on="episode", how="left")
+        episodes.join(
+            with_lengths(steps, settings.profile.vehicle_length_m), on="episode", how="left"
+        )
         .sort("episode", "step")
         .with_columns(cs.float().cast(pl.Float64))
         .with_columns(
@@ -75,7 +77,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
             yaw_rate_radps=_while_driving(_change("heading") * rate),
             drifting=(pl.col("driving") & (lateral_mps.abs() > DRIFT_MPS)).fill_null(False),
         )
-        .with_columns(**_following(settings.profile.vehicle_length_m))
+        .with_columns(**_following())
         .with_columns(**_lane_changes(settings))
     )
 
@@ -92,26 +94,32 @@ def _while_driving(value: pl.Expr) -> pl.Expr:
     return pl.when(pl.col("driving")).then(value)
 
 
-def _following(length: float) -> dict[str, pl.Expr]:
-    """The columns on the leader and the follower, from vehicles of this length."""
+def _between(other: str) -> pl.Expr:
+    """The distance between the centres of the ego and another vehicle that touch, m."""
+    return (pl.col("length") + pl.col(f"{other}_length")) / 2
+
+
+def _following() -> dict[str, pl.Expr]:
+    """The columns on the leader and the follower."""
     speed, distance = pl.col("speed"), pl.col("leader_distance")
     behind = pl.col("follower_distance")
-    gap = _while_driving(pl.when(distance > length).then(distance - length))
-    rear_gap = _while_driving(pl.when(behind > length).then(behind - length))
+    gap = _while_driving(distance - _between("leader"))
+    rear_gap = _while_driving(behind - _between("follower"))
+    gap, rear_gap = (pl.when(each > 0).then(each) for each in (gap, rear_gap))
     closing, rear_closing = speed - pl.col("leader_speed"), pl.col("follower_speed") - speed
+    fronts = distance + (pl.col("leader_length") - pl.col("length")) / 2
     required = pl.when(closing > 0).then(closing**2 / (2 * gap)).otherwise(0.0)
     return {
         "gap_m": gap,
         "ttc_s": pl.when(closing > 0).then(gap / closing),
         "drac_mps2": pl.when(gap.is_not_null()).then(required),
-        "time_headway_s": pl.when(gap.is_not_null() & (speed > 0)).then(distance / speed),
+        "time_headway_s": pl.when(gap.is_not_null() & (speed > 0)).then(fronts / speed),
         "rear_ttc_s": pl.when(rear_closing > 0).then(rear_gap / rear_closing),
     }
 
 
 def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     """The columns on lane changes, which lie between two decisions with different lanes."""
-    length = settings.profile.vehicle_length_m
     window = max(1, round(LANE_CHANGE_WINDOW_S * settings.decision_hz))
     changed, drifting = pl.col("lane_changed"), pl.col("drifting")
     changer = (
@@ -130,8 +138,12 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
     return {
         "changer": changer.forward_fill(window - 1).fill_null(0),
-        "lead_gap_m": pl.when(changed).then((pl.col("leader_distance") - length).clip(0.0)),
-        "lag_gap_m": pl.when(changed).then((pl.col("follower_distance") - length).clip(0.0)),
+        "lead_gap_m": pl.when(changed).then(
+            (pl.col("leader_distance") - _between("leader")).clip(0.0)
+        ),
+        "lag_gap_m": pl.when(changed).then(
+            (pl.col("follower_distance") - _between("follower")).clip(0.0)
+        ),
         "imposed_braking_mps2": pl.when(changed).then(
             (-pl.col("new_follower_acceleration")).clip(0.0)
         ),

@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.columns import DRIVER_KEYS, SCHEMAS
+from charms_bench.engine.columns import DRIVER_KEYS, LENGTHS, SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
@@ -57,7 +57,11 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     schema = SCHEMAS[kind]
     try:
         # Later versions may add columns.
-        rows = pl.read_parquet(BytesIO(data), columns=schema.names(), n_rows=ROWS_LIMIT + 1)
+        lacking = {*LENGTHS} - pl.read_parquet_schema(BytesIO(data)).keys()
+        names = [name for name in schema if name not in lacking]
+        rows = pl.read_parquet(BytesIO(data), columns=names, n_rows=ROWS_LIMIT + 1)
+        added = [pl.lit(None, schema[name]).alias(name) for name in lacking & schema.keys()]
+        rows = rows.with_columns(added).select(schema.names())
         found = rows.schema
         wrong = [name for name in schema if found[name] != schema[name]]
     except pl.exceptions.ColumnNotFoundError:

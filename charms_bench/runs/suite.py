@@ -22,6 +22,7 @@ from charms_bench.runs.document import Document, Location
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
+from charms_bench.world.vehicle_types import check_driver_parameters
 
 EPISODES_LIMIT = 10_000_000
 """Most episodes of a suite, in all cells together."""
@@ -205,6 +206,7 @@ def suite_of(document: Document) -> Suite:
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     check_scenarios(document, suite)
+    _check_types(document, suite)
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, METRIC_SETS)
     return suite
@@ -232,6 +234,20 @@ def check_scenarios(document: Document, suite: Suite) -> None:
             except ScenarioError as error:
                 at = ("traffics", index, "traffic", "scenario", *error.location)
                 raise document.error(at, str(error)) from error
+
+
+def _check_types(document: Document, suite: Suite) -> None:
+    """Checks the driver parameters of a suite's vehicle types against the agents of each cell."""
+    if not any(each.driver_parameters for each in suite.scene.vehicle_types):
+        return
+    entries = [entry for kind in _entries(suite).values() for entry in kind]
+    ranges = {name: _ranges_of(name) for entry in entries for name in _names(entry)}
+    for cell in suite.cells:
+        models = {k: ranges[k] for k in (*_names(cell.ego), *_names(cell.traffic))}
+        try:
+            check_driver_parameters(cell.scene.vehicle_types, models)
+        except ScenarioError as error:
+            raise document.error(("scene", *error.location), str(error)) from error
 
 
 def check_networks(document: Document, suite: Suite) -> None:

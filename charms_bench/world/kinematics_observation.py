@@ -109,8 +109,7 @@ class Kinematics(FrozenModel):
         lanes = scene.constants.lanes
         if (columns := self._columns_by_lanes.get(lanes)) is None:
             columns = self._columns_by_lanes[lanes] = self._columns(lanes)
-        back_m = np.inf if self.see_behind else 2 * scene.constants.length
-        _fill(scene, rows, places, back_m, columns, self.clip, observations)
+        _fill(scene, rows, places, self.see_behind, columns, self.clip, observations)
         return observations
 
     @cached_property
@@ -172,16 +171,17 @@ def _fill(
     scene: Scene,
     rows: Ints,
     places: Ints,
-    back_m: float,
+    sees_behind: bool,
     columns: Floats,
     is_clipped: bool,
     observations: Observations,
 ) -> None:
-    """Writes what M vehicles see up to `back_m` behind them; see `Kinematics._columns`."""
+    """Writes what M vehicles see; see `Kinematics._columns`."""
     nearest = np.empty(observations.shape[1], dtype=np.int64)
     distances = np.empty(nearest.size)
     for m in range(rows.size):
         b, i = rows[m], places[m]
+        back_m = np.inf if sees_behind else 2 * scene.length[b, i]
         for k in range(_find_nearest(scene.x[b], scene.y[b], i, back_m, nearest, distances)):
             for column in range(len(columns)):
                 feature, low, high = int(columns[column, 0]), columns[column, 2], columns[column, 3]

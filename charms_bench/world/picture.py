@@ -129,12 +129,13 @@ def _draw_road(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
 
 def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colour: str) -> None:
     x, y = moment.x[vehicle], moment.y[vehicle]
-    if not -10 < x - moment.x[moment.ego] + BEHIND_M < BEHIND_M + AHEAD_M + 10:
+    margin = max(10, moment.length[vehicle])
+    if not -margin < x - moment.x[moment.ego] + BEHIND_M < BEHIND_M + AHEAD_M + margin:
         return
     profile, heading = moment.settings.profile, moment.heading[vehicle]
     ahead = np.array([np.cos(heading), np.sin(heading)])
     aside = np.array([-ahead[1], ahead[0]])
-    half_length, half_width = profile.vehicle_length_m / 2, profile.vehicle_width_m / 2
+    half_length, half_width = moment.length[vehicle] / 2, moment.width[vehicle] / 2
 
     def shape(*corners: tuple[float, float]) -> list[float]:
         """Returns a shape whose corners are given in halves of the vehicle's length and width."""

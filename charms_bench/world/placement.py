@@ -12,6 +12,7 @@ from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
 from charms_bench.world.straight_road import END_MARGIN_M
+from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
 Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
@@ -28,6 +29,10 @@ class Placement(NamedTuple):
     lane: NDArray[np.int64]
     speed: Floats
     """[R, N] m/s."""
+    length: Floats
+    """[R, N] m."""
+    width: Floats
+    """[R, N] m."""
     brakes_at: Floats
     """[R, N, K] when a prescribed acceleration begins, s."""
     acceleration: Floats
@@ -131,6 +136,8 @@ class _Placing:
             x=np.zeros(shape),
             lane=np.zeros(shape, dtype=np.int64),
             speed=np.zeros(shape),
+            length=np.full(shape, c.length),
+            width=np.full(shape, c.width),
             brakes_at=np.full((*shape, actions), np.inf),
             acceleration=np.zeros((*shape, actions)),
             until=np.zeros((*shape, actions)),
@@ -150,13 +157,19 @@ class _Placing:
             made.lane[:, i] = self._lane((*at, "lane"), vehicle.lane)
             low, high = max(0.0, c.speed_min), c.speed_max
             made.speed[:, i] = self.within((*at, "speed_mps"), vehicle.speed_mps, low, high)
-            made.x[:, i] = self._x(i, at, names, made.x)
+            for field, own, bounds in (
+                ("length_m", made.length, LENGTHS_M),
+                ("width_m", made.width, WIDTHS_M),
+            ):
+                if (formula := getattr(vehicle, field)) is not None:
+                    own[:, i] = self.within((*at, field), formula, *bounds)
+            made.x[:, i] = self._x(i, at, names, made)
             self._check_free(i, at, made, list(names))
             for k, action in enumerate(vehicles[i - 1].actions if i else ()):
                 self._set_action(i, k, (*at, "actions", k), action, made)
         return made
 
-    def _x(self, i: int, at: Location, names: Mapping[str, int], x: Floats) -> Floats:
+    def _x(self, i: int, at: Location, names: Mapping[str, int], made: Placement) -> Floats:
         ends = (-END_MARGIN_M, self._c.road_length)
         vehicle = self._scenario.vehicles[i - 1] if i else None
         if vehicle is None or vehicle.x_m is not None:
@@ -172,7 +185,8 @@ class _Placing:
         assert vehicle.gap_m is not None
         gap = self._value((*at, "gap_m"), vehicle.gap_m)
         sign = 1.0 if field == "ahead_of" else -1.0
-        found = x[:, known[other]] + sign * (gap + self._c.length)
+        lengths = (made.length[:, i] + made.length[:, known[other]]) / 2
+        found = made.x[:, known[other]] + sign * (gap + lengths)
         outside = ~((found >= ends[0]) & (found < ends[1]))
         self._check((*at, "gap_m"), outside, f"off the road, at x {{:g}} m; expected "
                     f"{ends[0]:g} to {ends[1]:g}", found)  # fmt: skip
@@ -183,11 +197,12 @@ class _Placing:
         vehicle = self._scenario.vehicles[i - 1] if i else None
         field = "gap_m" if vehicle and vehicle.gap_m is not None else "x_m"
         for j in range(i):
-            is_level = np.abs(made.x[:, i] - made.x[:, j]) < self._c.length
+            least = (made.length[:, i] + made.length[:, j]) / 2
+            is_level = np.abs(made.x[:, i] - made.x[:, j]) < least
             apart = np.abs(made.lane[:, i] - made.lane[:, j]) * self._c.lane_width
-            overlaps = is_level & (apart < self._c.width)
+            overlaps = is_level & (apart < (made.width[:, i] + made.width[:, j]) / 2)
             what = f"overlaps '{names[j]}': {{:g}} m between their centres; expected at least "
-            self._check((*at, field), overlaps, f"{what}{self._c.length:g} m",
+            self._check((*at, field), overlaps, f"{what}{least[overlaps.argmax()]:g} m",
                         np.abs(made.x[:, i] - made.x[:, j]))  # fmt: skip
 
     def _set_action(self, i: int, k: int, at: Location, action: Action, made: Placement) -> None:

@@ -129,7 +129,10 @@ class Constants(NamedTuple):
     road_length: float
     speed_limit: float
     length: float
+    """Of a vehicle whose size nothing else gives, as `width`."""
     width: float
+    mixed_sizes: bool
+    """Whether other sizes can occur; loops that read sizes only then are faster without."""
     speed_min: float
     speed_max: float
     tau_acceleration: float

@@ -77,6 +77,9 @@ class EgoStart(FrozenModel):
     lane: Formula
     speed_mps: Formula
     x_m: Formula = 100.0
+    length_m: Formula | None = None
+    """Its length and its width are the profile's by default."""
+    width_m: Formula | None = None
 
 
 class PlacedVehicle(FrozenModel):
@@ -85,6 +88,9 @@ class PlacedVehicle(FrozenModel):
     name: Name
     lane: Formula
     speed_mps: Formula
+    length_m: Formula | None = None
+    """Its length and its width are the profile's by default."""
+    width_m: Formula | None = None
     x_m: Formula | None = None
     """Position of its centre along the road; or a gap to another vehicle instead."""
     ahead_of: Name | None = None
@@ -140,6 +146,12 @@ class Scenario(FrozenModel):
     vehicles: Annotated[
         tuple[PlacedVehicle, ...], Field(min_length=1, max_length=100, strict=False)
     ]
+
+    @property
+    def has_sizes(self) -> bool:
+        """Whether it gives the size of a vehicle."""
+        starts: tuple[EgoStart | PlacedVehicle, ...] = (self.ego, *self.vehicles)
+        return any((each.length_m, each.width_m) != (None, None) for each in starts)
 
     @property
     def agents(self) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
-from charms_bench.foundation.fields import FrozenModel, Positive
+from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.straight_road import Straight
+from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -69,6 +70,10 @@ class SceneSettings(FrozenModel):
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     duration_s: Positive = 20.0
+    vehicle_types: Annotated[tuple[VehicleType, ...], Field(max_length=100, strict=False)] = ()
+    """Types of vehicles, which are drawn for each vehicle; if empty, all are the profile's."""
+    ego_type: Name | None = None
+    """The type of the ego; by default, the ego is the profile's vehicle."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; in a suite, it stands in the place of a traffic."""
 
@@ -83,6 +88,7 @@ class SceneSettings(FrozenModel):
             raise ValueError(
                 f"ego_slots {self.ego_slots} exceeds the {self.vehicles} vehicles of a scene"
             )
+        self._check_types()
         if not self.duration_s * self.decision_hz <= DECISIONS_LIMIT:
             raise ValueError(
                 f"duration_s is longer than {DECISIONS_LIMIT:,} decisions, which are kept in memory"
@@ -91,11 +97,34 @@ class SceneSettings(FrozenModel):
             raise ValueError("duration_s is shorter than one decision")
         return self
 
+    def _check_types(self) -> None:
+        names = [each.name for each in self.vehicle_types]
+        if names and abs(sum(each.share for each in self.vehicle_types) - 1) > 1e-9:
+            total = sum(each.share for each in self.vehicle_types)
+            raise ValueError(f"vehicle_types: the shares sum to {total:g}; expected 1")
+        if len(set(names)) < len(names):
+            raise ValueError("vehicle_types: two types have the same name")
+        if self.ego_type not in (None, *names):
+            known = suggestion(str(self.ego_type), dict.fromkeys(names))
+            raise ValueError(f"ego_type: no vehicle type called '{self.ego_type}'. {known}")
+        slowest, fastest = self.profile.speed_min_mps, self.profile.speed_max_mps
+        for k, each in enumerate(self.vehicle_types):
+            low, high = each.desired_speed_mps or (slowest, fastest)
+            if low < slowest or high > fastest:
+                raise ValueError(
+                    f"vehicle_types[{k}].desired_speed_mps: {low:g} to {high:g} is outside the "
+                    f"profile's speeds; expected {max(slowest, 0):g} to {fastest:g}"
+                )
+
     def of_scenario(self, scenario: Scenario | None) -> "SceneSettings":
-        """The same settings for the vehicles of a scenario; for None, these settings."""
+        """The same settings for the vehicles of a scenario; for None, these settings.
+
+        A scenario gives its vehicles' sizes itself, so types have no effect on it.
+        """
         if scenario is None:
             return self
         changes = {"scenario": scenario, "traffic_vehicles": len(scenario.vehicles), "ego_slots": 1}
+        changes |= {"vehicle_types": (), "ego_type": None}
         return self.model_copy(update=changes)
 
     @property
@@ -116,6 +145,18 @@ class SceneSettings(FrozenModel):
         return self.simulation_hz // self.decision_hz
 
     @property
+    def sizes_m(self) -> list[tuple[float, float]]:
+        """Length and width of each vehicle type, then of the profile's vehicle.
+
+        If a scenario gives sizes, the bounds of these follow.
+        """
+        length, width = self.profile.vehicle_length_m, self.profile.vehicle_width_m
+        own = [(each.length_m or length, each.width_m or width) for each in self.vehicle_types]
+        bounds = zip(LENGTHS_M, WIDTHS_M, strict=True)
+        has_bounds = self.scenario is not None and self.scenario.has_sizes
+        return [*own, (length, width), *(bounds if has_bounds else ())]
+
+    @property
     def road_length_m(self) -> float:
         """The profile's road, or one that is long enough for all vehicles until the end."""
         profile = self.profile
@@ -123,6 +164,8 @@ class SceneSettings(FrozenModel):
         spacing = max(profile.ego_spacing or 0.0, 1 / self.density)
         # Each vehicle spawns at most this far ahead of the furthest before it [`engine.spawning`].
         furthest = 1.1 * spacing * (12 + fastest) * (self.vehicles + 3)
+        longest = max(length for length, _ in self.sizes_m)
+        furthest += (longest - profile.vehicle_length_m) * self.vehicles
         return max(profile.road_length_m, furthest + fastest * self.duration_s)
 
     @property
@@ -139,6 +182,7 @@ class SceneSettings(FrozenModel):
             **self.road._asdict(),
             length=profile.vehicle_length_m,
             width=profile.vehicle_width_m,
+            mixed_sizes=len(self.sizes_m) > 1,
             speed_min=profile.speed_min_mps,
             speed_max=profile.speed_max_mps,
             tau_acceleration=profile.tau_acceleration_s,
@@ -169,6 +213,10 @@ class _Fields(NamedTuple):
     """[B, N] the command of the last simulation step after clipping, m/s2."""
     steering: Floats
     """[B, N] steering angle of the last simulation step, rad."""
+    length: Floats
+    """[B, N] m."""
+    width: Floats
+    """[B, N] m."""
     target_speed: Floats
     """[B, N] desired speed, m/s; 0 for a vehicle with continuous actions."""
     lane: Ints
@@ -231,7 +279,10 @@ class Scene(_Fields):
     def empty(
         cls, settings: SceneSettings, scenes: int, parameters: int = 0, memory: int = 0
     ) -> "Scene":
-        """Some scenes, all zeros; an engine fills them. P is `parameters` and Q is `memory`."""
+        """Some scenes of vehicles of the profile's size, all zeros else; an engine fills them.
+
+        P is `parameters` and Q is `memory`.
+        """
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
         nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
@@ -241,6 +292,8 @@ class Scene(_Fields):
             for name in names.split()
         }
         per_vehicle["direction_x"][:] = 1.0
+        per_vehicle["length"][:] = settings.profile.vehicle_length_m
+        per_vehicle["width"][:] = settings.profile.vehicle_width_m
         return cls(
             **per_vehicle,
             parameters=np.zeros((*shape, parameters)),
@@ -288,8 +341,8 @@ class Scene(_Fields):
 
 
 _PER_VEHICLE: dict[type, str] = {
-    np.float64: "x y heading direction_x direction_y speed acceleration steering target_speed "
-    "timer_s temperament impact_x impact_y",
+    np.float64: "x y heading direction_x direction_y speed acceleration steering length width "
+    "target_speed timer_s temperament impact_x impact_y",
     np.int64: "lane target_lane",
     np.bool_: "crashed impact",
 }

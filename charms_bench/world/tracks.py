@@ -12,6 +12,8 @@ class Motion:
     x: Floats
     y: Floats
     heading: Floats
+    length: Floats
+    width: Floats
     speed: Floats
     acceleration: Floats
     lane: Ints

@@ -21,10 +21,7 @@ def spawned(
 ) -> Scene:
     made = make_engine(engine, scene, seeds.size, MODELS)
     rows, traffic = np.arange(seeds.size), np.ones((seeds.size, scene.traffic_vehicles), dtype=int)
-    if draws is None:
-        made.reset(rows, seeds, traffic)
-    else:
-        made.place(rows, draws, traffic)
+    made.reset(rows, seeds, traffic, draws)
     return made.scene
 
 

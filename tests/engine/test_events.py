@@ -65,10 +65,11 @@ def test_vehicles_that_overlap_touch_now() -> None:
 def test_the_time_is_that_at_which_moved_rectangles_first_overlap(scene: Scene, k: int) -> None:
     time, _ = closeness(scene)
     at = k / 1000  # s
-    c, ego = scene.constants, scene.ego[0]
+    ego, length, width = scene.ego[0], scene.length[0], scene.width[0]
     x = scene.x[0] + at * scene.speed[0] * np.cos(scene.heading[0])
     y = scene.y[0] + at * scene.speed[0] * np.sin(scene.heading[0])
-    along, across = abs(x - x[ego]) - c.length, abs(y - y[ego]) - c.width
+    along = abs(x - x[ego]) - (length + length[ego]) / 2
+    across = abs(y - y[ego]) - (width + width[ego]) / 2
     overlaps = np.delete((along < -1e-6) & (across < -1e-6), ego)
     if overlaps.any():
         assert time <= at

@@ -28,15 +28,16 @@ ROW = np.array([0])
 def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     """highway-env's road with the vehicles of a scene."""
     c, network = scene.constants, RoadNetwork()
-    sizes = {"LENGTH": c.length, "WIDTH": c.width}
-    vehicle_class = type(vehicle_class.__name__, (vehicle_class,), sizes)
     for lane in range(c.lanes):
         ends = np.array([[0.0, lane * c.lane_width], [c.road_length, lane * c.lane_width]])
         network.add_lane("0", "1", StraightLane(*ends, width=c.lane_width, speed_limit=30))
     road = Road(network)
     state = zip(scene.x[0], scene.y[0], scene.heading[0], scene.speed[0], strict=True)
     for x, y, heading, speed in state:
-        road.vehicles.append(vehicle_class(road, np.array([x, y]), heading, speed))
+        place = len(road.vehicles)
+        sizes = {"LENGTH": scene.length[0, place], "WIDTH": scene.width[0, place]}
+        own_class = type(vehicle_class.__name__, (vehicle_class,), sizes)
+        road.vehicles.append(own_class(road, np.array([x, y]), heading, speed))
     for vehicle, crashed in zip(road.vehicles, scene.crashed[0], strict=True):
         vehicle.crashed = bool(crashed)
     return road

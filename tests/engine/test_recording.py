@@ -91,7 +91,7 @@ def test_what_does_not_exist_is_null() -> None:
     steps = recorded(
         simulation(SceneSettings(duration_s=1.0, traffic_vehicles=0, ego_slots=1), 2)
     ).steps()
-    assert steps.select(pl.col("^(leader|follower).*$")).null_count().row(0) == (6,) * 7
+    assert steps.select(pl.col("^(leader|follower).*$")).null_count().row(0) == (6,) * 9
     assert steps["action"].null_count() == steps["planar_ttc"].null_count() == 6
     assert steps["new_follower_acceleration"].null_count() == 6
     assert steps["vehicles_near"].to_list() == [1] * 6

@@ -27,7 +27,8 @@ _CHANGING = 0.2
 def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[str, Any]:
     """A replay for JSON, and another future of the same vehicles, which is drawn as ghosts.
 
-    vehicles, frames, hz, lanes, lane_m, length_m, width_m, ego: Plain numbers.
+    vehicles, frames, hz, lanes, lane_m, ego: Plain numbers.
+    length_m, width_m: Of each vehicle.
     agents: The agents' names, the ego's first.
     agent: For each vehicle, the index of its agent in `agents`.
     columns: Name, unit and width (vehicles, or 1) of each quantity, in the order of `data`.
@@ -55,8 +56,8 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
         "hz": replay.settings.simulation_hz,
         "lanes": replay.settings.lanes,
         "lane_m": profile.lane_width_m,
-        "length_m": profile.vehicle_length_m,
-        "width_m": profile.vehicle_width_m,
+        "length_m": replay.length[0].tolist(),
+        "width_m": replay.width[0].tolist(),
         "ego": ego,
         "agents": agents,
         "agent": [agents.index(name) for name in replay.agents],

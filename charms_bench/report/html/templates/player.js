@@ -144,11 +144,11 @@ class Road {
     const { pen, colours, scale } = this;
     const [x, y] = this.at(
       replay.between("x", moment, vehicle), replay.between("y", moment, vehicle));
-    if (x < -60 || x > width + 60) return;
+    if (x < -160 || x > width + 160) return;
     const flags = replay.read("flags", Math.floor(moment), vehicle);
     const isEgo = vehicle === replay.ego;
-    const long = (replay.length_m / 2) * scale;
-    const wide = (replay.width_m / 2) * scale;
+    const long = (replay.length_m[vehicle] / 2) * scale;
+    const wide = (replay.width_m[vehicle] / 2) * scale;
     pen.save();
     pen.translate(x, y);
     pen.rotate(replay.between("heading", moment, vehicle));
