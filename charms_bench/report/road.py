@@ -10,7 +10,7 @@ from charms_bench.world.picture import AHEAD_M, BEHIND_M, BRAKE_LIGHT_MPS2, Mome
 EDGE, LINE = "═", "─"
 DASH_M, DASH_EVERY_M, MARK_EVERY_M = 6, 18, 20
 VEHICLE = 5
-"""Characters of a vehicle, which are about its length."""
+"""Characters of a vehicle of the profile's length, which are about that length."""
 EGO, OTHER, WRECK = "bold white on #b83a06", "white on #1f5f9e", "bold white on #c2122d"
 
 
@@ -29,9 +29,9 @@ def road(moment: Moment, width: int = 100) -> Text:
     for vehicle in (*order, moment.ego):
         # Lane 0 is row 1, and each further lane is two rows below.
         row = round(float(np.clip(1 + 2 * moment.y[vehicle] / lane_m, 0, 2 * lanes)))
-        left = round((moment.x[vehicle] - start) * per_m) - VEHICLE // 2
         text, style = _vehicle(moment, vehicle)
-        shown = range(max(0, -left), min(VEHICLE, width - left))
+        left = round((moment.x[vehicle] - start) * per_m) - len(text) // 2
+        shown = range(max(0, -left), min(len(text), width - left))
         for place in shown:
             rows[row][left + place] = (text[place], style)
     status = "   ".join(f"{what} {value}" for what, value in status_of(moment).items())
@@ -59,10 +59,12 @@ def _vehicle(moment: Moment, vehicle: int) -> tuple[str, str]:
     """The characters of a vehicle and their style."""
     is_ego, crashed = vehicle == moment.ego, moment.crashed[vehicle]
     label = "ego" if is_ego else str(vehicle)
+    longer = moment.length[vehicle] / moment.settings.profile.vehicle_length_m
+    room = max(3, round(VEHICLE * longer) - 2)
     rear = "<" if moment.acceleration[vehicle] < -BRAKE_LIGHT_MPS2 else "["
     front = "x" if crashed else ">"
     style = WRECK if crashed else EGO if is_ego else OTHER
-    return f"{'x' if crashed else rear}{label[:3]:^3}{front}", style
+    return f"{'x' if crashed else rear}{label[:3]:^{room}}{front}", style
 
 
 def _marks(start: float, per_m: float, width: int) -> Text:

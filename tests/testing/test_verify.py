@@ -107,6 +107,12 @@ def test_the_default_cases_have_vehicles_and_lanes_of_different_sizes() -> None:
     assert (min(lanes), max(lanes)) == (3.0, 4.5)
 
 
+def test_the_default_cases_have_trucks_among_cars() -> None:
+    types = [case.scene.vehicle_types for case in default_cases()[0] if case.scene.vehicle_types]
+    assert all({"car", "truck"} <= {each.name for each in own} for own in types)
+    assert any(each.driver_parameters for own in types for each in own)
+
+
 def test_the_default_cases_cover_what_they_promise() -> None:
     cases, episodes = default_cases()
     assert len(cases) * episodes >= 1000
