@@ -15,8 +15,8 @@ from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
+from charms_bench.world.road import Straight
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.straight_road import Straight
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
