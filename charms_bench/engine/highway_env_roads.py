@@ -10,8 +10,8 @@ from highway_env.road import lane as highway_env_lanes
 from highway_env.road.road import RoadNetwork
 
 from charms_bench.world import road_network
+from charms_bench.world.road import Straight
 from charms_bench.world.road_network import Network, PolyLane, network_of
-from charms_bench.world.straight_road import Straight
 
 
 def highway_env_network(road: Straight) -> RoadNetwork:

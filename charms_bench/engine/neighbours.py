@@ -4,9 +4,14 @@ import numpy as np
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, index
-from charms_bench.world.road import closest_lane, is_on_lane
+from charms_bench.world.road import (
+    NEIGHBOUR_MARGIN_M,
+    closest_lane,
+    is_near_lane,
+    is_on_lane,
+    is_on_length,
+)
 from charms_bench.world.scene import Ints, Scene
-from charms_bench.world.straight_road import NEIGHBOUR_MARGIN_M, is_near_lane, is_on_length
 
 
 @compiled

@@ -7,9 +7,8 @@ import numpy as np
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.road import is_on_lane
+from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
-from charms_bench.world.straight_road import NEIGHBOUR_MARGIN_M
 
 
 @dataclass(frozen=True)

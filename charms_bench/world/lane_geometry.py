@@ -24,6 +24,9 @@ CURVE = np.dtype((np.record, [(name, "f8") for name in _COLUMNS.split()]))
 number along the same polyline: one of its points with the length of the polyline up to it; the
 position and the direction of the polyline at a whole number of metres [`CurvePose`]; and the lane's
 width [`PolyLane.width_samples`]."""
+END_MARGIN_M = 5.0
+"""How far before and after a lane's ends a vehicle's centre is still on the lane, whatever the
+vehicle's length [`AbstractLane.VEHICLE_LENGTH`]."""
 Row = Any
 """A row of the table of lanes; see `road_network.LANE`."""
 Curves = NDArray[np.void]

@@ -1,5 +1,5 @@
 """The nearest of parallel straight lanes, for code that does not ask the road yet."""
 
-from charms_bench.world.straight_road import first_nearest as closest_lane
+from charms_bench.world.road import first_nearest as closest_lane
 
 __all__ = ["closest_lane"]

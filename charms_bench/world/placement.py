@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.foundation.formula import Formula, evaluate
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
-from charms_bench.world.straight_road import END_MARGIN_M
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
 Floats = NDArray[np.float64]

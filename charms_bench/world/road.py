@@ -1,105 +1,155 @@
 """What the code asks a road: where its lanes are, which lane a vehicle is on and can reach.
 
-Each question compiles to the rule for the type of the road, `straight_road` or `road_network`; the
-choice costs nothing when compiled code runs. Lanes are indices. Positions, SI units, are those of
-vehicles' centres in the world (x, y) or along and beside a lane (longitudinal, lateral).
+Each question is written here with its answer for parallel straight lanes. For a network, compiled
+code and Python call the function of the same name in `road_network` instead; compiled code chooses
+by the type of the road when it is compiled. Lanes are indices; units are SI. On a straight road,
+the questions take arrays too.
 """
 
 from collections.abc import Callable
-from types import ModuleType
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, cast
 
-from numba.extending import overload
+from numba.extending import overload, register_jitable
 
-from charms_bench.world import road_network, straight_road
+from charms_bench.foundation.compiled import compiled, wrap_to_pi
+from charms_bench.world import road_network
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.profile import Constants
 from charms_bench.world.road_network import Network
-from charms_bench.world.straight_road import Straight
+
+NEIGHBOUR_MARGIN_M = 1.0
+"""How far beside a lane a vehicle's centre still makes it a neighbour on that lane."""
+
+
+class Straight(NamedTuple):
+    """Lane 0 is the leftmost and its centre is y = 0; x runs from 0 to the road's length.
+
+    `Constants` has the same fields, so the constants of a scene are a straight road too.
+    """
+
+    lanes: int
+    lane_width: float
+    road_length: float
+    speed_limit: float
+
 
 Road = Straight | Constants | Network
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _rules(road_type: type) -> ModuleType:
-    return road_network if road_type is Network else straight_road
+def _of_roads(answer: F) -> F:
+    """A question to any road, from its answer for a straight road."""
+    of_network = getattr(road_network, answer.__name__)
+
+    @wraps(answer)
+    def question(road: Road, *others: Any) -> Any:
+        return (of_network if isinstance(road, Network) else answer)(road, *others)
+
+    def chosen(road: Any, *others: Any) -> Any:
+        return of_network if road.instance_class is Network else answer
+
+    overload(question, strict=False, jit_options={"forceinline": True})(chosen)
+    return cast(F, question)
 
 
-def _by_type(question: F) -> F:
-    """Makes compiled code call the rule of the same name for the type of the first argument."""
-
-    def rule(road: Any, *others: Any) -> Any:
-        return getattr(_rules(road.instance_class), question.__name__)
-
-    overload(question, strict=False, jit_options={"forceinline": True})(rule)
-    return question
-
-
-@_by_type
-def position(road: Road, lane: Any, longitudinal: Any, lateral: Any) -> Any:
+@_of_roads
+def position(road: Any, lane: Any, longitudinal: Any, lateral: Any) -> Any:
     """The point (x, y) that lies so far along and beside a lane [`AbstractLane.position`]."""
-    return _rules(type(road)).position(road, lane, longitudinal, lateral)
+    return longitudinal, lane * road.lane_width + lateral
 
 
-@_by_type
-def heading_at(road: Road, lane: Any, longitudinal: Any) -> Any:
+@_of_roads
+def heading_at(road: Any, lane: Any, longitudinal: Any) -> Any:
     """The lane's heading, rad, not normalised [`AbstractLane.heading_at`]."""
-    return _rules(type(road)).heading_at(road, lane, longitudinal)
+    return 0.0
 
 
-@_by_type
-def width_at(road: Road, lane: Any, longitudinal: Any) -> Any:
+@_of_roads
+def width_at(road: Any, lane: Any, longitudinal: Any) -> Any:
     """The lane's width [`AbstractLane.width_at`]."""
-    return _rules(type(road)).width_at(road, lane, longitudinal)
+    return road.lane_width
 
 
-@_by_type
-def local_coordinates(road: Road, lane: Any, x: Any, y: Any) -> Any:
+@_of_roads
+def local_coordinates(road: Any, lane: Any, x: Any, y: Any) -> Any:
     """How far a point is along and beside a lane [`AbstractLane.local_coordinates`]."""
-    return _rules(type(road)).local_coordinates(road, lane, x, y)
+    return x, y - lane * road.lane_width
 
 
-@_by_type
-def is_on_lane(road: Road, lane: Any, x: Any, y: Any, margin: Any) -> Any:
+@_of_roads
+def is_on_lane(road: Any, lane: Any, x: Any, y: Any, margin: Any) -> Any:
     """Whether a vehicle is on a lane [`AbstractLane.on_lane`].
 
     Its centre must be at most `END_MARGIN_M` beyond the lane's ends, and within half the lane's
     width and a margin of its centre. With `NEIGHBOUR_MARGIN_M`, a vehicle can be on two lanes.
     """
-    return _rules(type(road)).is_on_lane(road, lane, x, y, margin)
+    return is_on_length(road, x) & is_near_lane(road, lane, y, margin)
 
 
-@_by_type
-def is_reachable(road: Road, lane: Any, x: Any, y: Any) -> Any:
+@register_jitable
+def is_on_length(road: Any, x: Any) -> Any:
+    """The part of `is_on_lane` that is the same for every lane of a straight road."""
+    return (x >= -END_MARGIN_M) & (x < road.road_length + END_MARGIN_M)
+
+
+@register_jitable
+def is_near_lane(road: Any, lane: Any, y: Any, margin: Any = NEIGHBOUR_MARGIN_M) -> Any:
+    """The part of `is_on_lane` that depends on the lane of a straight road."""
+    return abs(y - lane * road.lane_width) <= road.lane_width / 2 + margin
+
+
+@_of_roads
+def is_reachable(road: Any, lane: Any, x: Any, y: Any) -> Any:
     """Whether a lane exists and a vehicle may change to it [`AbstractLane.is_reachable_from`]."""
-    return _rules(type(road)).is_reachable(road, lane, x, y)
+    exists = (lane >= 0) & (lane < road.lanes)
+    on_length = (x >= 0) & (x < road.road_length + END_MARGIN_M)
+    return exists & on_length & (abs(y - lane * road.lane_width) <= 2 * road.lane_width)
 
 
-@_by_type
-def is_after_end(road: Road, lane: Any, x: Any, y: Any) -> Any:
+@_of_roads
+def is_after_end(road: Any, lane: Any, x: Any, y: Any) -> Any:
     """Whether a vehicle is about to leave a lane at its end [`AbstractLane.after_end`]."""
-    return _rules(type(road)).is_after_end(road, lane, x, y)
+    return x > road.road_length - END_MARGIN_M / 2
 
 
-@_by_type
-def distance(road: Road, lane: Any, x: Any, y: Any) -> Any:
-    """How far a point is from a lane, along it and beside it [`AbstractLane.distance`]."""
-    return _rules(type(road)).distance(road, lane, x, y)
+@_of_roads
+def distance(road: Any, lane: Any, x: Any, y: Any) -> Any:
+    """How far a point is from a lane, beside it and along it [`AbstractLane.distance`]."""
+    beyond = max(x - road.road_length, 0.0)
+    return abs(y - lane * road.lane_width) + beyond + max(0.0 - x, 0.0)
 
 
-@_by_type
-def distance_with_heading(road: Road, lane: Any, x: Any, y: Any, heading: Any) -> Any:
+@_of_roads
+def distance_with_heading(road: Any, lane: Any, x: Any, y: Any, heading: Any) -> Any:
     """The distance, m, plus the angle to the lane, rad [`AbstractLane.distance_with_heading`]."""
-    return _rules(type(road)).distance_with_heading(road, lane, x, y, heading)
+    return distance(road, lane, x, y) + abs(wrap_to_pi(heading))
 
 
-@_by_type
-def closest_lane(road: Road, x: Any, y: Any, heading: Any) -> Any:
-    """The first lane at the least distance with heading [`get_closest_lane_index`]."""
-    return _rules(type(road)).closest_lane(road, x, y, heading)
+@_of_roads
+def closest_lane(road: Any, x: Any, y: Any, heading: Any) -> Any:
+    """The first lane at the least distance with heading [`get_closest_lane_index`].
+
+    On a straight road, what all lanes have in common is left out.
+    """
+    return first_nearest(y, road.lanes, road.lane_width)
 
 
-@_by_type
-def next_lane(road: Road, lane: Any, next_road: Any, next_id: Any, x: Any, y: Any) -> Any:
+@compiled
+def first_nearest(y: float, lanes: int, lane_width: float) -> int:
+    """The lane whose centre is nearest to y; of two that are equally near, the left one."""
+    best = 0
+    nearest = abs(y)
+    for lane in range(1, lanes):
+        other = abs(y - lane * lane_width)
+        if other < nearest:
+            best = lane
+            nearest = other
+    return best
+
+
+@_of_roads
+def next_lane(road: Any, lane: Any, next_road: Any, next_id: Any, x: Any, y: Any) -> Any:
     """The lane after a lane's end, or the lane itself if none follows [`RoadNetwork.next_lane`].
 
     Args:
@@ -111,10 +161,10 @@ def next_lane(road: Road, lane: Any, next_road: Any, next_id: Any, x: Any, y: An
         x: The vehicle's position.
         y: The same.
     """
-    return _rules(type(road)).next_lane(road, lane, next_road, next_id, x, y)
+    return lane
 
 
-@_by_type
-def side_lanes(road: Road, lane: Any) -> Any:
+@_of_roads
+def side_lanes(road: Any, lane: Any) -> Any:
     """The lanes on the left and on the right, -1 for none [`RoadNetwork.side_lanes`]."""
-    return _rules(type(road)).side_lanes(road, lane)
+    return lane - 1, lane + 1 if lane + 1 < road.lanes else -1

@@ -13,6 +13,7 @@ from charms_bench.foundation.compiled import compiled, wrap_to_pi
 from charms_bench.world.lane_geometry import (
     CIRCULAR,
     CURVE,
+    END_MARGIN_M,
     POLYLINE,
     SINE,
     STRAIGHT,
@@ -26,7 +27,6 @@ from charms_bench.world.lane_geometry import (
     line_heading,
     line_position,
 )
-from charms_bench.world.straight_road import END_MARGIN_M
 
 _FLOATS = (
     "x y direction_x direction_y heading length width speed_limit amplitude pulsation phase "
@@ -170,12 +170,9 @@ def _trace(row: Any, lane: PolyLane) -> Curves:
         raise ValueError(f"a polyline is {arc_length[-1]:g} m long; expected at least 1 m")
     row["kind"], row["length"] = POLYLINE, arc_length[-1]
     widths = lane.widths or (lane.width,)
-    counts = row["point_count"], row["pose_count"], row["width_count"] = (
-        x.size,
-        metres.size,
-        len(widths),
-    )
-    curve = np.zeros(max(counts), CURVE)
+    row["point_count"], row["pose_count"] = x.size, metres.size
+    row["width_count"] = len(widths)
+    curve = np.zeros(max(x.size, metres.size, len(widths)), CURVE)
     curve["arc_length"][: x.size], curve["x"][: x.size], curve["y"][: x.size] = arc_length, x, y
     curve["width"][: len(widths)] = widths
     poses = curve[: metres.size]

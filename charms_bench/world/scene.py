@@ -15,8 +15,8 @@ from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
+from charms_bench.world.road import Straight
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.straight_road import Straight
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType
 
 Floats = NDArray[np.float64]

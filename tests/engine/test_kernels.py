@@ -17,9 +17,8 @@ from scenes import scene_of, scenes
 from charms_bench.engine.contacts import collide
 from charms_bench.engine.motion import follow_no_lane, move, room_to_turn, wrap_to_pi
 from charms_bench.engine.neighbours import locate
-from charms_bench.world.road import closest_lane, is_reachable
+from charms_bench.world.road import Straight, closest_lane, is_reachable
 from charms_bench.world.scene import Scene
-from charms_bench.world.straight_road import Straight
 
 DT = 1 / 15
 ROW = np.array([0])

@@ -17,8 +17,7 @@ from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.highway_env_roads import highway_env_network, road_of
 from charms_bench.foundation.compiled import compiled
 from charms_bench.world import road as questions
-from charms_bench.world.road import Road
-from charms_bench.world.straight_road import Straight
+from charms_bench.world.road import Road, Straight
 
 use_exact_maths("highway-env")
 
