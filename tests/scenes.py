@@ -27,7 +27,9 @@ def scene_of(
     )
     parameters = np.shape(fields.get("parameters", [[]]))[-1]
     scene = Scene.empty(settings, 1, parameters)
-    scene = scene._replace(constants=scene.constants._replace(**(sizes or {})))
+    mixed = "length" in fields or "width" in fields
+    constants = scene.constants._replace(mixed_sizes=mixed, **(sizes or {}))
+    scene = scene._replace(constants=constants)
     scene.length[:], scene.width[:] = scene.constants.length, scene.constants.width
     for name, values in fields.items():
         getattr(scene, name)[0] = values

@@ -11,8 +11,8 @@ import numpy as np
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, not_zero
-from charms_bench.world.lanes import closest_lane
 from charms_bench.world.profile import Constants
+from charms_bench.world.road import first_nearest
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 
@@ -181,14 +181,14 @@ def move(
         heading[i] = turning.heading[k]
         direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
         steering[i] = turning.steering[k]
-        lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
+        lane[i] = first_nearest(y[i], c.lanes, c.lane_width)
     for i in range(x.size):
         if impact[i]:
             x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             crashed[i] = True
             impact[i] = False
-            lane[i] = closest_lane(y[i], c.lanes, c.lane_width)
+            lane[i] = first_nearest(y[i], c.lanes, c.lane_width)
 
 
 @compiled
@@ -205,7 +205,7 @@ def follow_no_lane(scene: Scene, marked: Bools) -> None:
             if not marked[b, i]:
                 continue
             x, y = scene.x[b, i], scene.y[b, i]
-            lane = closest_lane(y, c.lanes, c.lane_width)
+            lane = first_nearest(y, c.lanes, c.lane_width)
             own, left = abs(y - lane * c.lane_width), abs(y - (lane - 1) * c.lane_width)
             if lane > 0 and left - own < 1e-6:
                 beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)

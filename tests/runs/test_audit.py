@@ -165,7 +165,7 @@ def test_a_digit_changed_in_a_table_is_named(folder: Path) -> None:
     assert f"tables/small.csv: IDM, idm_mobil, paper-2, dhw_mean: {expected}" in answer.stdout
 
 
-@pytest.mark.parametrize("module", ["charms_bench.world.lanes", "charms_bench.report.markdown"])
+@pytest.mark.parametrize("module", ["charms_bench.world.road", "charms_bench.report.markdown"])
 @pytest.mark.parametrize("commit", ["", "1234abcd"])
 def test_a_changed_digit_is_false_whatever_code_the_manifest_names(
     folder: Path, module: str, commit: str
@@ -403,14 +403,14 @@ def test_a_field_that_the_code_of_the_run_does_not_write_is_named(folder: Path) 
 def test_a_manifest_that_contradicts_the_keys_of_its_shards_is_false(folder: Path) -> None:
     def change(manifest: dict[str, Any]) -> None:
         manifest["commit"] = ""
-        manifest["modules"]["charms_bench.world.lanes"] = "0" * 40
+        manifest["modules"]["charms_bench.world.road"] = "0" * 40
         manifest["versions"]["numpy"] = "1.0"
         manifest["agents"]["idm_mobil"]["code_sha256"] = "0" * 64
 
     change_manifest(folder, change)
     answer = audited(folder)
     assert answer.returncode == 1, answer
-    assert "charms_bench.world.lanes is other code in the manifest, but shards have" in (
+    assert "charms_bench.world.road is other code in the manifest, but shards have" in (
         answer.stdout
     )
     assert f"libraries: numpy is {np.__version__}, expected 1.0; but shards have" in answer.stdout
@@ -474,7 +474,7 @@ def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
     change_manifest(tmp_path, lambda manifest: manifest.update(commit="1234abcd"))
     answer = audited(tmp_path)
     assert answer.returncode == 3
-    what = "charms_bench.world.lanes is not the code of the run, which was charms-bench"
+    what = "charms_bench.world.road is not the code of the run, which was charms-bench"
     assert f"modules: {what} {harness.__version__}" in answer.stdout
     assert "install commit 1234abcd" in answer.stdout
     assert "none can be simulated again" in answer.stdout
