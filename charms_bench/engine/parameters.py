@@ -24,9 +24,9 @@ _STREAM = 3
 def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     """Sets the parameters of the drivers in the scenes `rows` (R,).
 
-    They are uniform in the ranges that the vehicle's type gives, or else their model declares, and
-    independent. In a scenario,
-    nothing is left to chance: they are the middles of the ranges, or what the scenario gives.
+    They are independent, and uniform in the ranges that the vehicle's type gives or else their
+    model declares. In a scenario, nothing is left to chance: they are the middles of the ranges, or
+    what the scenario gives.
     """
     if not simulation.ranges:
         return
@@ -35,7 +35,7 @@ def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     given = [*(each.driver_parameters for each in settings.vehicle_types), {}]
     for agent, ranges in simulation.ranges.items():
         name = simulation.agents[agent].encode()
-        of_kinds = [[own.get(key, each) for key, each in ranges.items()] for own in given]
+        of_kinds = np.array([[own.get(k, each) for k, each in ranges.items()] for own in given])
         shape = (settings.vehicles, len(ranges))
         for row, kind in zip(rows, kinds, strict=True):
             shares = np.full(shape, 0.5)
@@ -44,7 +44,7 @@ def set_parameters(simulation: "Simulation", rows: Ints) -> None:
                 rng = np.random.default_rng([int(simulation.seeds[row]), _STREAM, crc32(name)])
                 shares = rng.random(shape)
             own = simulation.engine.drivers[row] == agent
-            low, high = np.moveaxis(np.array(of_kinds)[kind[own]], -1, 0)
+            low, high = np.moveaxis(of_kinds[kind[own]], -1, 0)
             drawn = low + (high - low) * shares[own]
             simulation.scene.parameters[row, own, : len(ranges)] = drawn
         _set_given(simulation, rows, agent, ranges)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.errors import InputError
-from charms_bench.world.gaps import gap_to
 
 if TYPE_CHECKING:
     from charms_bench.envs.window import Window
@@ -122,8 +121,7 @@ def _to_leader(simulation: Simulation, row: int, ego: int) -> tuple[float, float
     scene = simulation.scene
     vehicle = (np.array([row]), np.array([ego]))
     leader, found = scene.leader(vehicle, scene.lane[vehicle])
-    lengths = scene.length[row, ego], scene.length[row, leader[0]]
-    gap = gap_to(scene.x[row, ego], scene.x[row, leader[0]], *lengths)
+    gap = float(scene.gap_to(vehicle, leader)[0])
     if not found[0] or scene.crashed[row, ego] or gap <= 0:
         return np.nan, np.nan
     closing = scene.speed[row, ego] - scene.speed[row, leader[0]]

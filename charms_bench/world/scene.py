@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.road import Straight
 from charms_bench.world.scenario import Scenario
@@ -332,6 +333,15 @@ class Scene(_Fields):
     def follower(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         """The nearest vehicle behind each vehicle on a lane; see `leader`."""
         return self._neighbour(self.followers, vehicles, lane)
+
+    def gap_to(self, vehicles: Vehicles, ahead: Ints) -> Floats:
+        """The gaps (M,) from the fronts of M vehicles to the rears of the vehicles `ahead` (M,), m.
+
+        `ahead` are places in the same scenes, as `leader` returns them.
+        """
+        other = vehicles[0], ahead
+        lengths = self.length[vehicles], self.length[other]
+        return np.asarray(gap_to(self.x[vehicles], self.x[other], *lengths))
 
     def _neighbour(self, table: Ints, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         on_road = (lane >= 0) & (lane < self.constants.lanes)

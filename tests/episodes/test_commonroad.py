@@ -85,3 +85,12 @@ def test_the_same_episode_is_always_the_same_file(tmp_path: Path) -> None:
 def test_another_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"episode\.json: expected .* ending in \.xml"):
         REPLAY.write_commonroad(tmp_path / "episode.json")
+
+
+def test_a_truck_has_its_own_size_and_type(tmp_path: Path) -> None:
+    replayed = replay_of(x=[[100.0, 130.0]] * 2, length=[[5.0, 16.0]] * 2, width=[[2.0, 2.5]] * 2)
+    replayed.write_commonroad(tmp_path / "episode.xml")
+    found = ElementTree.parse(tmp_path / "episode.xml").getroot().findall("dynamicObstacle")
+    names = ("type", "shape/rectangle/length", "shape/rectangle/width")
+    said = [tuple(each.findtext(name) for name in names) for each in found]
+    assert said == [("car", "5.0", "2.0"), ("truck", "16.0", "2.5")]

@@ -197,3 +197,13 @@ def test_the_drivers_are_named(replays: list[Replay]) -> None:
     assert table["agent"].to_list() == list(replayed.agents)
     assert table.filter("ego")["id"].to_list() == [replayed.ego + 1]
     assert set(table["recording"]) == {900_000_000}
+
+
+def test_trucks_have_their_own_sizes_and_class(tmp_path: Path) -> None:
+    replayed = replay_of(
+        x=[[100.0, 130.5], [102.0, 132.5]], length=[[5.0, 16.0]] * 2, width=[[2.0, 2.5]] * 2
+    )
+    ego = tracks_of(replayed, tmp_path).row(0, named=True)
+    assert (ego["width"], ego["height"], ego["dhw"]) == (5.0, 2.0, 20.0)
+    meta = pl.read_csv(tmp_path / "07_tracksMeta.csv")
+    assert meta.select("width", "height", "class").rows() == [(5, 2, "Car"), (16, 2.5, "Truck")]

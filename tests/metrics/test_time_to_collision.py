@@ -75,6 +75,12 @@ def test_the_gap_is_shorter_behind_longer_vehicles() -> None:
     assert measure(ttc_min(DRIVING), episode, settings=settings) == pytest.approx(2.0)
 
 
+def test_the_gap_is_between_the_bumpers_of_vehicles_of_their_own_lengths() -> None:
+    # A truck of 16 m, 30.5 m ahead of a car of 5 m, leaves 20 m.
+    episode = ({}, [behind(30.5, 10.0) | {"length": 5.0, "leader_length": 16.0}])
+    assert measure(ttc_min(DRIVING), episode) == pytest.approx(2.0)
+
+
 def test_a_wreck_and_a_vehicle_alongside_have_no_ttc() -> None:
     alongside = behind(4.0, 10.0)
     crashed = ({"ending": "rear_end"}, [behind(25.0, 10.0), alongside, behind(6.0, 10.0)])

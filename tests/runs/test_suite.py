@@ -119,6 +119,20 @@ def test_an_agent_that_is_not_installed_is_named_with_its_line(tmp_path: Path) -
         load_suite(path)
 
 
+def test_a_vehicle_types_parameter_that_no_driver_has_is_named_with_its_line(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "suite.yaml"
+    path.write_text(
+        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobil\ntraffics:\n"
+        "- traffic: idm_mobil_varied\nscene:\n  vehicle_types:\n  - name: truck\n    share: 1\n"
+        "    driver_parameters:\n      time_headway: [1, 2]\n"
+    )
+    expected = r"suite\.yaml:12: scene.vehicle_types\[0\].driver_parameters.time_headway: no driver"
+    with pytest.raises(SuiteError, match=expected):
+        load_suite(path)
+
+
 @pytest.mark.parametrize("path", sorted(Path("suites").glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_suites_of_the_project_are_valid(path: Path) -> None:
     if "pipeline:" in path.read_text():
