@@ -36,6 +36,7 @@ _LN2_HIGH, _LN2_LOW = 0.6931471805592082, 7.371002565167799e-13
 _TWO_THIRDS, _TWO_THIRDS_LOW = 0.6666666666666666, 3.700743415417188e-17
 _LOG2_E = 1.4426950408889634
 _TAN_EIGHTH_PI = 0.41421356237309503
+_NOTHING = 1e-300
 _HALF_BITS, _ROOT_HALF_BITS = 0x3FE0000000000000, 0x3FE6A09E667F3BCD
 _EXP_LOWEST, _EXP_HIGHEST = -708.0, 709.0
 
@@ -118,9 +119,11 @@ def atan(x: float) -> float:
 def atan2(y: float, x: float) -> float:
     """The angle of the point (x, y) in rad, above -pi to pi; a zero counts as positive.
 
-    The sizes of the coordinates are 0 or between 1e-140 and 1e140; the point may be (0, 0).
+    The sizes of the coordinates are 0 or between 1e-140 and 1e140. A point within 1e-300 of the
+    origin counts as a point of the x-axis.
     """
     aside, along = abs(y), abs(x)
+    along = 1.0 if (aside < _NOTHING) & (along < _NOTHING) else along
     is_large, is_small = aside > (1 + math.sqrt(2)) * along, aside <= _TAN_EIGHTH_PI * along
     # atan(z) is pi / 4 + atan((z - 1) / (z + 1)), or pi / 2 + atan(-1 / z).
     minus, minus_low = _add(aside, -along)
@@ -129,7 +132,6 @@ def atan2(y: float, x: float) -> float:
     above_low = 0.0 if is_small | is_large else minus_low
     below = along if is_small else (aside if is_large else plus)
     below_low = 0.0 if is_small | is_large else plus_low
-    below = 1.0 if below == 0.0 else below
     is_behind = x < 0.0
     base = 0.0 if is_small else (_HALF_PI if is_large else _QUARTER_PI)
     base_low = 0.0 if is_small else (_HALF_PI_LOW if is_large else _QUARTER_PI_LOW)

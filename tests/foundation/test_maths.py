@@ -74,6 +74,11 @@ def test_the_angles_of_points_on_axes_and_diagonals_are_those_of_the_c_library(
     assert maths.atan2(y, x) == math.atan2(y, x)
 
 
+@pytest.mark.parametrize(("x", "angle"), [(5e-324, 0.0), (0.0, 0.0), (-5e-324, math.pi)])
+def test_a_point_at_the_origin_has_an_angle(x: float, angle: float) -> None:
+    assert maths.atan2(2e-309, x) == pytest.approx(angle, abs=1e-300)
+
+
 @given(x=st.one_of(st.floats(-708, 709), st.floats(-2, 2)))
 def test_the_exponential_errs_by_less_than_1_ulp(x: float) -> None:
     assert error_in_ulp(maths.exp(x), PRECISE.exp(PRECISE.mpf(x))) < 1
