@@ -73,7 +73,6 @@ def scenes(
         "road_length": draw(st.sampled_from([10_000.0, 30.0])),
     }
     own = {"length": each(lengths), "width": each(widths)} if draw(st.booleans()) else {}
-    sizes["mixed_sizes"] = bool(own)
     centres = st.integers(0, lanes - 1).map(lambda lane: sizes["lane_width"] * lane)
     return scene_of(
         profile=draw(st.sampled_from(profiles)),
