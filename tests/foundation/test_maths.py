@@ -9,7 +9,7 @@ import mpmath
 import numba
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from charms_bench.foundation import maths
@@ -52,6 +52,7 @@ def test_the_arctangent_errs_by_less_than_1_ulp(x: float) -> None:
     assert error_in_ulp(maths.atan(x), PRECISE.atan(PRECISE.mpf(x))) < 1
 
 
+@settings(deadline=None)  # the first call compiles
 @given(
     y=SIDES,
     x=SIDES,
