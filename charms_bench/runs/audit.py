@@ -16,7 +16,7 @@ import polars as pl
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.audit_files import audit_files, audit_networks
 from charms_bench.runs.audit_software import audit_software
-from charms_bench.runs.finding import Finding, Verdict
+from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.folder import KINDS, RunFolder
 from charms_bench.runs.planned import planned_again
 from charms_bench.runs.rare import damaged_files
