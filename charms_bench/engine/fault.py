@@ -23,12 +23,12 @@ import numpy as np
 from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.scene import Bools, Ints, Scene
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
 
 ENTERED_S = 2.0
-ENTRY_DRAC_MPS2 = 3.35
 LANE_KEEPING_M = 0.25
 DRIFT_MPS = 0.1
 NEVER = -1_000_000
@@ -120,7 +120,7 @@ def _note_movements(scene: Scene, scenes: Ints, now: Ints, state: Any) -> None:
             if j >= 0 and lanes[b, index(j)] == entered:
                 closing = speed[b, index(j)] - speed[b, i]
                 gap = max(x[b, i] - x[b, index(j)] - c.length, 0.0)
-                if closing > 0 and closing**2 > 2 * ENTRY_DRAC_MPS2 * gap:
+                if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
                     other = state[b, index(j)]
                     other.entrant, other.entered = place, now[b]
 
