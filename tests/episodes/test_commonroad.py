@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from handmade_replay import replay_of
 
+from charms_bench.episodes.commonroad import write_commonroad
 from charms_bench.errors import InputError
 
 REPLAY = replay_of(
@@ -23,7 +24,7 @@ REPLAY = replay_of(
 
 @pytest.fixture
 def root(tmp_path: Path) -> ElementTree.Element:
-    REPLAY.write_commonroad(tmp_path / "episode.xml")
+    write_commonroad(REPLAY, tmp_path / "episode.xml")
     return ElementTree.parse(tmp_path / "episode.xml").getroot()
 
 
@@ -78,10 +79,10 @@ def test_lanelets_are_the_lanes_from_left_to_right(root: ElementTree.Element) ->
 
 def test_the_same_episode_is_always_the_same_file(tmp_path: Path) -> None:
     for name in ("one.xml", "two.xml"):
-        REPLAY.write_commonroad(tmp_path / name)
+        write_commonroad(REPLAY, tmp_path / name)
     assert (tmp_path / "one.xml").read_bytes() == (tmp_path / "two.xml").read_bytes()
 
 
 def test_another_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"episode\.json: expected .* ending in \.xml"):
-        REPLAY.write_commonroad(tmp_path / "episode.json")
+        write_commonroad(REPLAY, tmp_path / "episode.json")
