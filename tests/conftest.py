@@ -27,7 +27,7 @@ def _one_worker_is_this_process() -> Iterator[None]:
     in_processes = runner.in_processes
 
     def here(work: Callable[..., Any], tasks: list[Any], count: int, *others: Any) -> Iterator[Any]:
-        if count != 1 or any(task.engine == "highway-env" for task in tasks):
+        if count != 1 or any(getattr(each, "engine", "") == "highway-env" for each in tasks):
             yield from in_processes(work, tasks, count, *others)
             return
         for task in tasks:

@@ -44,7 +44,7 @@ def search(
         CharmsBenchError: The suite or an agent cannot be used, or a name is unknown.
         KeyboardInterrupt: The search was interrupted; its note names the file.
     """
-    from charms_bench.episodes.found import write_found
+    from charms_bench.episodes.found_suite import write_found
     from charms_bench.episodes.search import Search, ego_of, scenario_of
 
     check_positive(failures=failures, budget=budget)

@@ -19,11 +19,11 @@ from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import Suite
 
 if TYPE_CHECKING:
+    from charms_bench.api.shown import ShownReplay
     from charms_bench.episodes.avoidability import Avoidability
     from charms_bench.episodes.criticality import Kind
     from charms_bench.episodes.dataset import Format
     from charms_bench.episodes.edge_cases import EdgeCase
-    from charms_bench.episodes.replay import Replay
     from charms_bench.episodes.what_if import WhatIf
     from charms_bench.report.audit import Audit
     from charms_bench.report.table import Table
@@ -184,7 +184,9 @@ class Run:
         warm_up()
         return Lines(edge_cases(cells, top, kind))
 
-    def replay(self, episode: int, ego: str | None = None, traffic: str | None = None) -> "Replay":
+    def replay(
+        self, episode: int, ego: str | None = None, traffic: str | None = None
+    ) -> "ShownReplay":
         """Simulates an episode again, with the states of all vehicles.
 
         Args:

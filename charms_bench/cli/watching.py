@@ -10,7 +10,7 @@ import typer
 from charms_bench.cli.terminal import app, interruptible, out, say
 
 if TYPE_CHECKING:
-    from charms_bench.envs.watching import Watched
+    from charms_bench.envs.watched_episode import Watched
     from charms_bench.envs.window import Window
 
 WIDEST = 120
@@ -36,7 +36,7 @@ def watch(
     output is not a terminal, it has one picture per second of the episode.
     """
     from charms_bench.api.warming import warm_up
-    from charms_bench.envs.watching import Watched
+    from charms_bench.envs.watched_episode import Watched
 
     warm_up()
     watched = Watched(agent, traffic, seed)

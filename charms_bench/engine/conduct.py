@@ -27,9 +27,8 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
+from charms_bench.world.thresholds import HARSH_MPS2
 
-HARSH_MPS2 = 2.5
-"""The paper's threshold for a harsh acceleration."""
 LONG_AGO = -1_000_000
 STATE = np.dtype(
     [

@@ -11,13 +11,11 @@ in.
 
 from typing import Any
 
-from charms_bench.engine.lane_changes import HARD_BRAKING_MPS2
 from charms_bench.foundation.compiled import compiled, index
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Ints, Scene
+from charms_bench.world.thresholds import CONFLICT_TTC_S, DRAC_LIMIT_MPS2, HARD_BRAKING_MPS2
 
-CONFLICT_TTC_S = 1.5
-NEAR_MISS_DRAC_MPS2 = 3.35
 MANOEUVRE_S = 2.0
 """A lane change this long ago can have begun a conflict."""
 NOBODY = -1
@@ -45,7 +43,7 @@ def note_conflicts(
             closing = speed[b, i] - speed[b, leader]
             is_closing = (found >= 0) & (gap > 0) & (closing > 0)
             is_conflict = is_closing & (gap < CONFLICT_TTC_S * closing)
-            brakes_hard = is_closing & (closing**2 > 2 * NEAR_MISS_DRAC_MPS2 * gap)
+            brakes_hard = is_closing & (closing**2 > 2 * DRAC_LIMIT_MPS2 * gap)
             is_near_miss = is_conflict | brakes_hard
             if not is_near_miss and own.near < 0:
                 continue

@@ -24,12 +24,12 @@ from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION, STRIKIN
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Bools, Ints, Scene
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
 
 ENTERED_S = 2.0
-ENTRY_DRAC_MPS2 = 3.35
 LANE_KEEPING_M = 0.25
 DRIFT_MPS = 0.1
 NEVER = -1_000_000
@@ -122,7 +122,7 @@ def _note_movements(scene: Scene, scenes: Ints, now: Ints, state: Any) -> None:
                 closing = speed[b, index(j)] - speed[b, i]
                 lengths = length[b, index(j)], length[b, i]
                 gap = max(gap_to(x[b, index(j)], x[b, i], *lengths), 0.0)
-                if closing > 0 and closing**2 > 2 * ENTRY_DRAC_MPS2 * gap:
+                if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
                     other = state[b, index(j)]
                     other.entrant, other.entered = place, now[b]
 

@@ -16,11 +16,10 @@ import numpy as np
 
 from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.world.scene import Ints, Scene
+from charms_bench.world.thresholds import HARD_BRAKING_MPS2
 
 TAKEN_RANGE_M = 50.0
 ATTEMPT_DECISIONS = 2
-HARD_BRAKING_MPS2 = 2.0
-"""highway-env's limit for the braking that a lane change imposes (MOBIL)."""
 IMPOSED_S = 2.0
 """For this long after a lane change, the new follower's braking is attributed to it."""
 NOBODY = -1

@@ -119,7 +119,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         Raises:
             InputError: The action is not one of `action_space`.
         """
-        reward = float(self._learners.step(np.array([action])).rewards[0, 0])
+        reward = float(self._learners.step(np.array([action])).rewards[0])
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
         info = self._mask()
         if failed or truncated:

@@ -37,7 +37,7 @@ class Reward(Protocol[C]):
 
 
 class Outcome(NamedTuple):
-    """What a decision interval did to the learners, [B, L]."""
+    """What a decision interval did to the learners, (B L,)."""
 
     rewards: Floats
     """0 for a learner that did not drive any more."""
@@ -51,6 +51,8 @@ class Outcome(NamedTuple):
 
 class Learners:
     """L vehicles in each of B scenes, which the actions given to `step` drive.
+
+    In arrays (B L,), the learners of the first scene come first.
 
     Vehicle 0 is the ego, and vehicle k is the k-th of the others in the order of spawning. A
     learner that has crashed, or has left the road if the profile ends episodes then, gets no more
@@ -91,29 +93,47 @@ class Learners:
             raise InputError(f"scenes is {scenes}; expected at least 1")
         everyone = range(settings.vehicles)
         self.numbers = _checked(everyone if numbers is None else numbers, settings.vehicles)
-        shape = (scenes, len(self.numbers))
-        self.places = np.zeros(shape, dtype=np.int64)
-        """[B, L] the learners' places in their scenes, in the order of spawning."""
-        self.alive = np.zeros(shape, dtype=np.bool_)
-        """[B, L] whether the learner drives, so that its next action counts."""
-        self.vehicles: Vehicles = np.nonzero(self.alive)
-        """The M learners that drive, by scene and then in the order of `numbers`."""
-        self.returns = np.zeros(shape)
-        """[B, L] sums of the rewards so far."""
+        self.scene_of = np.repeat(np.arange(scenes), len(self.numbers))
+        """(B L,) the learners' scenes."""
         driven = traffic if self.numbers == (0,) else FromOutside(self.numbers, traffic)
-        if shape[1] == settings.vehicles > 1:
+        if len(self.numbers) == settings.vehicles > 1:
             driven = OneAgent("")
         self.simulation = Simulation(settings, scenes, None, driven, agents, actions=actions)
+        self.returns = np.zeros(self.scene_of.size)
+        """(B L,) sums of the rewards so far."""
+        scene = self.simulation.scene
+        self._are_egos = len(self.numbers) == 1
+        self.places = scene.ego if self._are_egos else np.zeros_like(self.scene_of)
+        """(B L,) the learners' places in their scenes, in the order of spawning."""
+        self.alive = scene.active if self._are_egos else np.zeros(self.returns.size, dtype=np.bool_)
+        """(B L,) whether the learner drives, so that its next action counts."""
         self.spaces = spaces_of(settings, observation, actions)
         """Of a learner's observations and of its actions."""
         self.renderer = Renderer(self.simulation, render_mode, title)
         self.kind, self.observation = actions, observation
         self._reward: Any = reward
 
+    @property
+    def vehicles(self) -> Vehicles:
+        """The M learners that drive, by scene and then in the order of `numbers`; or all egos."""
+        if self._are_egos:
+            return self.scene_of, self.places
+        return self.scene_of[self.alive], self.places[self.alive]
+
     def reset(self, seeds: NDArray[np.uint64], rows: Ints) -> None:
         """Starts an episode in each of the scenes `rows`, in which all learners drive."""
         self.simulation.reset(seeds, rows)
-        self._begin(rows)
+        which = self.of_scenes(rows)
+        self.returns[which] = 0.0
+        if not self._are_egos:
+            ego, others = self.simulation.scene.ego[rows, None], np.array(self.numbers) - 1
+            self.places[which] = np.where(others < 0, ego, others + (others >= ego)).ravel()
+            self.alive[which] = True
+
+    def of_scenes(self, rows: Ints) -> Ints:
+        """The indices (R L,) of the learners of R scenes."""
+        count = len(self.numbers)
+        return rows if self._are_egos else (rows[:, None] * count + np.arange(count)).ravel()
 
     def restore(self, state: SceneState) -> None:
         """Continues all scenes from a state, in which the egos are the only learners.
@@ -133,19 +153,7 @@ class Learners:
             ended = state.seeds[~state.active][0]
             raise InputError(f"the state of episode {ended} was saved after the episode had ended")
         self.simulation.restore(state.seated(state.ego, ""))
-        self._begin(np.arange(len(self.alive)))
-
-    def _begin(self, rows: Ints) -> None:
-        ego = self.simulation.scene.ego[rows, None]
-        others = np.array(self.numbers) - 1
-        self.places[rows] = np.where(others < 0, ego, others + (others >= ego))
-        self.alive[rows] = True
-        self.returns[rows] = 0.0
-        self._note_vehicles()
-
-    def _note_vehicles(self) -> None:
-        rows, which = np.nonzero(self.alive)
-        self.vehicles = rows, self.places[rows, which]
+        self.returns[:] = 0.0
 
     def step(self, actions: Actions) -> Outcome:
         """Carries out the actions (B L,) or (B L, 2) of the learners for one decision interval.
@@ -158,38 +166,39 @@ class Learners:
             meaning = ", ".join(ACTIONS if self.kind == "meta" else CONTROLS)
             who = "ego" if len(self.numbers) == 1 else "learner"
             raise InputError(f"step: {who} {wrong}: {what}: {meaning}")
-        simulation, vehicles, reward = self.simulation, self.vehicles, self._reward
+        simulation, reward = self.simulation, self._reward
         is_of_egos = hasattr(reward, "prepare")
         prepared = reward.prepare(simulation, actions) if is_of_egos else None
-        simulation.command(vehicles, actions[self.alive.ravel()])
-        simulation.step()
-        self.renderer.show()
-        if is_of_egos:
-            rewards = reward(simulation, prepared)[:, None]
+        drove, vehicles = self.alive, self.vehicles
+        if self._are_egos:
+            simulation.step(actions)
         else:
-            rewards = np.zeros(self.alive.shape)
-            rewards[self.alive] = reward(simulation.scene, vehicles)
+            simulation.command(vehicles, actions[drove])
+            simulation.step()
+        self.renderer.show()
+        rewards = reward(*((simulation, prepared) if is_of_egos else (simulation.scene, vehicles)))
+        if self._are_egos:
+            endings = simulation.ending.copy()
+        else:
+            endings = np.full(drove.size, RUNNING)
+            endings[drove] = self._endings(vehicles)
+            of_all = np.zeros(drove.size)
+            of_all[drove] = rewards
+            rewards = of_all
+            self.alive = drove & (endings == RUNNING)
         self.returns += rewards
-        endings = self._endings()
-        ended, truncated = endings != RUNNING, endings == TIME
-        if ended.any():
-            self.alive = self.alive & ~ended
-            self._note_vehicles()
-        return Outcome(rewards, ended & ~truncated, truncated, endings)
+        # The endings after TIME are failures.
+        return Outcome(rewards, endings > TIME, endings == TIME, endings)
 
-    def _endings(self) -> Ints:
-        """[B, L] how learners have ended in this interval, in which `vehicles` drove."""
-        simulation, vehicles = self.simulation, self.vehicles
-        if len(self.numbers) == 1:
-            return simulation.ending[:, None].copy()
+    def _endings(self, vehicles: Vehicles) -> Ints:
+        """(M,) how M vehicles have ended in this interval."""
+        simulation = self.simulation
         collision = simulation.collision[vehicles]
-        ending = np.where(simulation.truncated[vehicles[0]], TIME, RUNNING)
+        endings = np.where(simulation.truncated[vehicles[0]], TIME, RUNNING)
         if simulation.settings.profile.offroad_terminal:
-            ending[are_off_road(simulation.scene, *vehicles)] = OFF_ROAD
-        ending[collision != NO_COLLISION] = REAR_END
-        ending[collision == SIDE_COLLISION] = SIDE
-        endings = np.full(self.alive.shape, RUNNING)
-        endings[self.alive] = ending
+            endings[are_off_road(simulation.scene, *vehicles)] = OFF_ROAD
+        endings[collision != NO_COLLISION] = REAR_END
+        endings[collision == SIDE_COLLISION] = SIDE
         return endings
 
 

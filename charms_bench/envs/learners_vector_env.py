@@ -62,4 +62,4 @@ class LearnersVectorEnv(ScenesVectorEnv):
     @property
     def alive(self) -> Bools:
         """(B L,) whether the learner drives, so that its next action counts."""
-        return self._learners.alive.ravel().copy()
+        return self._learners.alive.copy()

@@ -139,7 +139,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
             return {}, {}, {}, {}, {}
         outcome = self._learners.step(self._checked(actions))
         acted, observations = self.agents, self._observe()
-        rewards, terminated, truncated, endings = (part[0].tolist() for part in outcome)
+        rewards, terminated, truncated, endings = (part.tolist() for part in outcome)
         infos = self._masks()
         for agent in acted:
             if endings[self._place[agent]] != RUNNING:
@@ -200,5 +200,5 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     def _vehicles(self) -> Vehicles:
         """The vehicles of `agents`."""
-        places = self._learners.places[0, [self._place[agent] for agent in self.agents]]
+        places = self._learners.places[[self._place[agent] for agent in self.agents]]
         return np.zeros_like(places), places

@@ -64,7 +64,7 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
     def __init__(self, learners: Learners, first_seed: int) -> None:
         self._learners, self._next_seed = learners, first_seed
-        self.num_envs = learners.alive.size
+        self.num_envs = learners.returns.size
         self.single_observation_space, self.single_action_space = learners.spaces
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -96,7 +96,7 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         if options and len(learners.numbers) > 1:
             raise InputError(f"reset takes no options, got {', '.join(map(str, options))}")
         if (state := state_in(options)) is None:
-            self._start(np.arange(len(learners.alive)))
+            self._start(np.arange(self.simulation.seeds.size))
         else:
             learners.restore(state)
         learners.renderer.show()
@@ -117,34 +117,33 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         """
         learners, simulation = self._learners, self.simulation
         vehicles, drove = learners.vehicles, learners.alive
-        outcome = learners.step(actions)
-        rewards, terminated = outcome.rewards.ravel(), outcome.terminated.ravel()
-        truncated = outcome.truncated.ravel()
+        rewards, terminations, truncations, endings = learners.step(actions)
         observations = self._observe(vehicles, drove)
         infos: dict[str, Any] = {}
-        ended = terminated | truncated
-        if ended.any():
-            each = drove.shape[1]
+        ended = terminations | truncations
+        if (rows := np.nonzero(ended)[0]).size:
             final_obs = np.full(ended.size, None, dtype=object)
-            for row in np.flatnonzero(ended):
+            for row in rows:
                 final_obs[row] = observations[row].copy()
             facts = {
-                "ending": outcome.endings.ravel(),
-                "steps": np.repeat(simulation.steps, each),
-                "episode_return": learners.returns.ravel(),
-                "seed": np.repeat(simulation.seeds, each),
+                "ending": endings,
+                "steps": simulation.steps[learners.scene_of],
+                "episode_return": learners.returns,
+                "seed": simulation.seeds[learners.scene_of],
             }
             final_info = {name: np.where(ended, every, 0) for name, every in facts.items()}
             final_info |= {f"_{name}": ended.copy() for name in facts}
             infos = {"final_obs": final_obs, "final_info": final_info}
             infos |= {f"_{name}": ended.copy() for name in infos}
-            observations[ended] = 0.0
-            if (rows := np.flatnonzero(~learners.alive.any(axis=1))).size:
-                self._start(rows)
-                started = (np.repeat(rows, each), learners.places[rows].ravel())
-                first = (rows[:, None] * each + np.arange(each)).ravel()
+            observations[rows] = 0.0
+            driven = learners.alive.reshape(simulation.seeds.size, -1)
+            if (over := np.nonzero(~driven.any(axis=1))[0]).size:
+                self._start(over)
+                first = learners.of_scenes(over)
+                started = learners.scene_of[first], learners.places[first]
                 observations[first] = learners.observation(simulation.scene, started)
-        return observations, rewards, terminated, truncated, infos | self._infos()
+        infos |= self._infos()
+        return observations, rewards, terminations, truncations, infos
 
     def action_masks(self) -> Bools:
         """The action masks (B L, 5), as sb3-contrib's `MaskablePPO` asks for them."""
@@ -172,7 +171,7 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         self._learners.reset(seeds, rows)
 
     def _observe(self, vehicles: Vehicles, alive: Bools) -> Observations:
-        """The observations (B L, rows, columns), zeros where `alive` [B, L] is false."""
+        """The observations (B L, rows, columns), zeros where `alive` (B L,) is false."""
         return _spread(self._learners.observation(self.simulation.scene, vehicles), alive, 0)
 
     def _masks(self) -> ActionMasks:
@@ -189,11 +188,11 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
 
 
 def _spread(values: NDArray[Any], alive: Bools, fill: int) -> NDArray[Any]:
-    """Values (M, ...) of the M learners that are `alive` [B, L], as (B L, ...)."""
+    """Values (M, ...) of the M learners that are `alive` (B L,), as (B L, ...)."""
     if len(values) == alive.size:
         return values
     spread = np.full((alive.size, *values.shape[1:]), fill, dtype=values.dtype)
-    spread[alive.ravel()] = values
+    spread[alive] = values
     return spread
 
 
@@ -235,7 +234,7 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
 
     def get_state(self) -> EpisodesState:
         """The state of every episode, for `set_state`."""
-        returns = self._learners.returns[:, 0].copy()
+        returns = self._learners.returns.copy()
         return EpisodesState(self.simulation.state(), returns, self._next_seed)
 
     def set_state(self, state: EpisodesState) -> Observations:
@@ -251,6 +250,6 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
             )
         learners = self._learners
         learners.restore(state.scenes)
-        learners.returns[:, 0] = state.returns
+        learners.returns[:] = state.returns
         self._next_seed = state.next_seed
         return self._observe(learners.vehicles, learners.alive)

@@ -37,7 +37,7 @@ def check_commonroad(path: Path) -> None:
 
 
 def write_commonroad(replay: Replay, path: Path) -> None:
-    """Writes an episode with one time step per simulation step; see `Replay.write_commonroad`.
+    """Writes an episode with one time step per simulation step; see `ShownReplay.write_commonroad`.
 
     Raises:
         InputError: The file's name does not end in `.xml`, or the file cannot be written.

@@ -19,11 +19,9 @@ from typing import Literal
 
 import polars as pl
 
-from charms_bench.metrics.conflicts import CONFLICT_TTC_S
-from charms_bench.metrics.lane_changes import SAFE_BRAKING_MPS2
-from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2
 from charms_bench.metrics.rows import join_rows
 from charms_bench.world.scene import SceneSettings
+from charms_bench.world.thresholds import CONFLICT_TTC_S, DRAC_LIMIT_MPS2, HARD_BRAKING_MPS2
 
 Kind = Literal["collision", "near-miss", "hard-braking", "abandoned-lane-change"]
 COLLISION = 4.0
@@ -37,14 +35,14 @@ _COLLIDED = pl.col("ending") != "time"
 _MEASURES: tuple[tuple[Kind, pl.Expr], ...] = (
     ("near-miss", CONFLICT_TTC_S / (_TTC + CONFLICT_TTC_S)),
     ("near-miss", _DRAC / (_DRAC + DRAC_LIMIT_MPS2)),
-    ("hard-braking", _BRAKING / (_BRAKING + SAFE_BRAKING_MPS2)),
+    ("hard-braking", _BRAKING / (_BRAKING + HARD_BRAKING_MPS2)),
     ("abandoned-lane-change", _ABANDONED / (_ABANDONED + 1.0)),
 )
 
 IS_OF_KIND: dict[Kind, pl.Expr] = {
     "collision": _COLLIDED,
     "near-miss": ~_COLLIDED & ((_TTC < CONFLICT_TTC_S) | (_DRAC > DRAC_LIMIT_MPS2)),
-    "hard-braking": _BRAKING > SAFE_BRAKING_MPS2,
+    "hard-braking": _BRAKING > HARD_BRAKING_MPS2,
     "abandoned-lane-change": pl.col("gaps_lost") > 0,
 }
 """Selects rows of `edge_cases.ranked` of a kind; an episode may be of several kinds."""

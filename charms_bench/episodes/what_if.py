@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from charms_bench.engine.conduct import HARSH_MPS2
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, Seat, replay, simulate
 from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError
 from charms_bench.world.scene import Floats
+from charms_bench.world.thresholds import HARSH_MPS2
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ import polars as pl
 
 from charms_bench.metrics.metric import Metric
 from charms_bench.metrics.samples import LOGGED, STEPS, Sample
-
-HARSH_MPS2 = 2.5
+from charms_bench.world.thresholds import HARSH_MPS2
 
 ACCELERATION = pl.col("acceleration")
 HARSH = ACCELERATION.abs() > HARSH_MPS2

@@ -13,8 +13,6 @@ from charms_bench.metrics.rows import ANOTHER, EGO
 from charms_bench.metrics.samples import Sample
 from charms_bench.metrics.time_to_collision import TTC
 
-CONFLICT_TTC_S = 1.5
-
 CHANGER = pl.col("changer")
 
 

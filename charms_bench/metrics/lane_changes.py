@@ -11,8 +11,6 @@ import polars as pl
 from charms_bench.metrics.metric import Metric, in_name
 from charms_bench.metrics.samples import Sample
 
-SAFE_BRAKING_MPS2 = 2.0
-
 IMPOSED = pl.col("imposed_braking_mps2")
 LEAD_GAP, LAG_GAP = pl.col("lead_gap_m"), pl.col("lag_gap_m")
 MOVEMENT, CHANGES = pl.col("movement_s"), pl.col("movement_changes")

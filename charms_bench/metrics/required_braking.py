@@ -9,7 +9,6 @@ import polars as pl
 from charms_bench.metrics.metric import Metric, in_name, per_episode
 from charms_bench.metrics.samples import Sample
 
-DRAC_LIMIT_MPS2 = 3.35
 DRAC_CAP_MPS2 = 9.81
 """Tyres allow no more; DRAC grows without bounds just before a collision."""
 

@@ -23,6 +23,7 @@ from charms_bench.metrics import required_braking as braking
 from charms_bench.metrics import time_to_collision as ttc
 from charms_bench.metrics.metric import MetricSet
 from charms_bench.metrics.samples import driving_after
+from charms_bench.world import thresholds
 
 WARM_UP_S = 3.0
 """The ego spawns at 30 m/s among vehicles at 23.1 to 26.4 m/s. With 600 episodes from seed
@@ -60,10 +61,10 @@ PAPER = MetricSet(
 def standard(
     warm_up_s: float = WARM_UP_S,
     ttc_s: float = ttc.TTC_THRESHOLD_S,
-    conflict_ttc_s: float = conflicts.CONFLICT_TTC_S,
-    drac_mps2: float = braking.DRAC_LIMIT_MPS2,
+    conflict_ttc_s: float = thresholds.CONFLICT_TTC_S,
+    drac_mps2: float = thresholds.DRAC_LIMIT_MPS2,
     headway_s: float = headway.SHORT_HEADWAY_S,
-    imposed_mps2: float = lane_changes.SAFE_BRAKING_MPS2,
+    imposed_mps2: float = thresholds.HARD_BRAKING_MPS2,
 ) -> MetricSet:
     """The set `standard`, if need be with other thresholds.
 

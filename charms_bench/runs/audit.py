@@ -15,13 +15,13 @@ import polars as pl
 
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.audit_files import audit_files, audit_networks
+from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.audit_software import audit_software
-from charms_bench.runs.finding import Finding, Verdict
 from charms_bench.runs.folder import KINDS, RunFolder
 from charms_bench.runs.planned import planned_again
 from charms_bench.runs.rare import damaged_files
 from charms_bench.runs.runner import SHARD_LIMIT_S, on_this_machine
-from charms_bench.runs.shard import ShardFiles
+from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.shards import Shard, places_of
 from charms_bench.runs.suite import Cell, Suite
 
@@ -78,7 +78,7 @@ def audit_run(
     count = len(tasks) if asked.shards is None else min(asked.shards, len(tasks))
     chosen = np.random.default_rng(seed).choice(len(tasks), count, replace=False)
     sample = {task: shard for shard, task in (tasks[k] for k in sorted(chosen.tolist()))}
-    running = on_this_machine(engine, asked.workers, list(sample), SHARD_LIMIT_S, notice)
+    running = on_this_machine(simulate, engine, asked.workers, sample, SHARD_LIMIT_S, notice)
     wrong = 0
     with closing(running):
         for task, files in running:

@@ -14,8 +14,8 @@ from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import read_limited
 from charms_bench.plugins.registry import is_network
+from charms_bench.runs.audit_finding import Finding
 from charms_bench.runs.audit_software import names_installed_code
-from charms_bench.runs.finding import Finding
 from charms_bench.runs.folder import (
     CHECKSUMS,
     FILE_LIMIT_BYTES,

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from charms_bench.engine import EngineName
+from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.code_hashes import (
     commit,
     differences,
@@ -17,7 +18,6 @@ from charms_bench.runs.code_hashes import (
     module_blobs,
     row_modules,
 )
-from charms_bench.runs.finding import Finding, Verdict
 from charms_bench.runs.folder import MANIFEST, RunFolder
 from charms_bench.runs.manifest import differing_fields
 from charms_bench.runs.planned import Planned

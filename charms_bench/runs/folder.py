@@ -25,8 +25,7 @@ from charms_bench.foundation.files import PARTIAL, read_file, read_limited, writ
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
-from charms_bench.runs.lock import locked
-from charms_bench.runs.manifest import check_fields, read_manifest, refuse_another, refuse_foreign
+from charms_bench.runs.manifest import check_fields, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
 from charms_bench.runs.shard_rows import (
     check_seeds,
@@ -73,13 +72,9 @@ class RunFolder:
             RunFolderError: The folder holds something else, another process uses it, or it
                 cannot be read or written.
         """
-        refuse_foreign(self.path, MANIFEST, "run")
-        with locked(self.path):
-            if (self.path / MANIFEST).exists():
-                fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
-                ours = {"suite": fields, "engine": engine}
-                manifest = self.manifest()
-                refuse_another(self.path, "run", {key: manifest.get(key) for key in ours}, ours)
+        fields = json.loads(suite.model_dump_json(exclude=set(_UNDECIDING)))
+        ours = {"suite": fields, "engine": engine}
+        with opened(self.path, MANIFEST, "run", ours, self.manifest):
             for folder in ("", *KINDS, CHECKSUMS, NETWORKS, "tables", "figures"):
                 _delete(self.path / folder, PARTIAL)
             self._opened = os.stat(self.path)

@@ -1,6 +1,7 @@
 """What a folder with a manifest holds: it is compared before anything in the folder is changed."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
 from charms_bench.foundation.files import json_of, read_file
+from charms_bench.runs.lock import locked
 
 
 class RunFields(BaseModel):
@@ -60,19 +62,30 @@ def _given_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def refuse_foreign(folder: Path, manifest: str, kind: str) -> None:
-    """Refuses a folder that is not empty and has no manifest.
+@contextmanager
+def opened(
+    folder: Path, manifest: str, kind: str, ours: Mapping[str, Any], read: Callable[[], Any]
+) -> Iterator[None]:
+    """Locks a folder with a manifest; a folder with something else is not changed.
 
-    What was killed before it wrote its manifest leaves only hidden files.
+    Args:
+        folder: The folder, which is made if it does not exist.
+        manifest: The name of the file.
+        kind: What the folder should hold.
+        ours: The fields that must be those of the manifest, if there is one.
+        read: Reads the manifest.
 
     Raises:
-        RunFolderError: It is such a folder, or cannot be read; `kind` is what it should hold.
+        RunFolderError: The folder holds something else, another process uses it, or it cannot be
+            read or written.
     """
+    path = folder / manifest
     try:
+        # What was killed before it wrote its manifest leaves only hidden files.
         is_foreign = (
             folder.exists()
-            and not (folder / manifest).exists()
-            and any(not path.name.startswith(".") for path in folder.iterdir())
+            and not path.exists()
+            and any(not each.name.startswith(".") for each in folder.iterdir())
         )
     except OSError as error:
         raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error
@@ -80,19 +93,15 @@ def refuse_foreign(folder: Path, manifest: str, kind: str) -> None:
         raise RunFolderError(
             f"{folder} is not empty and holds no {kind}; choose another folder with --output"
         )
-
-
-def refuse_another(folder: Path, kind: str, found: Any, ours: Any) -> None:
-    """Refuses a folder whose manifest differs from ours.
-
-    Raises:
-        RunFolderError: It differs; names the first field that does.
-    """
-    for field, was, now in differing_fields(found, ours):
-        raise RunFolderError(
-            f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now {now}; "
-            "choose another folder with --output, or delete this one"
-        )
+    with locked(folder):
+        found = read() if path.exists() else ours
+        found = found if isinstance(found, dict) else {}
+        for field, was, now in differing_fields({name: found.get(name) for name in ours}, ours):
+            raise RunFolderError(
+                f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now "
+                f"{now}; choose another folder with --output, or delete this one"
+            )
+        yield
 
 
 def differing_fields(one: Any, other: Any, at: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -6,20 +6,18 @@ written whole or not at all, so an interrupted estimation continues with the run
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
-from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, InputError
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
-from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.specs import networks_of
-from charms_bench.runs.lock import locked
-from charms_bench.runs.manifest import read_manifest, refuse_another, refuse_foreign
+from charms_bench.runs.manifest import opened, read_manifest
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
+from charms_bench.runs.runner import on_this_machine
 from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import PRESENTATION, Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
@@ -87,7 +85,6 @@ def run_rare(
             f"{most:,}"
         )
     event_of(event)
-    count = workers or os.cpu_count() or 1
 
     def finished(tasks: Mapping[Place, RareTask]) -> dict[Place, SubsetRun]:
         """The runs or pilots of some tasks, from the folder if they are there."""
@@ -99,15 +96,7 @@ def run_rare(
             else:
                 found[place] = made
                 progress(suite.cells[place[0]], 1)
-        running = in_processes(
-            estimate,
-            missing,
-            min(count, len(missing)),
-            lambda task: task.title,
-            RUN_LIMIT_S,
-            notice,
-            worker_environment("batched"),
-        )
+        running = on_this_machine(estimate, "batched", workers, missing, RUN_LIMIT_S, notice)
         with closing(running):
             for task, made in running:
                 place = missing[task]
@@ -143,11 +132,17 @@ def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
     for index, cell in enumerate(suite.cells):
         ego, traffic = cell.ego.agent, cell.traffic.traffic
         networks = networks_of(ego, traffic_of(traffic), suite.folder)
-        software = software_of(ego, traffic, networks, event)
         tasks[index, 0] = RareTask(
-            f"{cell.title}, pilot", suite.scene, ego, traffic, networks, event, samples, suite.seed,
-            0, None, software,
-        )  # fmt: skip
+            title=f"{cell.title}, pilot",
+            scene=suite.scene,
+            ego=ego,
+            traffic=traffic,
+            networks=networks,
+            software=software_of(ego, traffic, networks, event),
+            event=event,
+            samples=samples,
+            seed=suite.seed,
+        )
     return tasks
 
 
@@ -170,12 +165,10 @@ def _opened(folder: Path, suite: Suite, event: str, samples: int) -> Iterator[No
     fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
     ours = {"format": FORMAT, "suite": fields, "event": event, "samples": samples}
     path = folder / MANIFEST
-    refuse_foreign(folder, MANIFEST, "estimation of a rare event")
-    with locked(folder):
-        if path.exists():
-            refuse_another(folder, "estimation", read_manifest(path, FILE_LIMIT_BYTES), ours)
-        for partial in folder.glob("**/.*.partial"):
-            partial.unlink()
+    read = partial(read_manifest, path, FILE_LIMIT_BYTES)
+    with opened(folder, MANIFEST, "estimation of a rare event", ours, read):
+        for left in folder.glob("**/.*.partial"):
+            left.unlink()
         write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
         yield
 

@@ -4,7 +4,7 @@ A run depends on this module and on what it imports, and its key is a hash of al
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,11 @@ from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.runs.options import name_and_options
 from charms_bench.runs.shard import (
+    CellTask,
     HeldDrivers,
     Software,
     forget_identities,
     installed,
-    key_of,
     origin_of,
 )
 from charms_bench.statistics.subset_simulation import (
@@ -34,50 +34,25 @@ from charms_bench.statistics.subset_simulation import (
     pilot_run,
     subset_simulation,
 )
-from charms_bench.world.scene import Floats, SceneSettings
+from charms_bench.world.scene import Floats
 
 EPISODES_AT_ONCE = 200
 """Enough scenes for the compiled engine to be fast."""
 
 
-@dataclass(frozen=True, eq=False)
-class RareTask:
-    """A run or a pilot to make: all that decides it."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RareTask(CellTask):
+    """A run or a pilot to make."""
 
-    title: str
-    """What messages call it; the only field that decides nothing."""
-    scene: SceneSettings
-    ego: AgentSpec
-    traffic: TrafficSpec
-    networks: Mapping[str, Path]
-    """The files of the cell's networks; see `specs.networks_of`."""
     event: str
     """The event, with options; see `event_of`."""
     samples: int
     """Episodes of each level."""
     seed: int
-    run: int
+    run: int = 0
     """From 1; runs with the same seed and different numbers are independent. 0 is the pilot."""
-    pilot: SubsetRun | None
+    pilot: SubsetRun | None = None
     """None if this is the pilot."""
-    software: Software
-    """What was installed when the first run began."""
-
-    @property
-    def key(self) -> str:
-        """Hash of everything that the estimate depends on; see `ShardTask.key`."""
-        inputs = {
-            "scene": self.scene.model_dump(mode="json"),
-            "ego": self.ego.model_dump(mode="json"),
-            "traffic": self.traffic.model_dump(mode="json"),
-            "event": self.event,
-            "samples": self.samples,
-            "seed": self.seed,
-            "run": self.run,
-            "pilot": self.pilot and asdict(self.pilot),
-            "software": self.software.fields(),
-        }
-        return key_of(inputs, self.software, self.networks)
 
 
 def event_of(text: str) -> Event:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
@@ -17,6 +18,7 @@ from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished import FinishedRun
 from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.shard import (
+    CellTask,
     ShardFiles,
     ShardTask,
     forget_agents,
@@ -28,6 +30,8 @@ from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.world.scene import EVALUATION_SEEDS
 
+T = TypeVar("T", bound=CellTask)
+R = TypeVar("R")
 SHARD_LIMIT_S = 1800.0
 """Far longer than a shard takes if its agents answer."""
 
@@ -111,7 +115,7 @@ def run(
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
         _note_replaced(suite, folder.finished(), missing.values(), notice)
-        simulate_all = cluster or partial(on_this_machine, engine, workers)
+        simulate_all = cluster or partial(on_this_machine, simulate, engine, workers)
         with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
             try:
                 for task, files in finished:
@@ -200,19 +204,20 @@ def plan_cell(
 
 
 def on_this_machine(
+    work: Callable[[T], R],
     engine: EngineName,
     workers: int | None,
-    tasks: Sequence[ShardTask],
+    tasks: Collection[T],
     limit_s: float,
     notice: Notice,
-) -> Generator[tuple[ShardTask, ShardFiles], None, None]:
-    """Simulates shards in processes on this machine; see `SimulateAll`."""
+) -> Generator[tuple[T, R], None, None]:
+    """Does the work of tasks in processes on this machine; see `SimulateAll`."""
     count = min(workers or os.cpu_count() or 1, len(tasks))
     environment = worker_environment(engine)
-    return in_processes(simulate, tasks, count, _title, limit_s, notice, environment)
+    return in_processes(work, tasks, count, _title, limit_s, notice, environment)
 
 
-def _title(task: ShardTask) -> str:
-    """What messages call a shard whose worker has died, perhaps because of a network."""
+def _title(task: CellTask) -> str:
+    """What messages call a task whose worker has died, perhaps because of a network."""
     networks = ", ".join(task.networks)
     return f"{task.title} ({networks})" if networks else task.title

@@ -5,8 +5,8 @@ So this module imports nothing that does not decide rows.
 """
 
 import json
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
 from io import BytesIO
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from pydantic import BaseModel
 
 from charms_bench.engine import EngineName
 from charms_bench.engine.columns import DRIVER_KEYS
@@ -47,10 +48,6 @@ class Software:
     agents: Mapping[str, Mapping[str, str]]
     """See `identify_agents`."""
 
-    def fields(self) -> dict[str, Any]:
-        """Returns the fields as a JSON object."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
-
     def differences(self, expected: "Software") -> str:
         """Returns in words what differs from the expected software; empty if nothing does."""
         return differences(self._flat(), expected._flat())
@@ -64,53 +61,53 @@ class Software:
         return {"code of charms-bench": self.code_sha256, **self.versions, **agents}
 
 
-@dataclass(frozen=True, eq=False)
-class ShardTask:
-    """A shard to simulate: all that decides its rows."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CellTask:
+    """A part of the work on a cell: all that decides its result."""
 
     title: str
-    """What messages call it; the only field that decides no row."""
-    engine: EngineName
+    """What messages call it; the only field that decides nothing."""
     scene: SceneSettings
     ego: AgentSpec
     traffic: TrafficSpec
     networks: Mapping[str, Path]
     """The files of the cell's networks; see `specs.networks_of`."""
-    first_seed: int
-    """Seed of the first episode; the next episodes have the next seeds."""
-    episodes: int
     software: Software
     """What was installed when the run began."""
 
     @property
     def key(self) -> str:
-        """Hash of everything that its rows depend on: of a network, the content and not the path.
+        """Hash of all that the result depends on: of a network, the content and not the path.
 
         The order of agents is part of it, because the random draw of a mixture follows that order.
+        The contents of networks are numbered, so that two names for the same content stay two keys
+        of a mixture.
         """
-        inputs = {
-            "engine": self.engine,
-            "scene": self.scene.model_dump(mode="json"),
-            "ego": self.ego.model_dump(mode="json"),
-            "traffic": self.traffic.model_dump(mode="json"),
-            "first_seed": self.first_seed,
-            "episodes": self.episodes,
-            "software": self.software.fields(),
+        inputs = {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
+        del inputs["title"], inputs["networks"]
+        contents = {
+            name: f"{self.software.agents[name]['weights_sha256']} {number}"
+            for number, name in enumerate(self.networks)
         }
-        return key_of(inputs, self.software, self.networks)
+        named = by_content(inputs, contents) if contents else inputs
+        return sha256(json.dumps(named).encode()).hexdigest()
 
 
-def key_of(inputs: Mapping[str, Any], software: Software, networks: Collection[str]) -> str:
-    """Returns the hash of a task's inputs, with the contents of networks in place of their names.
+def _plain(value: Any) -> Any:
+    """A field of a task, ready for JSON."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
-    The contents are numbered, so that two names for the same content stay two keys of a mixture.
-    """
-    contents = {
-        name: f"{software.agents[name]['weights_sha256']} {number}"
-        for number, name in enumerate(networks)
-    }
-    named = by_content(inputs, contents) if contents else inputs
-    return sha256(json.dumps(named).encode()).hexdigest()
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShardTask(CellTask):
+    """A shard to simulate."""
+
+    engine: EngineName
+    first_seed: int
+    """Seed of the first episode; the next episodes have the next seeds."""
+    episodes: int
 
 
 def simulate(task: ShardTask) -> ShardFiles:

@@ -100,16 +100,16 @@ def test_a_scene_is_that_of_highway_envs_own_multi_agent_environment() -> None:
     rng, ended, before = np.random.default_rng(1), False, 0.0
     while not ended:
         seen = named_observation("Kinematics")(scene, ours.vehicles)
-        alive = ours.alive[0].copy()
+        alive = ours.alive.copy()
         np.testing.assert_allclose(seen, np.array(expected)[alive], rtol=0, atol=1e-6)
         actions = rng.integers(len(ACTIONS), size=count)
         ours.step(actions)
         expected, reward, *endings, _ = stock.step(tuple(actions.tolist()))
         np.testing.assert_allclose(scene.speed[0], [v.speed for v in stock.road.vehicles])
         wrecks = [vehicle.crashed for vehicle in stock.road.vehicles]
-        np.testing.assert_array_equal(~ours.alive[0], wrecks)
-        assert ours.returns[0, 0] - before == pytest.approx(reward)
-        before = ours.returns[0, 0]
+        np.testing.assert_array_equal(~ours.alive, wrecks)
+        assert ours.returns[0] - before == pytest.approx(reward)
+        before = ours.returns[0]
         ended = any(endings)
     assert sum(wrecks) > 2
 
@@ -123,7 +123,7 @@ def test_learners_of_a_policy_drive_as_the_policy_does_in_a_suite() -> None:
     for _ in range(12):
         actions = np.zeros(found.alive.shape, dtype=np.int64)
         actions[found.alive] = Whims().decide(neighbours(found.simulation.scene, found.vehicles))
-        found.step(actions.ravel())
+        found.step(actions)
         running = expected.scene.active.copy()
         expected.step()
         for name in ("x", "y", "speed", "heading"):
@@ -142,7 +142,7 @@ def test_vehicles_that_are_not_learners_have_the_drivers_that_they_have_without_
     without.reset(np.arange(4, dtype=np.uint64))
     found = learners(settings, (0, 2, 7), scenes=4, traffic=mixture)
     drivers = found.simulation.drivers
-    assert (drivers[np.arange(4)[:, None], found.places] == "").all()
+    assert (drivers[np.arange(4)[:, None], found.places.reshape(4, -1)] == "").all()
     assert (drivers == "").sum() == 12
     np.testing.assert_array_equal(drivers[drivers != ""], without.drivers[drivers != ""])
     np.testing.assert_array_equal(found.simulation.scene.x, without.scene.x)
@@ -153,7 +153,7 @@ def test_learners_are_the_ego_and_the_others_in_the_order_of_spawning() -> None:
     assert found.numbers == (0, 1, 5)
     for row, ego in enumerate(found.simulation.scene.ego):
         others = [place for place in range(21) if place != ego]
-        assert found.places[row].tolist() == [ego, others[0], others[4]]
+        assert found.places[3 * row : 3 * row + 3].tolist() == [ego, others[0], others[4]]
     assert len({*found.simulation.scene.ego}) == 6
 
 
@@ -186,18 +186,18 @@ def test_a_crash_ends_two_learners_and_the_others_go_on_until_the_time_is_over()
     found = on_the_middle_lane(100.0, 106.0, 250.0, duration_s=2.0)
     found.simulation.scene.speed[0, 0] = 33.0
     first = found.step(np.full(3, IDLE))
-    assert first.terminated.tolist() == [[True, True, False]]
-    assert first.endings.tolist() == [[REAR_END, REAR_END, RUNNING]]
+    assert first.terminated.tolist() == [True, True, False]
+    assert first.endings.tolist() == [REAR_END, REAR_END, RUNNING]
     assert not first.truncated.any()
     for _ in range(4):
         later = found.step(np.full(3, FASTER))
         assert not (later.terminated | later.truncated).any()
-        assert later.rewards[0, :2].tolist() == [0.0, 0.0]
+        assert later.rewards[:2].tolist() == [0.0, 0.0]
     scene = found.simulation.scene
     assert scene.target_speed[0].tolist() == [25.0, 25.0, 29.0]  # wrecks obey nobody
     last = found.step(np.full(3, IDLE))
-    assert last.truncated.tolist() == [[False, False, True]]
-    assert last.endings.tolist() == [[RUNNING, RUNNING, TIME]]
+    assert last.truncated.tolist() == [False, False, True]
+    assert last.endings.tolist() == [RUNNING, RUNNING, TIME]
     assert not found.alive.any()
 
 
@@ -206,7 +206,7 @@ def test_leaving_the_road_ends_a_learner_where_the_profile_says_so() -> None:
         found = on_the_middle_lane(100.0, 200.0, profile=PROFILES[profile])
         found.simulation.scene.y[0, 1] = 16.0
         locate(found.simulation.scene, np.array([0]))
-        assert found.step(np.full(2, IDLE)).endings.tolist() == [[RUNNING, ending]]
+        assert found.step(np.full(2, IDLE)).endings.tolist() == [RUNNING, ending]
 
 
 def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
@@ -215,7 +215,7 @@ def test_a_side_collision_is_told_from_a_rear_end_collision() -> None:
     scene.y[0, 1], scene.target_lane[0, 1] = 8.0, 2
     locate(scene, np.array([0]))
     scene.target_lane[0, 0] = 2
-    endings = [found.step(np.full(2, IDLE)).endings[0].tolist() for _ in range(12)]
+    endings = [found.step(np.full(2, IDLE)).endings.tolist() for _ in range(12)]
     assert [SIDE, SIDE] in endings
 
 

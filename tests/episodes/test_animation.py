@@ -7,6 +7,7 @@ import pytest
 from handmade_replay import replay_of
 from PIL import Image, ImageColor
 
+from charms_bench.api.shown import ShownReplay
 from charms_bench.episodes.animation import animate, moment_of
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
@@ -39,7 +40,7 @@ def test_it_lasts_as_long_as_the_episode_and_holds_the_end(tmp_path: Path) -> No
 
 def test_a_replay_animates_itself_above_what_happened(tmp_path: Path) -> None:
     replay = replay_of("off_road", x=np.zeros((6, 2)), speed=31.0)
-    replay.animate(tmp_path / "its own.gif")
+    ShownReplay.of(replay).animate(tmp_path / "its own.gif")
     animate(replay, tmp_path / "told.gif", "left the road at 31.0 m/s, at t = 0.3 s")
     assert (tmp_path / "its own.gif").read_bytes() == (tmp_path / "told.gif").read_bytes()
 

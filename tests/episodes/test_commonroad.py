@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from handmade_replay import replay_of
 
+from charms_bench.episodes.commonroad import write_commonroad
 from charms_bench.errors import InputError
 
 REPLAY = replay_of(
@@ -23,7 +24,7 @@ REPLAY = replay_of(
 
 @pytest.fixture
 def root(tmp_path: Path) -> ElementTree.Element:
-    REPLAY.write_commonroad(tmp_path / "episode.xml")
+    write_commonroad(REPLAY, tmp_path / "episode.xml")
     return ElementTree.parse(tmp_path / "episode.xml").getroot()
 
 
@@ -78,18 +79,18 @@ def test_lanelets_are_the_lanes_from_left_to_right(root: ElementTree.Element) ->
 
 def test_the_same_episode_is_always_the_same_file(tmp_path: Path) -> None:
     for name in ("one.xml", "two.xml"):
-        REPLAY.write_commonroad(tmp_path / name)
+        write_commonroad(REPLAY, tmp_path / name)
     assert (tmp_path / "one.xml").read_bytes() == (tmp_path / "two.xml").read_bytes()
 
 
 def test_another_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"episode\.json: expected .* ending in \.xml"):
-        REPLAY.write_commonroad(tmp_path / "episode.json")
+        write_commonroad(REPLAY, tmp_path / "episode.json")
 
 
 def test_a_truck_has_its_own_size_and_type(tmp_path: Path) -> None:
     replayed = replay_of(x=[[100.0, 130.0]] * 2, length=[[5.0, 16.0]] * 2, width=[[2.0, 2.5]] * 2)
-    replayed.write_commonroad(tmp_path / "episode.xml")
+    write_commonroad(replayed, tmp_path / "episode.xml")
     found = ElementTree.parse(tmp_path / "episode.xml").getroot().findall("dynamicObstacle")
     names = ("type", "shape/rectangle/length", "shape/rectangle/width")
     said = [tuple(each.findtext(name) for name in names) for each in found]

@@ -5,12 +5,9 @@ import polars as pl
 import pytest
 from handmade_rows import SCENE, frames
 
-from charms_bench.engine import conflict_onsets, encroachment, lane_changes
+from charms_bench.engine import encroachment, lane_changes
 from charms_bench.engine.columns import DRIVER_SCHEMA
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
-from charms_bench.metrics.conflicts import CONFLICT_TTC_S
-from charms_bench.metrics.lane_changes import SAFE_BRAKING_MPS2
-from charms_bench.metrics.required_braking import DRAC_LIMIT_MPS2
 from charms_bench.metrics.rows import LANE_CHANGE_WINDOW_S
 
 METRICS = {metric.name: metric for metric in METRIC_SETS[-1].metrics}
@@ -70,8 +67,5 @@ def test_vehicles_are_those_that_n_counts() -> None:
 
 
 def test_recorded_events_have_the_default_thresholds_of_the_metrics_of_steps() -> None:
-    assert conflict_onsets.CONFLICT_TTC_S == CONFLICT_TTC_S
-    assert conflict_onsets.NEAR_MISS_DRAC_MPS2 == DRAC_LIMIT_MPS2
-    assert lane_changes.HARD_BRAKING_MPS2 == SAFE_BRAKING_MPS2
     assert lane_changes.IMPOSED_S == LANE_CHANGE_WINDOW_S
     assert encroachment.SHORT_PET_S == 2.0  # the columns and metrics are named after it

@@ -21,8 +21,11 @@ from charms_bench.runs import shard
 from charms_bench.world.scene import SceneSettings
 for name in ("stackelberg", "charms", "imitation"):
     agent, traffic = AgentSpec(name=name), TrafficSpec(name="pch")
-    inputs = SceneSettings(duration_s=1.0), agent, traffic, {}
-    task = shard.ShardTask("a", "batched", *inputs, 0, 2, shard.installed(*inputs[1:]))
+    task = shard.ShardTask(
+        title="a", engine="batched", scene=SceneSettings(duration_s=1.0), ego=agent,
+        traffic=traffic, networks={}, first_seed=0, episodes=2,
+        software=shard.installed(agent, traffic, {}),
+    )
     shard.simulate(task)
 import charms_bench.engine.highway_env
 print(*(name for name in sys.modules if name.partition(".")[0] == "charms_bench"))

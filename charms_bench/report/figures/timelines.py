@@ -5,9 +5,9 @@ from matplotlib.figure import Figure
 
 from charms_bench.episodes.ego_view import EgoView
 from charms_bench.episodes.replay import Replay
-from charms_bench.metrics.conflicts import CONFLICT_TTC_S
 from charms_bench.report.figures.drawing import SERIES, panels
 from charms_bench.world.scene import Floats, Ints
+from charms_bench.world.thresholds import CONFLICT_TTC_S
 
 GAP_SHOWN_M, TTC_SHOWN_S = 60.0, 10.0
 """Larger values lie above the upper edge."""

@@ -11,8 +11,8 @@ from charms_bench.episodes.recorded_cell import RecordedCell, find_cell, find_ce
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.episodes.what_if import WhatIf, what_if
 from charms_bench.errors import InputError, RunFolderError
-from charms_bench.report.finding import CRASHED
 from charms_bench.report.html.sources import Evaluation
+from charms_bench.report.sentences import CRASHED
 
 Place = tuple[int, int, int]
 """Where an episode is: the place of its run, the place of its cell, and its seed."""

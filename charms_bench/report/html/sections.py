@@ -15,10 +15,10 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.finding import finding
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
+from charms_bench.report.sentences import finding
 from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
 from charms_bench.runs.suite import Suite
