@@ -221,9 +221,9 @@ def check_settings(found: SceneSettings, expected: SceneSettings) -> None:
 
 
 def _first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any]:
-    name = next(name for name in one if one[name] != other[name])
-    if not isinstance(one[name], Mapping):
-        return name, one[name], other[name]
+    name = next(name for name in {**one, **other} if one.get(name) != other.get(name))
+    if not isinstance(one.get(name), Mapping):
+        return name, one.get(name), other.get(name)
     field, *values = _first_difference(one[name], other[name])
     return f"{name}.{field}", *values
 

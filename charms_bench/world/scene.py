@@ -9,7 +9,13 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from charms_bench.errors import suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
@@ -116,6 +122,13 @@ class SceneSettings(FrozenModel):
                     f"vehicle_types[{k}].desired_speed_mps: {low:g} to {high:g} is outside the "
                     f"profile's speeds; expected {max(slowest, 0):g} to {fastest:g}"
                 )
+
+    @model_serializer(mode="wrap")
+    def _without_types(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were types, if there are none: a suite keeps its fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        new = ("vehicle_types", "ego_type")
+        return {name: value for name, value in fields.items() if value or name not in new}
 
     def of_scenario(self, scenario: Scenario | None) -> "SceneSettings":
         """The same settings for the vehicles of a scenario; for None, these settings.

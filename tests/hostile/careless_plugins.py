@@ -73,10 +73,10 @@ def decide(self, observations):
         """
 last = None
 def decide(self, observations):
-    speed = observations[:, 0, 3].copy()
-    before = speed if self.last is None or len(self.last) != len(speed) else self.last
-    self.last = speed
-    return np.where(speed > before, FASTER, SLOWER)
+    if self.last is None or len(self.last) != len(observations):
+        self.last = np.full(len(observations), SLOWER)
+    self.last = np.where(self.last == SLOWER, FASTER, SLOWER)
+    return self.last.copy()
 """,
     ),
     _policy(

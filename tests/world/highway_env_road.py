@@ -1,4 +1,4 @@
-"""Roads and highway-env's own answer the same questions; `test_road` runs these tests.
+"""Roads and highway-env's own answer the same questions; `test_road_rules` runs these tests.
 
 highway-env has to start with `worker_environment("highway-env")` to give the same bits.
 """
