@@ -10,19 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled, index, not_zero
+from charms_bench.foundation.compiled import clip, compiled, index, not_zero, wrap_to_pi
 from charms_bench.world.profile import Constants
 from charms_bench.world.road import first_nearest
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
-
-
-@compiled
-def wrap_to_pi(angle: float) -> float:
-    """`utils.wrap_to_pi`."""
-    shifted = angle + math.pi
-    if not 0 <= shifted < 2 * math.pi:
-        shifted %= 2 * math.pi
-    return shifted - math.pi
 
 
 class Turning(NamedTuple):

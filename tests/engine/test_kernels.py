@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
 from charms_bench.engine.contacts import collide
-from charms_bench.engine.motion import follow_no_lane, move, room_to_turn, wrap_to_pi
+from charms_bench.engine.motion import follow_no_lane, move, room_to_turn
 from charms_bench.engine.neighbours import locate
+from charms_bench.foundation.compiled import wrap_to_pi
 from charms_bench.world.road import Straight, closest_lane, is_reachable
 from charms_bench.world.scene import Scene
 
