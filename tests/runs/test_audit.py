@@ -457,7 +457,7 @@ def test_other_libraries_and_other_agents_are_named_and_nothing_is_called_false(
 
 def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
     shutil.copytree(SOURCES / "charms_bench", tmp_path / "charms_bench")
-    module = tmp_path / "charms_bench" / "world" / "road.py"
+    module = tmp_path / "charms_bench" / "plugins" / "traffic.py"
     module.write_text(module.read_text() + "\n# Another commit.\n")
     (tmp_path / "suite.yaml").write_text(RARE)
     path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
@@ -474,7 +474,7 @@ def test_a_run_of_another_commit_is_named(whole: Path, tmp_path: Path) -> None:
     change_manifest(tmp_path, lambda manifest: manifest.update(commit="1234abcd"))
     answer = audited(tmp_path)
     assert answer.returncode == 3
-    what = "charms_bench.world.road is not the code of the run, which was charms-bench"
+    what = "charms_bench.plugins.traffic is not the code of the run, which was charms-bench"
     assert f"modules: {what} {harness.__version__}" in answer.stdout
     assert "install commit 1234abcd" in answer.stdout
     assert "none can be simulated again" in answer.stdout
