@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from charms_bench.api import open_run as open_run
     from charms_bench.api import open_training as open_training
     from charms_bench.api import rare as rare
-    from charms_bench.api import references as references
     from charms_bench.api import run as run
     from charms_bench.api import search as search
     from charms_bench.api import train as train
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from charms_bench.engine.state_file import save_state as save_state
     from charms_bench.errors import CharmsBenchError as CharmsBenchError
     from charms_bench.foundation.compiled import compiled as compiled
+    from charms_bench.people.reference import references as references
     from charms_bench.plugins.agent import DriverModel as DriverModel
     from charms_bench.plugins.agent import Policy as Policy
     from charms_bench.plugins.event import Event as Event
@@ -42,10 +42,11 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 _NAMES = {
-    "api": "Rare Run audit open_run open_training rare references run search train warm_up",
+    "api": "Rare Run audit open_run open_training rare run search train warm_up",
     "engine.state": "SceneState",
     "engine.state_file": "load_state save_state",
     "errors": "CharmsBenchError",
+    "people.reference": "references",
     "plugins.agent": "DriverModel Policy",
     "plugins.event": "Event",
     "plugins.traffic": "Mixture Traffic",

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 from scenes import scene_of
 
-from charms_bench.engine.columns import DRIVER_SUMS
-from charms_bench.engine.conduct import Conduct
 from charms_bench.engine.neighbours import locate
+from charms_bench.recording.columns import DRIVER_SUMS
+from charms_bench.recording.primitives import Primitives
+from charms_bench.recording.recording import Recording
+from charms_bench.world.scene import Scene
 
 DT = 1 / 3
 """Seconds between two decisions."""
@@ -30,19 +32,23 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
     }
     collision = np.array(frames.pop("collision"), dtype=np.int8)
     scene = scene_of(profile="charms", **{name: each[0] for name, each in frames.items()})
+    scene.active[:] = True
     simulation = SimpleNamespace(
         scene=scene,
         steps=np.zeros(1, dtype=np.int64),
         collision=collision[:1],
-        settings=SimpleNamespace(decision_hz=3, simulation_hz=15),
+        action=np.zeros((1, vehicles), dtype=np.int64),
+        has_action=np.zeros((1, vehicles), dtype=np.bool_),
+        settings=SimpleNamespace(decision_hz=3, simulation_hz=15, decisions=decisions),
         collision_watchers=[],
+        ego_agent="0",
         agents=tuple(map(str, range(vehicles))),
         engine=SimpleNamespace(drivers=np.arange(vehicles)[None]),
         ego_vehicles=(np.array([0]), np.array([0])),
         seeds=np.zeros(1, dtype=np.uint64),
     )
     recorded: Any = simulation
-    made = Conduct(recorded)
+    made = Recording(recorded)
     for t in range(1, decisions):
         for name, each in frames.items():
             getattr(scene, name)[0] = each[t]
@@ -55,11 +61,25 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
                 watch()
         simulation.steps[:] = t
         scene.active[:] = t < decisions - 1 or not ends
-        made.note(np.array([0]))
-    rows = made.table()
+        made.note()
+    rows = made.drivers()
     assert len(rows) == vehicles
     order = sorted(rows.iter_rows(named=True), key=lambda row: int(row["agent"]))
     return [{name: row[name] for name in DRIVER_SUMS} for row in order]
+
+
+def vehicles_of(scene: Scene) -> Any:
+    """[B, N] the vehicles of a scene as they are kept."""
+    shape = scene.x.shape
+    simulation: Any = SimpleNamespace(
+        scene=scene,
+        steps=np.zeros(shape[0], dtype=np.int64),
+        collision=np.zeros(shape, dtype=np.int8),
+        action=np.zeros(shape, dtype=np.int64),
+        has_action=np.zeros(shape, dtype=np.bool_),
+    )
+    frames = Primitives(simulation).at_decision(np.arange(shape[0]))
+    return frames.vehicles[frames.moments["now"]]
 
 
 def only(sums: dict[str, float], *names: str) -> dict[str, float]:

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.episodes.replay import Replay
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.runs.suite import Cell, EgoEntry, TrafficEntry
 from charms_bench.world.scene import SceneSettings
 

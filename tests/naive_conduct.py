@@ -1,4 +1,4 @@
-"""A plain version of `engine.conduct`: it reads whole trajectories and keeps no state."""
+"""A plain version of `recording.driver_sums`: it reads whole trajectories and keeps no state."""
 
 from collections import Counter
 from typing import Any

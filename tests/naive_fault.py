@@ -1,4 +1,4 @@
-"""A plain version of `engine.fault`: it reads whole trajectories and keeps no state."""
+"""A plain version of `recording.fault`: it reads whole trajectories and keeps no state."""
 
 from typing import NamedTuple
 

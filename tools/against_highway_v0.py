@@ -15,14 +15,7 @@ from typing import Any, NamedTuple
 import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
-from against_stock import (
-    VARIABLES,
-    asked,
-    counted,
-    keep,
-    print_difference,
-    simulate_in_processes,
-)
+from against_stock import VARIABLES, asked, counted, keep, print_difference, simulate_in_processes
 from numpy.typing import NDArray
 
 import charms_bench.envs  # registers Ego-v0

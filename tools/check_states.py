@@ -3,42 +3,31 @@
 Episodes are simulated, and their states are kept after every simulation step and every decision.
 Then scenes are restored from randomly chosen states and simulated to the end of their episodes, or
 for `--steps` simulation steps. At each step, their state must be the one that was kept, to the last
-bit. `--batched`, `--reference`
-and `--across` set how many states are restored in the compiled engine, in highway-env, and in the
-engine that did not save them. Each traffic gets an equal share.
+bit. `--batched`, `--reference` and `--across` set how many states are restored in the compiled
+engine, in highway-env, and in the engine that did not save them. Each traffic gets an equal share.
 """
 
 import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "engine"))
+
+from interrupted import Whims, moments
+
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import SceneState
-from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture
-from charms_bench.world.actions import Actions
-from charms_bench.world.scene import Ints, Observations, SceneSettings
+from charms_bench.world.scene import Ints, SceneSettings
 
 FIRST_SEED = 900_000_000
-
-
-class Whims(Policy):
-    """Acts as if at random, so that vehicles collide, but depends on the observation alone."""
-
-    def __init__(self, decision_hz: float) -> None:
-        self.decision_hz = decision_hz
-
-    def decide(self, observations: Observations) -> Actions:
-        sums = np.abs(observations.astype(np.float64)).sum(axis=(1, 2))
-        return (sums * 1e4).astype(np.int64) % 5
 
 
 class Case(NamedTuple):
@@ -75,16 +64,6 @@ def simulation(case: Case, scenes: int, engine: EngineName) -> Simulation:
     own = {"whims": Whims(case.settings.decision_hz), "quick whims": Whims(15.0)}
     agents = {name: own.get(name) or make_agent(name) for name in (case.ego, *traffic.agents)}
     return Simulation(case.settings, scenes, case.ego, traffic, agents, engine)
-
-
-def moments(running: Simulation) -> Iterator[SceneState]:
-    """Simulates until all episodes have ended; yields each state after the first."""
-    while running.scene.active.any():
-        if running.phase == running.settings.steps_per_decision:
-            running.finish_step()
-        else:
-            running.advance()
-        yield running.state()
 
 
 class Found(NamedTuple):

@@ -15,21 +15,18 @@ from charms_agents.human.samples import SampleSettings, SampleStore
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.report.markdown import markdown
-from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Row, Table
+from charms_bench.report.table import Table
 from charms_bench.world.actions import ACTIONS
 
 
 def main(recordings: Path, networks: list[Path]) -> None:
     with tempfile.TemporaryDirectory() as cache:
         samples = SampleStore(recordings, Path(cache), SampleSettings()).load()
-    rows = []
+    records = []
     for path in networks:
         chosen = np.bincount(OnnxPolicy(path).decide(samples.observations), minlength=len(ACTIONS))
-        shares = chosen / chosen.sum()
-        rows.append(Row((str(path),), tuple(Number(float(share)) for share in shares)))
-    columns = tuple(Column(action, form=".1%") for action in ACTIONS)
-    print(markdown(Table("human-actions", "", ("network",), columns, tuple(rows))))
+        records.append({"network": path, **dict(zip(ACTIONS, chosen / chosen.sum(), strict=True))})
+    print(markdown(Table.plain(records, ("network",), dict.fromkeys(ACTIONS, ".1%"))))
     print(f"{len(samples.observations):,} samples")
 
 

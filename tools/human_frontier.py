@@ -12,14 +12,12 @@ episodes of the scene of suites/ego.yaml.
 
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 import yaml
 from charms_agents.human.samples import Samples, SampleStore
-from charms_agents.training.curve import Epoch
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import export, read_network
 from charms_agents.training.own_driving import own_driving
@@ -39,36 +37,25 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.report.figures.drawing import crosses, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Row, Table
+from charms_bench.report.table import Table
 
 DOCS = Path(__file__).parent.parent / "docs"
 PULLS = (0.0, 0.002, 0.02, 0.2, 2.0, 20.0)
 FIRST_SEED, EPISODES = 900_700_000, 1_000
-COLUMNS = (
-    Column("log-likelihood", form=".3f"),
-    Column("agreement", form=".1%"),
-    Column("temperature", form=".2f"),
-    Column("episodes crashed", form=".1%"),
-    Column("speed, m/s", form=".1f"),
-)
+FORMS = {
+    "log-likelihood": ".3f",
+    "agreement": ".1%",
+    "temperature": ".2f",
+    "episodes crashed": ".1%",
+    "speed, m/s": ".1f",
+}
+"""What a network says of held-out drivers, and how it drives; see `Column.form`."""
+Outcomes = dict[str, dict[str, Number]]
+"""The numbers of `FORMS` of each network, by name."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A network after learning: what it says of held-out drivers, and how it drives."""
-
-    human: Epoch
-    crashed_share: Number
-    speed_mps: Number
-
-    @property
-    def numbers(self) -> tuple[Number, ...]:
-        human = (self.human.log_likelihood, self.human.agreement, self.human.temperature)
-        return (*map(Number, human), self.crashed_share, self.speed_mps)
-
-
-def driven(fits: dict[str, Fit], folder: Path) -> dict[str, Outcome]:
-    """The outcomes of networks that have learnt, by name; each drives the same episodes."""
+def driven(fits: dict[str, Fit], folder: Path) -> Outcomes:
+    """The outcomes of networks that have learnt; each drives the same episodes."""
     suite = yaml.safe_load((DOCS.parent / "suites" / "ego.yaml").read_text(encoding="utf-8"))
     egos = []
     for number, (name, fit) in enumerate(fits.items()):
@@ -81,10 +68,13 @@ def driven(fits: dict[str, Fit], folder: Path) -> dict[str, Outcome]:
     table = charms_bench.run(path, folder / "run").table
     names = [column.name for column in table.columns]
     crashed, speed = names.index("crashed_episodes"), names.index("speed_mean")
-    return {
-        name: Outcome(fit.curve[-1], row.numbers[crashed], Number(row.numbers[speed].value))
-        for (name, fit), row in zip(fits.items(), table.rows, strict=True)
-    }
+    found = {}
+    for (name, fit), row in zip(fits.items(), table.rows, strict=True):
+        human = fit.curve[-1]
+        said = map(Number, (human.log_likelihood, human.agreement, human.temperature))
+        numbers = (*said, row.numbers[crashed], Number(row.numbers[speed].value))
+        found[name] = dict(zip(FORMS, numbers, strict=True))
+    return found
 
 
 def commonest(samples: Samples) -> float:
@@ -127,7 +117,7 @@ def learnt(suite_file: Path, start: Path, samples: Samples) -> dict[str, Fit]:
     return fits
 
 
-def draw(found: dict[str, Outcome]) -> None:
+def draw(found: Outcomes) -> None:
     """The figure: agreement and likelihood against crashes."""
     figure, every = panels(2, 5.2, 4.0)
     series = {
@@ -136,15 +126,13 @@ def draw(found: dict[str, Outcome]) -> None:
         "before": ["before"],
         "imitation": ["imitation"],
     }
-    for axes, place, title in zip(every, (0, 1), ("log-likelihood", "agreement"), strict=True):
+    for axes, title in zip(every, ("log-likelihood", "agreement"), strict=True):
         for label, names in series.items():
-            points = [found[name] for name in names]
-            x = [each.crashed_share for each in points]
-            crosses(axes, x, [each.numbers[place] for each in points], fmt="o", label=label)
-            for name, share, each in zip(names, x, points, strict=True):
+            x, y = ([found[name][each] for name in names] for each in ("episodes crashed", title))
+            crosses(axes, x, y, fmt="o", label=label)
+            for name, share, number in zip(names, x, y, strict=True):
                 if label.startswith("with"):
-                    at = (share.value, each.numbers[place].value)
-                    text = name.partition(",")[0]
+                    at, text = (share.value, number.value), name.partition(",")[0]
                     axes.annotate(text, at, (4, 3), textcoords="offset points", fontsize=7)
         axes.set(xlabel="episodes crashed", ylabel=f"{title}, held-out drivers", xscale="log")
         shares = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
@@ -162,8 +150,8 @@ def main(suite: Path, start: Path, recordings: Path) -> None:
         samples = SampleStore(recordings, Path(folder), human.samples).load()
         found = driven(learnt(suite, start, samples), Path(folder))
     draw(found)
-    rows = tuple(Row((name,), each.numbers) for name, each in found.items())
-    text = markdown(Table("human-frontier", "", ("lambda",), COLUMNS, rows))
+    records = ({"lambda": name, **numbers} for name, numbers in found.items())
+    text = markdown(Table.plain(records, ("lambda",), FORMS))
     text += (
         f"\nIf all five actions are equally likely, the log-likelihood is {-np.log(5):.3f}. Always "
         f"choosing the commonest action agrees with {commonest(samples):.1%}".replace("%", " %")

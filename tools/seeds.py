@@ -19,7 +19,7 @@ from charms_bench.metrics import METRIC_SETS
 from charms_bench.report.figures.drawing import SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Row, Table
+from charms_bench.report.table import Table
 from charms_bench.runs.finished import open_finished
 from charms_bench.runs.folder import RunFolder
 from charms_bench.statistics.intervals import CONFIDENCE, Bounds
@@ -75,24 +75,21 @@ def of_seeds(run: Path) -> pl.DataFrame:
 
 def summary(values: pl.DataFrame) -> str:
     """The table of configurations from the metrics of every seed, as Markdown."""
-    rows = []
+    keys = ("training configuration", "over the seeds")
+    records: list[dict[str, Any]] = []
     for (name,), part in values.group_by("configuration", maintain_order=True):
-        means, worst = [], []
-        for metric, (*_, worst_of) in COLUMNS.items():
+        mean: dict[str, Any] = dict(zip(keys, (name, "mean [t interval]"), strict=True))
+        worst: dict[str, Any] = dict(zip(keys, ("", "worst seed"), strict=True))
+        for metric, (_, header, _, worst_of) in COLUMNS.items():
             found = part[metric].to_numpy()
             low, high = t_interval(found)
             highest = 1.0 if metric in SHARES else np.inf
-            means.append(Number(float(found.mean()), max(low, 0.0), min(high, highest), len(found)))
-            worst.append(Number(float(worst_of(found)) if worst_of else None))
-        means.append(Number(part["process_minutes"].mean()))  # type: ignore[arg-type]  # of floats
-        rows.append(Row((str(name), "mean [t interval]"), tuple(means)))
-        rows.append(Row(("", "worst seed"), (*worst, Number())))
-    columns = (
-        *(Column(header, form=form) for _, header, form, _ in COLUMNS.values()),
-        Column("process-minutes", form=".1f"),
-    )
-    keys = ("training configuration", "over the seeds")
-    return markdown(Table("seeds", "", keys, columns, tuple(rows)))
+            mean[header] = Number(found.mean(), max(low, 0.0), min(high, highest), len(found))
+            worst[header] = worst_of(found) if worst_of else None
+        mean["process-minutes"] = part["process_minutes"].mean()
+        records += [mean, worst]
+    forms = {header: form for _, header, form, _ in COLUMNS.values()} | {"process-minutes": ".1f"}
+    return markdown(Table.plain(records, keys, forms))
 
 
 def t_interval(values: Floats) -> Bounds:
@@ -127,9 +124,9 @@ def coverage() -> dict[str, float]:
 
 def coverage_table(run: Path | None = None) -> str:
     """The simulated coverage as Markdown; it needs no run."""
-    column = Column("t intervals that contain the mean", form=".1%")
-    rows = tuple(Row((name,), (Number(share),)) for name, share in coverage().items())
-    return markdown(Table("seed-coverage", "", ("distribution of the seeds",), (column,), rows))
+    key, share = "distribution of the seeds", "t intervals that contain the mean"
+    records = [{key: name, share: found} for name, found in coverage().items()]
+    return markdown(Table.plain(records, (key,), {share: ".1%"}))
 
 
 def _process_minutes(network: Path) -> float | None:

@@ -51,13 +51,9 @@ def transfer_table(run: Path) -> str:
     tables = []
     for metric, (title, _) in METRICS.items():
         found = crashed_elsewhere(run.parent, metric)
-        egos = list(dict.fromkeys(ego for numbers in found.values() for ego in numbers))
-        columns = tuple(Column(ego, form=".1%") for ego in egos)
-        rows = tuple(
-            Row((condition,), tuple(numbers.get(ego, Number()) for ego in egos))
-            for condition, numbers in found.items()
-        )
-        table = Table("transfer", "", ("condition",), columns, rows)
+        egos = dict.fromkeys((ego for numbers in found.values() for ego in numbers), ".1%")
+        records = ({"condition": condition, **numbers} for condition, numbers in found.items())
+        table = Table.plain(records, ("condition",), egos)
         tables.append(f"**{title}**\n\n{markdown(table)}")
     return "\n".join(tables)
 

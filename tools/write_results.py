@@ -38,8 +38,6 @@ from charms_bench.runs.folder import RunFolder
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
-
-
 EGO = {
     "episodes crashed": ("crashed_episodes", ".1%"),
     "crashed at fault": ("crashed_at_fault", ".1%"),
@@ -129,30 +127,31 @@ def tables_of(run: Path) -> RunTables:
 
 def rates(columns: Mapping[str, tuple[str, str]], run: Path) -> str:
     """The table of a suite, every value with its interval."""
-    table = tables_of(run).metrics.select(*(metric for metric, _ in columns.values()))
-    forms = [form for _, form in columns.values()]
-    described = tuple(
-        replace(each, form=form) for each, form in zip(table.columns, forms, strict=True)
-    )
-    return markdown(replace(table, columns=described).without_constant_keys().named(*columns))
+    return markdown(chosen(tables_of(run).metrics, columns))
 
 
 def shown(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
-    """A suite's table with these columns, each from the first set that has the metric.
-
-    Only shares keep their intervals; keys that are all the same are left out.
-    """
-    names = [column.name for column in table.columns]
-    places = [names.index(metric) for metric, _ in columns.values()]
-    described = tuple(Column(header, form=form) for header, (_, form) in columns.items())
+    """A suite's table with these columns, of which only shares keep their intervals."""
+    table = chosen(table, columns)
     rows = []
     for row in table.rows:
-        numbers = tuple(
+        numbers = (
             number if column.form.endswith("%") else replace(number, low=None, high=None)
-            for number, column in zip([row.numbers[i] for i in places], described, strict=True)
+            for number, column in zip(row.numbers, table.columns, strict=True)
         )
-        rows.append(Row(row.labels, numbers))
-    return replace(table, columns=described, rows=tuple(rows)).without_constant_keys()
+        rows.append(Row(row.labels, tuple(numbers)))
+    return replace(table, rows=tuple(rows))
+
+
+def chosen(table: Table, columns: Mapping[str, tuple[str, str]]) -> Table:
+    """A suite's table with these columns, each from the first set that has the metric.
+
+    Keys that are all the same are left out.
+    """
+    names = [column.name for column in table.columns]
+    table = table.take([names.index(metric) for metric, _ in columns.values()])
+    described = tuple(Column(header, form=form) for header, (_, form) in columns.items())
+    return replace(table, columns=described).without_constant_keys()
 
 
 def realism(run: Path) -> str:
@@ -210,14 +209,12 @@ def how_late(found: Sequence[Avoidability], decision_hz: int) -> str:
     decisions = Counter(
         each.step - each.last_step + 1 for each in found if each.last_step is not None
     )
+    since = "time from the last decision with an escape, s"
     records = [
-        {"decisions": str(count), "time": count / decision_hz, "collisions": collisions}
+        {"decisions": count, since: count / decision_hz, "collisions": collisions}
         for count, collisions in sorted(decisions.items())
     ]
-    columns = (Column("time", form=".2f"), Column("collisions", form=".0f"))
-    late = Table.from_records(records, "", "", ("decisions",), columns).named(
-        "time from the last decision with an escape, s", "collisions"
-    )
+    late = Table.plain(records, ("decisions",), {since: ".2f", "collisions": ".0f"})
     return f"{fill(in_words(found), 100)}\n\n{markdown(late)}\n{markdown(rescuers_table(found))}"
 
 
@@ -230,10 +227,8 @@ def fine_tuning(run: Path) -> str:
         each["style"] = each["stage"].removeprefix("charms_").replace("_", " ")
     forms = {"agreement_before": ".1%", "agreement": ".1%"}
     forms |= {"log_likelihood_before": ".3f", "log_likelihood": ".3f"}
-    columns = tuple(Column(name, form=form) for name, form in forms.items())
-    chosen = Table.from_records(records, "", "", ("style",), columns)
     headers = ("agreement before", "after", "log-likelihood before", "after ")
-    return markdown(chosen.named(*headers))
+    return markdown(Table.plain(records, ("style",), forms).named(*headers))
 
 
 def training_time(run: Path) -> str:
@@ -244,8 +239,7 @@ def training_time(run: Path) -> str:
     for each in records:
         each["minutes"] = each["cpu_s"] and each["cpu_s"] / 60
         each["stage"] = each["stage"].replace("_", " ")
-    columns = (Column("steps", form=",.0f"), Column("minutes", form=".1f"))
-    return markdown(Table.from_records(records, "", "", ("stage",), columns))
+    return markdown(Table.plain(records, ("stage",), {"steps": ",.0f", "minutes": ".1f"}))
 
 
 def reproduction(run: Path) -> str:
@@ -288,7 +282,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
 
 def filled(text: str) -> str:
     """A page with the files of `docs/results` in their places."""
-
     texts = {path.stem: path.read_text(encoding="utf-8") for path in RESULTS.glob("*.md")}
     return BLOCK.sub(lambda found: f"{found[1]}{texts[found[2]]}\n{found[3]}", text)
 

@@ -20,11 +20,7 @@ STYLES = {
 
 
 def packaged(network: str) -> OnnxPolicy:
-    """The policy of a network in this package.
-
-    Raises:
-        ModelError: The network is not in this installation, or cannot be used.
-    """
+    """The policy of a network in this package; raises a `ModelError` if it is not installed."""
     file = files("charms_agents") / "policies" / f"{network}.onnx"
     if not file.is_file():
         raise ModelError(
@@ -34,14 +30,12 @@ def packaged(network: str) -> OnnxPolicy:
     return OnnxPolicy(str(file))
 
 
-efficient_competitive = partial(packaged, "charms_efficient_competitive")
-efficient_egoistic = partial(packaged, "charms_efficient_egoistic")
-efficient_prosocial = partial(packaged, "charms_efficient_prosocial")
-efficient_altruistic = partial(packaged, "charms_efficient_altruistic")
-safe_competitive = partial(packaged, "charms_safe_competitive")
-safe_egoistic = partial(packaged, "charms_safe_egoistic")
-safe_prosocial = partial(packaged, "charms_safe_prosocial")
-safe_altruistic = partial(packaged, "charms_safe_altruistic")
+efficient_competitive, efficient_egoistic, efficient_prosocial, efficient_altruistic = (
+    partial(packaged, f"charms_efficient_{svo}") for svo in SVOS
+)
+safe_competitive, safe_egoistic, safe_prosocial, safe_altruistic = (
+    partial(packaged, f"charms_safe_{svo}") for svo in SVOS
+)
 best_response = partial(packaged, "best_response")
 imitation = partial(packaged, "imitation")
 prior_level_k = partial(packaged, "prior_level_k")

@@ -36,6 +36,7 @@ from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.gaps import gap_to
+from charms_bench.world.road import position
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375
@@ -45,11 +46,8 @@ LEADER_BRAKING_MPS2 = 5.0
 DELAY_S = 0.75
 BRAKING_MPS2 = 0.774 * 9.81
 RISE_S = 0.6
-PERCEIVED_S = 100_000.0
-"""`timer_s` when a risk is perceived; longer than any episode, because timers start near 0."""
-REACTED_S = 200_000.0
-"""`timer_s` when the driver reacts."""
-
+WATCHING, EVALUATING, BRAKING = 0.0, 1.0, 2.0
+"""What the driver remembers: its phase. `timer_s` is the time since the phase began."""
 
 BrakesUntil = Literal["clear", "standstill"]
 
@@ -60,6 +58,8 @@ class CarefulHuman(DriverModel):
     Args:
         brakes_until: What ends its braking; see the module.
     """
+
+    memory_width = 1
 
     def __init__(self, brakes_until: BrakesUntil = "clear") -> None:
         if brakes_until not in get_args(BrakesUntil):
@@ -74,20 +74,20 @@ class CarefulHuman(DriverModel):
 
 @compiled_of_scenes
 def _drive(scene: Scene, rows: Ints, places: Ints, stops: bool) -> tuple[Floats, Ints]:
-    c, timer_s, speed = scene.constants, scene.timer_s, scene.speed
+    c, timer_s, phase, speed = scene.constants, scene.timer_s, scene.memory[:, :, 0], scene.speed
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     for m in range(rows.size):
         b, i = index(rows[m]), index(places[m])
         target_lane[m] = scene.target_lane[b, i]
         closing, is_risk, is_critical = _risk(scene, rows[m], places[m])
-        if timer_s[b, i] < REACTED_S:
+        if phase[b, i] != BRAKING:
             if not is_risk:
-                timer_s[b, i] = 0.0
-            elif timer_s[b, i] < PERCEIVED_S:
-                timer_s[b, i] = PERCEIVED_S
+                phase[b, i] = WATCHING
+            elif phase[b, i] == WATCHING:
+                phase[b, i], timer_s[b, i] = EVALUATING, 0.0
             # Half a step, because sums of steps differ from their product in the last bits.
-            if is_critical and timer_s[b, i] - PERCEIVED_S > EVALUATION_S - c.dt / 2:
-                timer_s[b, i] = REACTED_S
+            elif is_critical and timer_s[b, i] > EVALUATION_S - c.dt / 2:
+                phase[b, i], timer_s[b, i] = BRAKING, 0.0
             wanted = (scene.target_speed[b, i] - speed[b, i]) / c.tau_acceleration
             acceleration[m] = clip(wanted, -BRAKING_MPS2, BRAKING_MPS2)
             continue
@@ -95,7 +95,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, stops: bool) -> tuple[Floats,
         if excess > 0:
             # The mean over the step, and half a step more, because the engine moves a vehicle by
             # the speed that it has before the step.
-            braked_s = timer_s[b, i] - REACTED_S + c.dt - DELAY_S
+            braked_s = timer_s[b, i] + c.dt - DELAY_S
             braking = BRAKING_MPS2 * clip(braked_s / RISE_S, 0.0, 1.0)
             acceleration[m] = -min(braking, excess / c.dt)
     return acceleration, target_lane
@@ -105,7 +105,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints, stops: bool) -> tuple[Floats,
 def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
     """How fast vehicle i of scene b closes in, whether that is a risk, and whether to react."""
     c, x, y, speed = scene.constants, scene.x, scene.y, scene.speed
-    centre = scene.target_lane[b, i] * c.lane_width
+    _, centre = position(c, scene.target_lane[b, i], x[b, i], 0.0)
     fastest = 0.0
     is_risk = is_critical = is_shown = False
     for k in range(scene.rank[b, i] + 1, x.shape[1]):

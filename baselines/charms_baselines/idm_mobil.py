@@ -19,7 +19,7 @@ from charms_baselines.idm import (
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.profile import IdmMobilParameters
-from charms_bench.world.road import is_reachable
+from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 BLOCK_VEHICLES = 1024
@@ -92,7 +92,7 @@ def drive_block(
                     target = lane
             else:
                 timer_s[at] = 0.0
-                for side in (lane - 1, lane + 1):
+                for side in side_lanes(scene.constants, lane):
                     if is_reachable(scene.constants, side, x[b, i], y[b, i]) and _changes(
                         own,
                         free[m],

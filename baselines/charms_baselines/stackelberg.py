@@ -23,6 +23,7 @@ from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
@@ -101,8 +102,8 @@ def _drive(
         if lane == target:
             leader = motion_ahead(b, leaders[b, i, lane], scene)
             best = _utility(own, leader) + options.gain
-            for side in (lane - 1, lane + 1):
-                if not 0 <= side < scene.constants.lanes:
+            for side in side_lanes(scene.constants, lane):
+                if side < 0:
                     continue
                 side_leader = motion_ahead(b, leaders[b, i, side], scene)
                 side_follower = motion_behind(b, followers[b, i, side], scene)

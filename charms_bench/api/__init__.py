@@ -11,7 +11,6 @@ that a run starts at once.
 from charms_bench.api.auditing import audit as audit
 from charms_bench.api.evaluation import run as run
 from charms_bench.api.failures import search as search
-from charms_bench.api.people import references as references
 from charms_bench.api.rare_events import Rare as Rare
 from charms_bench.api.rare_events import rare as rare
 from charms_bench.api.results import Run as Run

@@ -126,7 +126,7 @@ def run(
             interrupt.add_note(f"finished shards are in {folder}")
         raise
     finally:
-        measuring.shutdown(wait=False, cancel_futures=True)
+        measuring.shutdown(cancel_futures=True)  # whose files may be deleted after this
     return Run(finished, loaded.folder)
 
 

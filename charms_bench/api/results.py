@@ -1,7 +1,8 @@
 """The results of a run: rows, tables, comparisons, episodes."""
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from charms_bench.episodes.criticality import Kind
     from charms_bench.episodes.dataset import Format
     from charms_bench.episodes.edge_cases import EdgeCase
+    from charms_bench.episodes.recorded_cell import RecordedCell
     from charms_bench.episodes.what_if import WhatIf
     from charms_bench.report.audit import Audit
     from charms_bench.report.table import Table
@@ -37,7 +39,13 @@ def _labelled(cell: CellRows, rows: pl.DataFrame) -> pl.DataFrame:
 
 
 class Run:
-    """A finished run of a suite. Rows and tables are read from its folder when they are needed."""
+    """A finished run of a suite. Rows and tables are read from its folder when they are needed.
+
+    Where a method takes `ego` and `traffic`, they are labels that select cells; by default, all.
+    Methods about one episode raise InputError if the labels leave several cells. A label or an
+    episode that the run does not have, and one that no longer runs as it was recorded, is a
+    RunFolderError.
+    """
 
     def __init__(self, finished: FinishedRun, suite_folder: Path) -> None:
         self._finished = finished
@@ -93,15 +101,23 @@ class Run:
         return printed(self.table, self.suite.columns)
 
     def remarks(self, ego: str | None = None, traffic: str | None = None) -> list[str]:
-        """What the tables do not show: egos that often command lanes that do not exist.
+        """A line about each ego that often commands lanes that do not exist, and what it means.
 
-        Args:
-            ego: Label of the ego; by default all.
-            traffic: Label of the traffic; by default the first of each ego.
+        The decisions are those of its first cell, or of its first few thousand episodes there.
         """
-        from charms_bench.report.remarks import remarks
+        from charms_bench.metrics.missing_lanes import MEANING, missing_lanes
 
-        return remarks(self._finished, ego, traffic)
+        cells, first = self.suite.cells, dict[str, int]()
+        for index, cell in enumerate(cells):
+            if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
+                first.setdefault(cell.ego.title, index)
+        found = []
+        for name, index in first.items():
+            rows = self._finished.cell(index)
+            steps = (steps for _, steps in islice(rows.parts, 1))
+            if said := missing_lanes(steps, cells[index].scene.lanes).remark():
+                found.append(f"{name} in {rows.traffic}: {said}")
+        return [*found, MEANING] if found else []
 
     @property
     def files(self) -> list[Path]:
@@ -165,12 +181,11 @@ class Run:
         Args:
             top: How many at most.
             kind: Only episodes of this kind, such as `near-miss`.
-            ego: Label of the ego; by default all.
-            traffic: Label of the traffic; by default all.
+            ego: The ego.
+            traffic: The traffic.
 
         Raises:
             InputError: The kind is unknown.
-            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
         """
         from charms_bench.api.shown import Lines
         from charms_bench.episodes.criticality import IS_OF_KIND
@@ -187,24 +202,19 @@ class Run:
     def replay(
         self, episode: int, ego: str | None = None, traffic: str | None = None
     ) -> "ShownReplay":
-        """Simulates an episode again, with the states of all vehicles.
-
-        Args:
-            episode: Its seed.
-            ego: Label of the ego; needed if the run has several.
-            traffic: Label of the traffic; needed if the run has several.
-
-        Raises:
-            InputError: The labels leave several episodes.
-            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
-        """
+        """Simulates the episode with this seed again, with the states of all vehicles."""
         from charms_bench.api.shown import ShownReplay
-        from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.replay import replay
+
+        return ShownReplay.of(replay(self._cell(ego, traffic), [episode])[0])
+
+    def _cell(self, ego: str | None, traffic: str | None) -> "RecordedCell":
+        """The only cell with these labels, ready to be simulated."""
+        from charms_bench.episodes.recorded_cell import find_cell
 
         cell = find_cell(self._finished, self._suite_folder, ego, traffic)
         warm_up()
-        return ShownReplay.of(replay(cell, [episode])[0])
+        return cell
 
     def dataset(
         self,
@@ -219,26 +229,20 @@ class Run:
 
         Args:
             format: `minari`, the ego's observations, actions and rewards, which needs the extra
-                `dataset`; or `highd`, the trajectories of all vehicles in highD's format.
-            output: The folder to write; by default one in the run folder.
-            ego: Label of the ego; needed if the run has several.
-            traffic: Label of the traffic; needed if the run has several.
+                `dataset`; `highd`, the trajectories of all vehicles in highD's format; or
+                `parquet`, their states at every simulation step (`episodes.replay`).
+            output: The folder to write, which is returned; by default one in the run folder.
+            ego: The ego; the episodes are those of one cell.
+            traffic: The traffic.
             episodes: How many, from the first; by default all.
 
-        Returns:
-            The folder.
-
         Raises:
-            InputError: The labels leave several egos, the folder exists, or a Minari dataset
-                cannot contain the ego's actions.
-            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+            InputError: The folder exists, or a Minari dataset cannot contain the ego's actions.
         """
         from charms_bench.episodes.dataset import write_dataset
-        from charms_bench.episodes.recorded_cell import find_cell
 
         path = None if output is None else absolute(output)
-        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
-        warm_up()
+        cell = self._cell(ego, traffic)
         with progress("episodes", episodes or self.suite.episodes) as tell:
             title = cell.cell.ego.title
             return write_dataset(cell, format, episodes, path, lambda n: tell(title, n))
@@ -259,21 +263,16 @@ class Run:
             step: The first decision of the other agent; an episode's decisions begin with 1.
             agent: The name of an installed agent, or the path of a network.
             vehicle: The vehicle, by its number in replays; by default the ego.
-            ego: Label of the recorded ego; needed if the run has several.
-            traffic: Label of the traffic; needed if the run has several.
+            ego: The recorded ego.
+            traffic: The traffic.
 
         Raises:
-            InputError: There is no such decision, vehicle or agent, or the labels leave several
-                episodes.
-            RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
+            InputError: There is no such decision, vehicle or agent.
         """
         from charms_bench.api.shown import ShownWhatIf
-        from charms_bench.episodes.recorded_cell import find_cell
         from charms_bench.episodes.what_if import what_if
 
-        cell = find_cell(self._finished, self._suite_folder, ego, traffic)
-        warm_up()
-        return ShownWhatIf.of(what_if(cell, episode, step, agent, vehicle))
+        return ShownWhatIf.of(what_if(self._cell(ego, traffic), episode, step, agent, vehicle))
 
     def avoidability(
         self,
@@ -285,33 +284,30 @@ class Run:
         """Until when collisions of the ego could have been avoided, and by which agents.
 
         Args:
-            episodes: Seeds of episodes that end with such a collision; by default all of them.
-            ego: Label of the ego; by default all.
-            traffic: Label of the traffic; by default all.
+            episodes: Seeds of episodes of one cell that end with such a collision; by default all
+                of them, in all cells.
+            ego: The ego.
+            traffic: The traffic.
             budget: The most decisions to simulate in the search for one collision's escape.
 
         Raises:
-            InputError: An episode does not end with a collision, or the labels leave several.
-            RunFolderError: A label is unknown, or an episode no longer runs as it was recorded.
+            InputError: An episode does not end with a collision.
         """
         from charms_bench.api.shown import Lines
         from charms_bench.episodes.avoidability import BUDGET, avoidability, collisions
-        from charms_bench.episodes.recorded_cell import find_cell, find_cells
+        from charms_bench.episodes.recorded_cell import find_cells
 
         check_positive(budget=budget)
         warm_up()
-        which, found = (self._finished, self._suite_folder, ego, traffic), []
+        found = []
         if episodes is None:
-            asked = [(cell, collisions(cell)) for cell in find_cells(*which)]
+            cells = find_cells(self._finished, self._suite_folder, ego, traffic)
+            asked = [(cell, collisions(cell)) for cell in cells]
         else:
-            asked = [(find_cell(*which), list(episodes))]
+            asked = [(self._cell(ego, traffic), list(episodes))]
         with progress("collisions", sum(len(seeds) for _, seeds in asked)) as tell:
             for cell, seeds in asked:
-                title = cell.cell.ego.title
-
-                def done(count: int, title: str = title) -> None:
-                    tell(title, count)
-
+                done = partial(tell, cell.cell.ego.title)
                 found += avoidability(cell, seeds, budget or BUDGET, tell=done)
         return Lines(found)
 

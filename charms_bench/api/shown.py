@@ -1,6 +1,5 @@
 """Results as notebooks and terminals show them."""
 
-from dataclasses import fields
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,7 +27,7 @@ class ShownReplay(Replay):
     @classmethod
     def of(cls, replay: Replay) -> "ShownReplay":
         """The same replay."""
-        return cls(**{each.name: getattr(replay, each.name) for each in fields(replay)})
+        return cls(**vars(replay))
 
     def animate(self, path: str | Path, caption: str | None = None) -> None:
         """Writes the episode as an animated GIF that plays in real time.
@@ -71,7 +70,7 @@ class ShownReplay(Replay):
         write_commonroad(self, Path(path))
 
     def _repr_html_(self) -> str:
-        from charms_bench.report.html.notebook import replay_in_frame
+        from charms_bench.report.html.single import replay_in_frame
 
         return replay_in_frame(self)
 
@@ -82,9 +81,9 @@ class ShownWhatIf(WhatIf):
     @classmethod
     def of(cls, found: WhatIf) -> "ShownWhatIf":
         """The same futures."""
-        return cls(**{each.name: getattr(found, each.name) for each in fields(found)})
+        return cls(**vars(found))
 
     def _repr_html_(self) -> str:
-        from charms_bench.report.html.notebook import replay_in_frame
+        from charms_bench.report.html.single import replay_in_frame
 
         return replay_in_frame(self.recorded, self.other, self.step)

@@ -25,16 +25,12 @@ from charms_bench.errors import CharmsBenchError, InputError, named
 from charms_bench.foundation.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
-from charms_bench.cli import evaluations, rare, episodes, watching, plugins, engines, data, dataset  # isort: skip # noqa: F401
+from charms_bench.cli import evaluations, rare, episodes, watching, plugins, engines, data  # isort: skip # noqa: F401
 
 MESSAGE_LIMIT = 1000
 """Characters of an error message: a file from outside can make it very long."""
-
-
 LEAST = {"NUMBA_NUM_THREADS": 1, "POLARS_MAX_THREADS": 1, "SOURCE_DATE_EPOCH": 0}
 """Environment variables that libraries read when they are imported, and their least values."""
-
-
 NUMBA_FILE = ".numba_config.yaml"
 
 

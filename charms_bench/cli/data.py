@@ -1,12 +1,25 @@
-"""`data`: recordings of human driving."""
+"""`data` and `dataset`: recordings of human driving, and episodes for other tools."""
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from charms_bench.cli.terminal import FigurePath, Json, app, print_json, print_records, say, shown
+from charms_bench.cli.terminal import (
+    EgoLabel,
+    FigurePath,
+    Json,
+    RunPath,
+    SuiteFolder,
+    TrafficLabel,
+    app,
+    interruptible,
+    print_json,
+    print_records,
+    say,
+    shown,
+)
 
 
 @app.command()
@@ -81,3 +94,43 @@ def _print_learnable(name: str, found: Any) -> None:
     reason = "rejected because"
     rejected = [{reason: each, "decisions": n} for each, n in found.rejected.items() if n]
     print_records(reason, rejected, {"decisions": ",.0f"})
+
+
+@app.command()
+def dataset(
+    run: RunPath,
+    kind: Annotated[
+        Literal["minari", "highd", "parquet"],
+        typer.Option(
+            "--format",
+            help="minari: observations, actions and rewards of the ego. highd: trajectories of all "
+            "vehicles in highD's format. parquet: their states at every simulation step.",
+        ),
+    ],
+    ego: EgoLabel = None,
+    traffic: TrafficLabel = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of episodes, from the first; the default is all."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="New folder; the default is one in the run folder.")
+    ] = None,
+    suite_folder: SuiteFolder = Path(),
+    as_json: Json = False,
+) -> None:
+    """Simulate a run's episodes again and write them as a dataset for other tools."""
+    from charms_bench import api
+
+    opened = api.open_run(run, suite_folder)
+    with interruptible():
+        path = opened.dataset(kind, output, ego=ego, traffic=traffic, episodes=episodes)
+    written = episodes or opened.suite.episodes
+    if as_json:
+        print_json({"format": kind, "episodes": written, "folder": str(path)})
+        return
+    say(f"{written:,} episodes: {path}")
+    if kind == "minari":
+        say(f"minari.load_dataset('{path.name}') loads it if MINARI_DATASETS_PATH={path.parent}")
+    elif kind == "highd":
+        say(f"`charms-bench data {path}` summarises it")

@@ -1,9 +1,8 @@
 """`verify`, `bench` and `warm-up`: the compiled engine beside highway-env."""
 
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -143,7 +142,7 @@ def bench(
     vehicle.
     """
     from charms_bench.api.warming import warm_up
-    from charms_bench.testing.bench import bench as measure
+    from charms_bench.testing import bench as benchmark
 
     warm_up()
 
@@ -153,68 +152,38 @@ def bench(
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
     if scale is not None:
-        _bench_scale(scale, seconds, rounds, tell, {"scenes": ",.0f", **forms}, as_json)
+        from charms_bench.foundation.files import absolute
+        from charms_bench.report.figures.drawing import check_figure, save
+        from charms_bench.report.figures.scale import draw_scale
+
+        check_figure(scale)
+        figure = absolute(scale)
+        records = [each.record() for each in benchmark.scale(seconds, rounds, tell)]
+        save(draw_scale(records), figure)
+        print_records("name", records, {"scenes": ",.0f", **forms}, as_json)
         return
+    results = benchmark.bench(vehicles, traffic, seconds, rounds, tell, environments, learners)
+    base = next(r.steps_per_s for r in results if r.name == "highway-env")
     if learners:
-        _bench_learners(measure(vehicles, traffic, seconds, rounds, tell, learners=True), as_json)
-        return
-    results = measure(vehicles, traffic, seconds, rounds, tell, environments)
-    base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
-    rows = [
-        {
-            **asdict(r),
-            **_rates(r),
-            "times_highway_env": r.steps_per_s / base,
-            "times_envpool": rival and r.steps_per_s / rival,
-        }
-        for r in results
-        for rival in (pool.get((r.threads, r.vehicles)),)
-    ]
-    forms |= {"times_highway_env": ",.1f", "times_envpool": ".2f"}
-    print_records("name", rows, forms, as_json)
-
-
-def _bench_learners(results: list[Any], as_json: bool) -> None:
-    """Prints the decisions per second of environments with many learners."""
-    base = next(r.steps_per_s for r in results if r.name == "highway-env")
-    rows = [
-        {
-            "name": r.name,
-            "threads": r.threads,
-            "decisions_per_s": r.steps_per_s,
-            "low": r.low,
-            "high": r.high,
-            "times_highway_env": r.steps_per_s / base,
-        }
-        for r in results
-    ]
-    forms = dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
-    forms = {"threads": ".0f", **forms, "times_highway_env": ",.1f"}
-    print_records("name", rows, forms, as_json)
-
-
-def _bench_scale(
-    path: Path,
-    seconds: float,
-    rounds: int,
-    tell: Callable[[str], None],
-    forms: dict[str, str],
-    as_json: bool,
-) -> None:
-    """Measures the compiled engine in different sizes; prints and draws its speeds."""
-    from charms_bench.foundation.files import absolute
-    from charms_bench.report.figures.drawing import check_figure, save
-    from charms_bench.report.figures.speed import draw_scale
-    from charms_bench.testing.bench import scale
-
-    check_figure(path)
-    path = absolute(path)
-    results = scale(seconds, rounds, tell)
-    save(draw_scale(results), path)
-    print_records("name", [{**asdict(r), **_rates(r)} for r in results], forms, as_json)
-
-
-def _rates(measurement: Any) -> dict[str, float]:
-    names = ("vehicle_updates_per_s", "ns_per_vehicle_step")
-    return {name: getattr(measurement, name) for name in names}
+        records = [
+            {
+                "name": r.name,
+                "threads": r.threads,
+                "decisions_per_s": r.steps_per_s,
+                "low": r.low,
+                "high": r.high,
+                "times_highway_env": r.steps_per_s / base,
+            }
+            for r in results
+        ]
+        forms = {"threads": ".0f"} | dict.fromkeys(("decisions_per_s", "low", "high"), ",.0f")
+    else:
+        pool = {(r.threads, r.vehicles): r.steps_per_s for r in results if r.name == "EnvPool"}
+        records = [r.record() for r in results]
+        for record, r in zip(records, results, strict=True):
+            rival = pool.get((r.threads, r.vehicles))
+            record["times_highway_env"] = r.steps_per_s / base
+            record["times_envpool"] = rival and r.steps_per_s / rival
+    forms["times_highway_env"] = ",.1f"
+    forms |= {} if learners else {"times_envpool": ".2f"}
+    print_records("name", records, forms, as_json)

@@ -25,6 +25,10 @@ from charms_bench.cli.terminal import (
 if TYPE_CHECKING:
     from charms_bench.api import Run
 
+Episode = Annotated[
+    int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
+]
+
 
 @app.command()
 def edge_cases(
@@ -49,8 +53,7 @@ def edge_cases(
         ),
     ] = False,
     budget: Annotated[
-        int,
-        typer.Option(min=1, help="For --avoidable: maximum number of decisions per collision."),
+        int, typer.Option(min=1, help="For --avoidable: maximum number of decisions per collision.")
     ] = 200_000,
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
@@ -92,9 +95,8 @@ def _print_avoidability(
 
     if kind not in (None, "collision"):
         raise InputError(f"--avoidable is about collisions, not --kind {kind}")
-    cases = opened.edge_cases(top, "collision", ego, traffic)
     egos: dict[tuple[str, str], list[int]] = {}
-    for case in cases:
+    for case in opened.edge_cases(top, "collision", ego, traffic):
         if case.ending != "off_road":
             egos.setdefault((case.ego, case.traffic), []).append(case.episode)
     found = [
@@ -115,16 +117,13 @@ def _print_avoidability(
 @app.command()
 def replay(
     run: RunPath,
-    episode: Annotated[
-        int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
-    ],
+    episode: Episode,
     ego: EgoLabel = None,
     traffic: TrafficLabel = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="OUT.gif",
-            help="File of the animation; the trajectories are written beside it.",
+            metavar="OUT.gif", help="File of the animation; the trajectories are written beside it."
         ),
     ] = None,
     commonroad: Annotated[
@@ -177,9 +176,7 @@ def replay(
 @app.command()
 def what_if(
     run: RunPath,
-    episode: Annotated[
-        int, typer.Argument(min=0, help="Seed of the episode, as in the output of edge-cases.")
-    ],
+    episode: Episode,
     at: Annotated[
         int,
         typer.Option(
@@ -215,7 +212,7 @@ def what_if(
     from charms_bench.foundation.files import absolute
     from charms_bench.foundation.names import name_of_agent
     from charms_bench.report.html.page import check_page
-    from charms_bench.report.html.what_if import write_what_if
+    from charms_bench.report.html.single import write_what_if
     from charms_bench.report.what_if_table import what_if_table
 
     if output is not None:
@@ -246,8 +243,7 @@ def what_if(
 def search(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
     ego: Annotated[
-        str | None,
-        typer.Option(help="Label of an ego of the suite, or an installed agent."),
+        str | None, typer.Option(help="Label of an ego of the suite, or an installed agent.")
     ] = None,
     traffic: Annotated[str | None, typer.Option(help="Label of the scenario.")] = None,
     failures: Annotated[
@@ -271,15 +267,9 @@ def search(
     with interruptible():
         made = api.search(suite, ego, traffic, output, failures=failures, budget=budget, seed=seed)
     if as_json:
-        print_json(
-            {
-                "failures": made.failures,
-                "preventable_by": made.preventable_by,
-                "episodes": made.simulations,
-                "episodes_to_first": made.simulations_to_first,
-                "suite": str(output) if made.failures else None,
-            }
-        )
+        facts = {"failures": made.failures, "preventable_by": made.preventable_by}
+        facts |= {"episodes": made.simulations, "episodes_to_first": made.simulations_to_first}
+        print_json({**facts, "suite": str(output) if made.failures else None})
         return
     where = made.cell.title
     if not made.failures:

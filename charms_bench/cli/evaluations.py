@@ -25,6 +25,9 @@ from charms_bench.cli.terminal import (
 )
 from charms_bench.errors import InputError, RunFolderError
 
+AllMetrics = Annotated[
+    bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
+]
 EARLY_WORKERS = 4
 """The most workers that start before the suite is read; a finished run needs none of them."""
 EXIT_CODES = {"pass": 0, "fail": FAIL, "unknown": UNKNOWN}
@@ -74,8 +77,7 @@ def suites(
 @app.command()
 def run(
     suite: Annotated[
-        Path,
-        typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists."),
+        Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
     ],
     agents: Annotated[
         list[str] | None,
@@ -97,8 +99,7 @@ def run(
     seed: Annotated[
         int | None,
         typer.Option(
-            min=0,
-            help="Seed of the first episode, or the seed of a training; overrides the suite.",
+            min=0, help="Seed of the first episode, or the seed of a training; overrides the suite."
         ),
     ] = None,
     output: Annotated[
@@ -123,8 +124,7 @@ def run(
         ),
     ] = None,
     shorten: Annotated[
-        bool,
-        typer.Option("--shorten", help="Delete finished episodes that the run no longer has."),
+        bool, typer.Option("--shorten", help="Delete finished episodes that the run no longer has.")
     ] = False,
     cluster: Annotated[
         str | None,
@@ -216,12 +216,9 @@ def show(
         Path, typer.Argument(metavar="RUN", help="Folder of an evaluation or a training.")
     ],
     metrics: Annotated[
-        list[str] | None,
-        typer.Option("--metric", help="Show only this metric; repeat for more."),
+        list[str] | None, typer.Option("--metric", help="Show only this metric; repeat for more.")
     ] = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
-    ] = False,
+    everything: AllMetrics = False,
     as_json: Json = False,
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
@@ -293,9 +290,7 @@ def compare(
         ),
     ] = None,
     metric_sets: MetricSets = None,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
-    ] = False,
+    everything: AllMetrics = False,
     as_json: Json = False,
 ) -> None:
     """Test in which metrics two egos differ.
@@ -335,8 +330,7 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
 @app.command()
 def report(
     runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings."),
+        list[Path], typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings.")
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")
@@ -378,14 +372,13 @@ def report(
 
 @app.command()
 def audit(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a finished run.")],
+    run: RunPath,
     everything: Annotated[
         bool, typer.Option("--all", help="Simulate every shard again, not only a sample.")
     ] = False,
     shards: Annotated[int, typer.Option(min=1, help="Number of shards to simulate again.")] = 10,
     seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Seed that chooses the shards; by default, a new one."),
+        int | None, typer.Option(min=0, help="Seed that chooses the shards; by default, a new one.")
     ] = None,
     workers: Workers = None,
     suite_folder: SuiteFolder = Path(),
@@ -399,30 +392,16 @@ def audit(
     """
     from charms_bench import api
 
+    chosen = None if everything else shards
     with interruptible():
-        found = api.audit(
-            run,
-            shards=None if everything else shards,
-            seed=seed,
-            workers=workers,
-            suite_folder=suite_folder,
-        )
+        found = api.audit(run, shards=chosen, seed=seed, workers=workers, suite_folder=suite_folder)
     if as_json:
-        print_json(
-            {
-                "verdict": found.verdict,
-                "undrawn": found.undrawn,
-                "findings": found.table.records(),
-            }
-        )
+        facts = {"verdict": found.verdict, "undrawn": found.undrawn}
+        print_json({**facts, "findings": found.table.records()})
     else:
-        for each in found.findings:
-            where = f"{each.where}: " if each.where else ""
-            say(f"{each.verdict:<9}{each.check:<10}{where}{each.what}")
-        missed = (
-            f"; if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
-            if 0 < found.undrawn < 1 and found.verdict != "fail"
-            else ""
-        )
-        say(f"{run}: {VERDICTS[found.verdict]}{missed}")
+        for line in found.lines():
+            say(line)
+        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
+        is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
+        say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
     raise typer.Exit(EXIT_CODES[found.verdict])

@@ -56,7 +56,7 @@ def traffic(
     """Print the proportions of agents that a traffic model assigns to its vehicles."""
     from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
-    from charms_bench.plugins.shares import SAMPLED, shares
+    from charms_bench.plugins.traffic_shares import SAMPLED, shares
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.shares import draw
     from charms_bench.report.table import Column, Table
@@ -139,8 +139,7 @@ def check(
 def new_agent(
     name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
     folder: Annotated[
-        Path | None,
-        typer.Option(help="Folder to create; the default is the agent's name."),
+        Path | None, typer.Option(help="Folder to create; the default is the agent's name.")
     ] = None,
 ) -> None:
     """Write a package with a new agent, its tests and a suite."""
@@ -166,8 +165,7 @@ def export(
     to: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER",
-            help="Folder to write to; each ONNX file is named like its zip file.",
+            metavar="FOLDER", help="Folder to write to; each ONNX file is named like its zip file."
         ),
     ] = None,
     observation: Annotated[

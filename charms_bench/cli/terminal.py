@@ -44,8 +44,6 @@ app = typer.Typer(
     epilog="Exit codes: " + "; ".join(f"{code}: {what}" for code, what in EXITS.items()) + ".",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
 ANYWHERE = ("--quiet", "--verbose")
 """Options of charms-bench itself, which may also follow the name of a command."""
 VERBOSE: ContextVar[bool] = ContextVar("VERBOSE", default=False)
@@ -112,8 +110,7 @@ TrafficLabel = Annotated[
     str | None, typer.Option("--traffic", help="Select the traffic with this label in the tables.")
 ]
 SuiteFolder = Annotated[
-    Path,
-    typer.Option(help="Folder that relative paths in the suite refer to."),
+    Path, typer.Option(help="Folder that relative paths in the suite refer to.")
 ]
 END_S = 2.0
 """Seconds after a second signal that a command has to end by itself."""
@@ -160,10 +157,7 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version",
-            callback=_print_version,
-            is_eager=True,
-            help="Print the version and exit.",
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
         ),
     ] = False,
     quiet: Annotated[
@@ -253,10 +247,9 @@ def print_records(
     if as_json:
         print_json(records)
         return
-    from charms_bench.report.table import Column, Table
+    from charms_bench.report.table import Table
 
-    columns = tuple(Column(name, form=form) for name, form in forms.items())
-    print_table(Table.from_records(records, "", "", (key,), columns))
+    print_table(Table.plain(records, (key,), forms))
 
 
 def print_json(value: Any) -> None:

@@ -1,7 +1,7 @@
 """The two engines, `batched` and `highway-env`, and the rules that both follow.
 
 In one simulation step every driver model acts, in the order of the engine's `models`. The vehicles
-of one model act in the order of spawning, and each sees the target lanes of the vehicles before it.
+of one model act in the order of entry, and each sees the target lanes of the vehicles before it.
 Then all vehicles move, and then collisions are found. Actions given by `command` take effect before
 the step that follows.
 
@@ -33,17 +33,17 @@ class Engine(Protocol):
 
     scene: Scene
     drivers: Ints
-    """[B, N] the index of each vehicle's agent. Agent 0 drives the ego."""
+    """[B, N] the index of each vehicle's agent."""
 
     def reset(
-        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+        self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        """Spawns new scenes.
+        """Spawns new scenes, whose vehicles stand at their places in the order of entry.
 
         Args:
             rows: (R,) the scenes to spawn.
             seeds: (R,) their seeds; a scene depends on its seed and the settings alone.
-            traffic: (R, N - 1) the agents of the other vehicles, in the order of spawning.
+            agents: (R, N) the agent of the ego, then those of the other vehicles by their places.
             draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
         """
 
@@ -71,17 +71,19 @@ def make_engine(
     models: Mapping[int, DriverModel],
     continuous: Collection[int] = (),
     memory: int = 0,
+    prescribed: Collection[int] = (),
 ) -> Engine:
     """An engine of B scenes by name; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
-    actions. `memory` is the width of the scene's memory.
+    actions, and the scenario moves the vehicles of `prescribed`. `memory` is the width of the
+    scene's memory.
     """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models, continuous, memory)
+        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models, continuous, memory)
+    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed)

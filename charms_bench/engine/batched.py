@@ -29,6 +29,7 @@ class BatchedEngine:
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
         memory: int = 0,
+        prescribed: Collection[int] = (),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -37,7 +38,7 @@ class BatchedEngine:
         self._spawn_rule = spawn_rule(settings)
         self._command_rule = command_rule(settings.profile)
         self._models = models
-        self._continuous = list(continuous)
+        self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
         self._shown = self.scene.read_only()
         shape = self.drivers.shape
@@ -45,6 +46,7 @@ class BatchedEngine:
         self._is_ego = np.zeros(shape, dtype=np.bool_)
         self._nobody = np.zeros(shape, dtype=np.bool_)
         self._is_continuous = np.zeros(shape, dtype=np.bool_)
+        self._is_prescribed = np.zeros(shape, dtype=np.bool_)
         self._vehicles: dict[tuple[int, bool], Vehicles] = {}
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
@@ -53,7 +55,7 @@ class BatchedEngine:
         self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(
-        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+        self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
         scene, settings = self.scene, self._settings
         if self._script is not None:
@@ -65,15 +67,17 @@ class BatchedEngine:
             spawn(scene, rows, draws, self._spawn_rule)
             scene.target_speed[rows] = np.where(np.isnan(desired), scene.speed[rows], desired)
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
-        seat(rows, scene.ego, traffic, *seats)
+        seat(rows, scene.ego, agents, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
             speeds = self._command_rule.speeds
             choose_target_speeds(scene, rows, self._is_modelled, speeds)
-        self._mark_continuous(rows)
+        self._mark(rows)
 
-    def _mark_continuous(self, rows: Ints) -> None:
-        """Marks the vehicles with continuous actions, which have no targets."""
+    def _mark(self, rows: Ints) -> None:
+        """Marks the prescribed vehicles, and those with continuous actions, without targets."""
+        if self._script is not None:
+            self._is_prescribed[rows] = np.isin(self.drivers[rows], self._prescribed)
         if self._continuous:
             marked = self._is_continuous[rows] = np.isin(self.drivers[rows], self._continuous)
             self.scene.target_speed[rows] *= ~marked
@@ -86,7 +90,7 @@ class BatchedEngine:
         mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()
         locate(self.scene, rows)
-        self._mark_continuous(rows)
+        self._mark(rows)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         if actions.ndim == 2:
@@ -101,7 +105,7 @@ class BatchedEngine:
         if not self._vehicles or self._listed != active:
             self._listed = active
             for agent in self._models:
-                found = vehicles_of(agent, self.drivers, scene.active)
+                found = vehicles_of(agent, self.drivers, scene.active, scene.present, scene.entry)
                 others = np.nonzero(~self._is_ego[found])[0]
                 self._vehicles[agent, False] = found
                 self._vehicles[agent, True] = found[0][others], found[1][others]
@@ -112,8 +116,8 @@ class BatchedEngine:
                 obey(scene, vehicles[0], vehicles[1], *answers)
         held = self._is_ego if hold_egos else self._nobody
         if self._script is not None:
-            self._script.prescribe(scene, np.nonzero(scene.active)[0])
-            held = held | self._script.is_prescribed
+            self._script.prescribe(scene, np.nonzero(scene.active)[0], self._is_prescribed)
+            held = held | self._is_prescribed
         if self._continuous:
             held = held | self._is_continuous
         advance(scene, self._is_modelled, held)

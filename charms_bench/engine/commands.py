@@ -7,7 +7,7 @@ import numpy as np
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
 from charms_bench.world.profile import Profile
-from charms_bench.world.road import is_reachable
+from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 
@@ -50,7 +50,9 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
             target_speed[b, i] = wanted
         elif action in (LANE_LEFT, LANE_RIGHT):
             lane = target_lane[b, i] if rule.from_target_lane else scene.lane[b, i]
-            lane = min(max(lane + (1 if action == LANE_RIGHT else -1), 0), c.lanes - 1)
+            left, right = side_lanes(c, lane)
+            beside = right if action == LANE_RIGHT else left
+            lane = beside if beside >= 0 else lane
             if is_reachable(c, lane, scene.x[b, i], scene.y[b, i]):
                 target_lane[b, i] = lane
 

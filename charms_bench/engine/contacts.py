@@ -15,8 +15,8 @@ USUAL_SPEED_MPS = 50.0
 def collide(scene: Scene, first: int, after: int) -> None:
     """Finds the collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
 
-    Pairs are found along `order`, but applied in highway-env's order, by their places, because a
-    later impact replaces an earlier one.
+    Pairs are found along `order`, but applied in highway-env's order, that of entry: a later impact
+    replaces an earlier one.
     """
     c, vehicles = scene.constants, scene.x.shape[1]
     hits = np.empty((vehicles, 6))
@@ -24,7 +24,8 @@ def collide(scene: Scene, first: int, after: int) -> None:
     standard = math.sqrt(c.length**2 + c.width**2)
     length, width = scene.length, scene.width
     x, y, heading, speed = scene.x, scene.y, scene.heading, scene.speed
-    direction_x, direction_y, order = scene.direction_x, scene.direction_y, scene.order
+    direction_x, direction_y = scene.direction_x, scene.direction_y
+    order, entry = scene.order, scene.entry
     for row in range(first, after):
         b = index(row)
         fastest = USUAL_SPEED_MPS
@@ -51,7 +52,7 @@ def collide(scene: Scene, first: int, after: int) -> None:
                 beside = (width[b, near] + width[b, far]) / 2 + 1e-6
                 if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > beside:
                     continue  # side by side and straight, so they are apart across the road
-                i, j = min(order[b, k], order[b, m]), max(order[b, k], order[b, m])
+                i, j = (near, far) if entry[b, near] < entry[b, far] else (far, near)
                 diagonal = math.sqrt(length[b, i] ** 2 + width[b, i] ** 2)
                 other_diagonal = math.sqrt(length[b, j] ** 2 + width[b, j] ** 2)
                 distance = math.sqrt(dx * dx + dy * dy)
@@ -81,19 +82,20 @@ def collide(scene: Scene, first: int, after: int) -> None:
 
 @compiled
 def apply_hits(b: int, scene: Scene, hits: Floats) -> None:
-    """Applies the collisions of scene b, pair by pair in the order of the vehicles' places.
+    """Applies the collisions of scene b, pair by pair in the order in which vehicles entered.
 
-    Each row of `hits` is (place, place, now, soon, translation), with the lower place first.
+    Each row of `hits` is (place, place, now, soon, translation), with the first to enter first.
     """
     # There are few pairs, and NumPy's sorting would take longer to compile than this function.
-    vehicles, last = scene.x.shape[1], -1.0
+    entry, last, last_other = scene.entry[b], -1, -1
     for _ in range(len(hits)):
-        hit, pair = 0, np.inf
+        hit, first, second = -1, 0, 0
         for each in range(len(hits)):
-            of_each = hits[each, 0] * vehicles + hits[each, 1]
-            if last < of_each < pair:
-                hit, pair = each, of_each
-        last = pair
+            own, other = entry[int(hits[each, 0])], entry[int(hits[each, 1])]
+            is_later = own > last or (own == last and other > last_other)
+            if is_later and (hit < 0 or own < first or (own == first and other < second)):
+                hit, first, second = each, own, other
+        last, last_other = first, second
         i, j = int(hits[hit, 0]), int(hits[hit, 1])
         if hits[hit, 3]:
             scene.impact[b, i] = scene.impact[b, j] = True

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation.compiled import compiled
-from charms_bench.foundation.random_words import Words, random_words
-from charms_bench.world.scene import Floats, Ints, SceneSettings
+from charms_bench.foundation.generator import State, random, seeded, share_of_integers
+from charms_bench.world.scene import Floats, SceneSettings
 
 LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)
 """The columns of the first vehicle's draws; column 0 is the ego's place."""
@@ -19,65 +19,31 @@ LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)
 
 def draws_of(seeds: NDArray[np.uint64], settings: SceneSettings) -> Floats:
     """Returns the draws (R, 4 N + 1) that NumPy's default generator makes from seeds (R,)."""
-    count = 4 * settings.vehicles + 8  # each vehicle takes up to three words and a half
-    words = random_words(seeds.astype(np.uint64), count)
-    return _draw(words, settings.vehicles, settings.ego_slots, settings.lanes)
+    states = seeded(seeds.astype(np.uint64))
+    return _draw(states, settings.vehicles, settings.ego_slots, settings.lanes)
 
 
 @compiled
-def _draw(words: Words, vehicles: int, ego_slots: int, lanes: int) -> Floats:
+def _draw(states: State, vehicles: int, ego_slots: int, lanes: int) -> Floats:
     """The draws of `Vehicle.create_random` in `HighwayEnv._create_vehicles`, vehicle by vehicle.
 
     The ego's temperament is drawn last, so that with one slot the draws are the same as in
     `highway-v0`.
     """
-    draws = np.zeros((words.shape[0], 1 + 4 * vehicles))
-    cursor = np.empty(2, dtype=np.int64)
-    for r in range(words.shape[0]):
-        cursor[0], cursor[1] = 0, -1
-        draws[r, 0] = draw_integer(words[r], cursor, ego_slots)
+    draws = np.zeros((len(states), 1 + 4 * vehicles))
+    for r in range(len(states)):
+        state = states[r]
+        draws[r, 0] = share_of_integers(state, ego_slots)
         ego = int(draws[r, 0] * ego_slots)
         for i in range(vehicles):
-            draws[r, LANE + 4 * i] = draw_integer(words[r], cursor, lanes)
+            draws[r, LANE + 4 * i] = share_of_integers(state, lanes)
             if i != ego:
-                draws[r, SPEED + 4 * i] = draw_float(words[r], cursor)
-            draws[r, DISTANCE + 4 * i] = draw_float(words[r], cursor)
+                draws[r, SPEED + 4 * i] = random(state)
+            draws[r, DISTANCE + 4 * i] = random(state)
             if i != ego:
-                draws[r, TEMPERAMENT + 4 * i] = draw_float(words[r], cursor)
-        draws[r, TEMPERAMENT + 4 * ego] = draw_float(words[r], cursor)
+                draws[r, TEMPERAMENT + 4 * i] = random(state)
+        draws[r, TEMPERAMENT + 4 * ego] = random(state)
     return draws
-
-
-@compiled
-def draw_integer(words: Words, cursor: Ints, bound: int) -> float:
-    """The number in [0, 1) of an integer below `bound` that `Generator.integers` draws.
-
-    It is the accepted half word over 2**32 (Lemire 2019), so its product with `bound` is exact.
-    `cursor` holds the index of the next word, and the index of the word whose second half is the
-    next half, or -1.
-    """
-    if bound == 1:
-        return 0.0
-    low = np.uint64(0xFFFFFFFF)
-    threshold = np.uint64(2**32 - bound) % np.uint64(bound)
-    while True:
-        if cursor[1] >= 0:
-            half = words[cursor[1]] >> np.uint64(32)
-            cursor[1] = -1
-        else:
-            half = words[cursor[0]] & low
-            cursor[1] = cursor[0]
-            cursor[0] += 1
-        if half * np.uint64(bound) & low >= threshold:
-            return float(half) * 2.0**-32
-
-
-@compiled
-def draw_float(words: Words, cursor: Ints) -> float:
-    """A number in [0, 1), as `Generator.random` draws it."""
-    word = words[cursor[0]]
-    cursor[0] += 1
-    return float(word >> np.uint64(11)) * 2.0**-53
 
 
 class ReplayedDraws:

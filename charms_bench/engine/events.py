@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from charms_bench.engine.planar_ttc import overlap
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import PLUGIN_ERRORS, AgentError, BrokenWordError, InputError, raised
 from charms_bench.foundation.compiled import compiled
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.held import HeldEvent
+from charms_bench.world.gaps import overlap
 from charms_bench.world.scene import Floats, Ints, Scene
 
 HORIZON_S = 100.0

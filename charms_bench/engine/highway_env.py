@@ -10,22 +10,22 @@ from typing import Any
 
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
-from highway_env.road.road import Road
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from charms_bench.engine.draws import ReplayedDraws
-from charms_bench.engine.highway_env_roads import highway_env_network
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
-from charms_bench.engine.restored_vehicles import RestoredVehicles, set_size
 from charms_bench.engine.type_draws import set_types
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 _NOBODY = -1
@@ -43,12 +43,15 @@ class HighwayEnvEngine:
         models: Mapping[int, DriverModel],
         continuous: Collection[int] = (),
         memory: int = 0,
+        prescribed: Collection[int] = (),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
+        self._vehicles: list[list[Any]] = [[] for _ in range(scenes)]
+        """highway-env's vehicles of each scene by place, None at an empty one."""
         self._settings = settings
         self._models = models
         self._shown = self.scene.read_only()
@@ -62,27 +65,26 @@ class HighwayEnvEngine:
         self._plain = _with_constants(Vehicle, settings.profile)
         """Spawns vehicles, and is the class of those with continuous actions."""
         self._continuous = list(continuous)
+        self._prescribed = list(prescribed)
         self._actions = ContinuousAction(None)
         self._network = highway_env_network(settings.road)
-        self._restored = RestoredVehicles(self._network)
         scenario = settings.scenario
         self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(
-        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None = None
+        self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        if self._script is None:
-            self._draw(rows, seeds, traffic, draws)
-            return
-        self._script.place(self.scene, rows, seeds)
-        for row, others in zip(map(int, rows), traffic, strict=True):
-            self.drivers[row] = np.insert(others, 0, 0)
-            self.roads[row] = self._placed(row)
-            self._copy_state(row)
+        if self._script is not None:
+            self._script.place(self.scene, rows, seeds)
+            self.drivers[rows] = agents
+            for row in map(int, rows):
+                self.roads[row] = self._road(row)
+        else:
+            self._draw(rows, seeds, agents, draws)
         locate(self.scene, rows)
 
     def _draw(
-        self, rows: Ints, seeds: NDArray[np.uint64], traffic: Ints, draws: Floats | None
+        self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None
     ) -> None:
         rngs: Sequence[RandomSource] = (
             [np.random.default_rng(int(seed)) for seed in seeds]
@@ -91,13 +93,13 @@ class HighwayEnvEngine:
         )
         self.scene.ego[rows] = [int(rng.integers(0, self._settings.ego_slots)) for rng in rngs]
         desired = set_types(self.scene, self._settings, rows, seeds)
-        for row, rng, others, speeds in zip(rows, rngs, traffic, desired, strict=True):
+        for row, rng, (own, *others), speeds in zip(rows, rngs, agents, desired, strict=True):
             ego = int(self.scene.ego[row])
             self.scene.active[row] = True
-            self.drivers[row] = np.insert(others, ego, 0)
+            self.drivers[row] = np.insert(others, ego, own)
             self.roads[row] = self._spawn(row, ego, rng, speeds)
+            self._vehicles[row] = [*self.roads[row].vehicles]
             self._copy_state(int(row))
-        locate(self.scene, rows)
 
     def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         if self._script is not None:
@@ -108,12 +110,11 @@ class HighwayEnvEngine:
         target_lane, lane = self.scene.target_lane[rows], self.scene.lane[rows]
         self.scene.target_lane[rows] = np.where(is_continuous, lane, target_lane)
         for row in map(int, rows):
-            classes = [self._class_of(agent) for agent in self.drivers[row].tolist()]
-            self.roads[row] = self._restored.place(self.roads[row], self.scene, row, classes)
+            self.roads[row] = self._road(row)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):
-            vehicle = self.roads[row].vehicles[place]
+            vehicle = self._vehicles[row][place]
             if actions.ndim == 2:
                 vehicle.act(self._actions.get_action(action))
                 for name, value in vehicle.action.items():
@@ -127,15 +128,17 @@ class HighwayEnvEngine:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
-            drivers = self.drivers[row].copy()
+            drivers = np.where(self.scene.present[row], self.drivers[row], _NOBODY)
             drivers[np.isin(drivers, self._continuous)] = _NOBODY
             if hold_egos:
                 drivers[self.scene.ego[row]] = _NOBODY
             if self._script is not None:
-                drivers[self._script.is_prescribed] = _NOBODY
-            self._act(row, np.nonzero(~np.isin(drivers, [*self._models, _NOBODY]))[0])
+                drivers[np.isin(drivers, self._prescribed)] = _NOBODY
+            in_order = np.argsort(self.scene.entry[row])
+            drivers = drivers[in_order]
+            self._act(row, in_order[~np.isin(drivers, [*self._models, _NOBODY])])
             for agent, model in self._models.items():
-                places = np.nonzero(drivers == agent)[0]
+                places = in_order[drivers == agent]
                 if places.size and not model.highway_env_class:
                     self._ask(model, row, places)
                 self._act(row, places, tuple(model.parameters))
@@ -150,14 +153,14 @@ class HighwayEnvEngine:
         """Asks a driver model, and passes its answers to its vehicles."""
         answers = model.drive(self._shown, (np.full(places.size, row), places))
         for place, *answer in zip(places, *answers, strict=True):
-            vehicle = self.roads[row].vehicles[place]
+            vehicle = self._vehicles[row][place]
             vehicle.obey(*answer)
             vehicle.timer = float(self.scene.timer_s[row, place])
 
     def _act(self, row: int, places: Ints, parameters: tuple[str, ...] = ()) -> None:
         """Has vehicles act whose drivers have parameters with these names."""
         for place in places:
-            vehicle = self.roads[row].vehicles[place]
+            vehicle = self._vehicles[row][place]
             own = dict(zip(parameters, self.scene.parameters[row, place].tolist(), strict=False))
             vars(vehicle).update(_idm_attributes(own))
             vehicle.act()
@@ -165,30 +168,46 @@ class HighwayEnvEngine:
 
     def _prescribe(self, row: int, script: Script) -> None:
         """Gives the prescribed vehicles of a scene their control."""
-        scene = self.scene
-        script.prescribe(scene, np.array([row]))
-        for place in np.nonzero(script.is_prescribed & ~scene.crashed[row])[0]:
-            vehicle = self.roads[row].vehicles[place]
+        scene, is_prescribed = self.scene, np.isin(self.drivers, self._prescribed)
+        script.prescribe(scene, np.array([row]), is_prescribed)
+        for place in np.nonzero(is_prescribed[row] & ~scene.crashed[row])[0]:
+            vehicle = self._vehicles[row][place]
             control = {"steering": scene.steering, "acceleration": scene.acceleration}
             vehicle.action = {name: values[row, place] for name, values in control.items()}
             lane = int(scene.target_lane[row, place])
             vehicle.target_lane_index = (*vehicle.target_lane_index[:2], lane)
 
-    def _placed(self, row: int) -> Road:
-        """The vehicles of a scenario, where the script has placed them."""
-        scene, road = self.scene, Road(network=self._network)
-        for place in range(self._settings.vehicles):
-            vehicle_class = self._class_of(int(self.drivers[row, place]))
-            position = [scene.x[row, place], scene.y[row, place]]
-            vehicle = vehicle_class(road, position, 0.0, scene.speed[row, place])
-            set_size(vehicle, scene.length[row, place], scene.width[row, place])
-            if isinstance(vehicle, IDMVehicle):
-                low, high = vehicle.DELTA_RANGE
-                vehicle.DELTA = low + scene.temperament[row, place] * (high - low)
-            if hasattr(vehicle, "timer"):
-                vehicle.timer = 0.0
-            road.vehicles.append(vehicle)
+    def _road(self, row: int) -> Road:
+        """The road of a scene with its vehicles, as the arrays describe them."""
+        scene = self.scene
+        # On a road without junctions, highway-env draws no random number after the spawn.
+        road = Road(network=self._network, np_random=np.random.default_rng(0))
+        self._vehicles[row] = [self._vehicle(road, row, k) for k in range(scene.x.shape[1])]
+        for place in np.argsort(scene.entry[row]):
+            if scene.present[row, place]:
+                road.vehicles.append(self._vehicles[row][place])
         return road
+
+    def _vehicle(self, road: Road, row: int, place: int) -> Any:
+        """A vehicle of a scene."""
+        scene, at = self.scene, (row, place)
+        vehicle_class = self._class_of(int(self.drivers[at]))
+        position = np.array([scene.x[at], scene.y[at]])
+        vehicle = vehicle_class(road, position, float(scene.heading[at]), float(scene.speed[at]))
+        _set_size(vehicle, scene.length[at], scene.width[at])
+        vehicle.target_speed, vehicle.crashed = (
+            float(scene.target_speed[at]),
+            bool(scene.crashed[at]),
+        )
+        vehicle.target_lane_index = (*vehicle.lane_index[:2], int(scene.target_lane[at]))
+        names = ("steering", "acceleration")
+        vehicle.action = {name: float(getattr(scene, name)[at]) for name in names}
+        if scene.impact[at]:
+            vehicle.impact = np.array([scene.impact_x[at], scene.impact_y[at]])
+        if hasattr(vehicle, "timer"):
+            vehicle.timer = float(scene.timer_s[at])
+        self._set_temperament(vehicle, scene.temperament[at])
+        return vehicle
 
     def _spawn(self, row: int, ego: int, rng: RandomSource, desired: Floats) -> Road:
         """[`HighwayEnv._create_vehicles`, with the ego at its place]
@@ -214,7 +233,7 @@ class HighwayEnvEngine:
             wants_own = issubclass(vehicle_class, ControlledVehicle) and desired[place] > 0
             own = {"target_speed": float(desired[place])} if wants_own else {}
             vehicle = vehicle_class(road, *state, **own)
-            set_size(vehicle, self.scene.length[row, place], self.scene.width[row, place])
+            _set_size(vehicle, self.scene.length[row, place], self.scene.width[row, place])
             road.vehicles.append(vehicle)
             if not is_ego:
                 self._draw_temperament(row, place, vehicle, rng)
@@ -237,6 +256,9 @@ class HighwayEnvEngine:
     ) -> None:
         """[`IDMVehicle.randomize_behavior`]"""
         share = self.scene.temperament[row, place] = rng.random()
+        self._set_temperament(vehicle, share)
+
+    def _set_temperament(self, vehicle: Any, share: float) -> None:
         if isinstance(vehicle, IDMVehicle):
             low, high = vehicle.DELTA_RANGE
             vehicle.DELTA = low + (high - low) * share
@@ -244,7 +266,9 @@ class HighwayEnvEngine:
     def _copy_state(self, row: int) -> None:
         """Copies the state of highway-env's vehicles into the arrays."""
         scene = self.scene
-        for place, vehicle in enumerate(self.roads[row].vehicles):
+        for place, vehicle in enumerate(self._vehicles[row]):
+            if not scene.present[row, place]:
+                continue
             scene.x[row, place], scene.y[row, place] = vehicle.position
             for name in ("heading", "speed", "crashed"):
                 getattr(scene, name)[row, place] = getattr(vehicle, name)
@@ -310,6 +334,22 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     def step(self, dt: float) -> None:
         self.timer += dt
         super().step(dt)
+
+
+def highway_env_network(road: Straight) -> RoadNetwork:
+    """highway-env's network of a straight road [`HighwayEnv._create_road`]."""
+    network, width = RoadNetwork(), road.lane_width
+    for lane in range(road.lanes):
+        ends = np.array([[0.0, lane * width], [road.road_length, lane * width]])
+        straight = StraightLane(*ends, width=width, speed_limit=road.speed_limit)
+        network.add_lane("0", "1", straight)
+    return network
+
+
+def _set_size(vehicle: Any, length: float, width: float) -> None:
+    """Gives a vehicle a size of its own [`RoadObject.__init__`]."""
+    vehicle.LENGTH, vehicle.WIDTH = length, width
+    vehicle.diagonal = np.sqrt(length**2 + width**2)
 
 
 def _reference_class(model: DriverModel, profile: Profile) -> Any:

@@ -12,7 +12,12 @@ import numpy as np
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, not_zero, wrap_to_pi
 from charms_bench.world.profile import Constants
-from charms_bench.world.road import first_nearest
+from charms_bench.world.road import (
+    closest_lane,
+    distance_with_heading,
+    local_coordinates,
+    side_lanes,
+)
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 
@@ -133,14 +138,15 @@ def move(
     for i in range(x.size):
         turning.vehicle[turns] = i
         # The functions of a vehicle that goes straight would give 0 and 1.
-        is_beside = (y[i] - target_lane[i] * c.lane_width != 0.0) & (not crashed[i])
+        _, lateral = local_coordinates(c, target_lane[i], x[i], y[i])
+        is_beside = (lateral != 0.0) & (not crashed[i])
         turns += (heading[i] != 0.0) | is_beside | (is_held[i] & (steering[i] != 0.0))
     for k in range(turns):
         i = index(turning.vehicle[k])
         turning.is_steered[k] = not (crashed[i] or is_held[i])
         turning.steering[k] = steering[i] if is_held[i] and not crashed[i] else 0.0
         turning.x[k] = x[i]
-        turning.lateral[k] = y[i] - target_lane[i] * c.lane_width
+        _, turning.lateral[k] = local_coordinates(c, target_lane[i], x[i], y[i])
         turning.heading[k] = heading[i]
         turning.speed[k] = speed[i]
         turning.half_length[k] = length[i] / 2
@@ -172,14 +178,14 @@ def move(
         heading[i] = turning.heading[k]
         direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
         steering[i] = turning.steering[k]
-        lane[i] = first_nearest(y[i], c.lanes, c.lane_width)
+        lane[i] = closest_lane(c, x[i], y[i], heading[i])
     for i in range(x.size):
         if impact[i]:
             x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             crashed[i] = True
             impact[i] = False
-            lane[i] = first_nearest(y[i], c.lanes, c.lane_width)
+            lane[i] = closest_lane(c, x[i], y[i], heading[i])
 
 
 @compiled
@@ -195,11 +201,10 @@ def follow_no_lane(scene: Scene, marked: Bools) -> None:
         for i in range(marked.shape[1]):
             if not marked[b, i]:
                 continue
-            x, y = scene.x[b, i], scene.y[b, i]
-            lane = first_nearest(y, c.lanes, c.lane_width)
-            own, left = abs(y - lane * c.lane_width), abs(y - (lane - 1) * c.lane_width)
-            if lane > 0 and left - own < 1e-6:
-                beyond, before = max(x - c.road_length, 0.0), max(0.0 - x, 0.0)
-                angle = abs(wrap_to_pi(scene.heading[b, i]))
-                lane -= left + beyond + before + angle <= own + beyond + before + angle
+            x, y, heading = scene.x[b, i], scene.y[b, i], scene.heading[b, i]
+            lane = closest_lane(c, x, y, heading)
+            left, _ = side_lanes(c, lane)
+            if left >= 0:
+                own = distance_with_heading(c, lane, x, y, heading)
+                lane = left if distance_with_heading(c, left, x, y, heading) <= own else lane
             scene.lane[b, i] = scene.target_lane[b, i] = lane

@@ -28,24 +28,24 @@ def locate(scene: Scene, rows: Ints) -> None:
 
 @compiled
 def sort_by_x(scene: Scene, first: int, after: int) -> None:
-    """Restores `order` and `rank`: by x, and at equal x in reverse order of spawning.
+    """Restores `order` and `rank`: by x, and at equal x in reverse order of entry.
 
     The vehicles are nearly sorted, so this is an insertion sort.
     """
-    x, order, rank = scene.x, scene.order, scene.rank
+    x, order, rank, entry = scene.x, scene.order, scene.rank, scene.entry
     for b in range(first, after):
         last = order[b, 0]
         last_x = x[b, last]
         for k in range(1, order.shape[1]):
             i = order[b, k]
             own_x = x[b, i]
-            if last_x < own_x or (last_x == own_x and last > i):
+            if last_x < own_x or (last_x == own_x and entry[b, last] > entry[b, i]):
                 last, last_x = i, own_x
                 continue
             m = k
             while m > 0:
                 j = order[b, m - 1]
-                if x[b, j] < own_x or (x[b, j] == own_x and j > i):
+                if x[b, j] < own_x or (x[b, j] == own_x and entry[b, j] > entry[b, i]):
                     break
                 order[b, m] = j
                 rank[b, j] = m
@@ -59,8 +59,8 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
     """Fills `leaders` and `followers` [`Road.neighbour_vehicles` for each lane].
 
     A vehicle is on a lane up to 1 m beside it, so it may be on two. Vehicles at equal x are each
-    other's leaders, but not followers. Among several, the last spawned is the leader and the first
-    spawned is the follower; the order of `sort_by_x` gives this.
+    other's leaders, but not followers. Among several, the last to enter is the leader and the first
+    to enter is the follower; the order of `sort_by_x` gives this.
     """
     c, vehicles = scene.constants, scene.x.shape[1]
     sorted_y = np.empty(vehicles)  # not a number, so on no lane, for a vehicle beyond the ends

@@ -30,19 +30,18 @@ def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     """
     if not simulation.ranges:
         return
-    settings, seeds = simulation.settings, simulation.seeds[rows]
-    kinds, _ = draw_types(settings, seeds, simulation.scene.ego[rows])
+    settings, seeds, entry = simulation.settings, simulation.seeds[rows], simulation.scene.entry
+    kinds, _ = draw_types(settings, seeds, entry[rows], simulation.scene.ego[rows])
     given = [*(each.driver_parameters for each in settings.vehicle_types), {}]
     for agent, ranges in simulation.ranges.items():
         name = simulation.agents[agent].encode()
         of_kinds = np.array([[own.get(k, each) for k, each in ranges.items()] for own in given])
-        shape = (settings.vehicles, len(ranges))
         for row, kind in zip(rows, kinds, strict=True):
-            shares = np.full(shape, 0.5)
+            shares = np.full((settings.vehicles, len(ranges)), 0.5)
             if settings.scenario is None:
                 # Each model has its own random stream: other drivers do not change the draws.
                 rng = np.random.default_rng([int(simulation.seeds[row]), _STREAM, crc32(name)])
-                shares = rng.random(shape)
+                shares = rng.random((entry[row].max() + 1, len(ranges)))[entry[row]]
             own = simulation.engine.drivers[row] == agent
             low, high = np.moveaxis(of_kinds[kind[own]], -1, 0)
             drawn = low + (high - low) * shares[own]

@@ -26,8 +26,6 @@ class Script:
 
     def __init__(self, scenario: Scenario, settings: SceneSettings, scenes: int) -> None:
         self._scenario, self._constants = scenario, settings.constants
-        self.is_prescribed = np.array([False, *(each.agent is None for each in scenario.vehicles)])
-        """[N] whether the motion of each vehicle is prescribed."""
         first = np.zeros(scenes, dtype=np.int64)
         self._placement = place(scenario, self._constants, first)
 
@@ -35,6 +33,7 @@ class Script:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
         found = self.choose(scene, rows, numbers)
         scene.ego[rows] = 0
+        scene.length[rows], scene.width[rows] = found.length, found.width
         scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
         _, scene.y[rows] = position(self._constants, found.lane, found.x, 0.0)
         scene.target_speed[rows], scene.target_lane[rows] = found.speed, found.lane
@@ -46,24 +45,23 @@ class Script:
         locate(scene, rows)
 
     def choose(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> Placement:
-        """Prescribes the sizes and motion of points with these numbers in scenes `rows` (R,)."""
+        """Prescribes the motion of points with these numbers in the scenes `rows` (R,)."""
         found = place(self._scenario, self._constants, numbers)
         for whole, part in zip(self._placement, found, strict=True):
             whole[rows] = part
-        scene.length[rows], scene.width[rows] = found.length, found.width
         return found
 
-    def prescribe(self, scene: Scene, rows: Ints) -> None:
-        """Sets the control of the prescribed vehicles of these scenes for the next step."""
-        _prescribe(scene, rows, self.is_prescribed, self._placement)
+    def prescribe(self, scene: Scene, rows: Ints, is_prescribed: Bools) -> None:
+        """Sets the control of the vehicles [B, N] marked in these scenes for the next step."""
+        _prescribe(scene, rows, is_prescribed, self._placement)
 
 
 @compiled
 def _prescribe(scene: Scene, rows: Ints, is_prescribed: Bools, placed: Placement) -> None:
     c = scene.constants
     for b in rows:
-        for i in range(is_prescribed.size):
-            if not is_prescribed[i] or scene.crashed[b, i]:
+        for i in range(is_prescribed.shape[1]):
+            if not is_prescribed[b, i] or scene.crashed[b, i]:
                 continue
             time = scene.timer_s[b, i]
             speed, heading = scene.speed[b, i], scene.heading[b, i]

@@ -12,7 +12,7 @@ import numpy as np
 from charms_bench.engine.prescribed import TEMPERAMENT
 from charms_bench.engine.state import SceneState, state_of
 from charms_bench.errors import InputError
-from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.actions import Actions
@@ -75,6 +75,22 @@ class Rollouts:
         return self._futures.outcomes(self._vehicles, np.asarray(plans))
 
 
+def others_of(planner: Policy) -> Agent:
+    """The agent that drives the other vehicles in a planner's rollouts.
+
+    Raises:
+        InputError: It is a planner too, so that rollouts would need rollouts without an end.
+        CharmsBenchError: It cannot be made.
+    """
+    agent = make_agent(planner.rollouts_with)
+    if isinstance(agent, Policy) and agent.rollouts_with:
+        raise InputError(
+            f"its attribute `rollouts_with` is '{planner.rollouts_with}', a planner; expected an "
+            "agent without rollouts of its own"
+        )
+    return agent
+
+
 class Futures:
     """The simulations in which a planner of a simulation looks ahead."""
 
@@ -91,11 +107,10 @@ class Futures:
     def _simulation(self) -> "Simulation":
         """A simulation of `SCENES` scenes, made when it is first needed."""
         if self._beside is None:
-            others, settings = self._planner.rollouts_with, self._made.settings
-            settings = settings.model_copy(update={"scenario": None})
-            agents = {others: make_agent(others)}
-            self._beside = type(self._made)(
-                settings, SCENES, None, OneAgent(others), agents, actions=self._planner.actions
+            others, actions = self._planner.rollouts_with, self._planner.actions
+            agents, simulation = {others: others_of(self._planner)}, type(self._made)
+            self._beside = simulation(
+                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
             )
         return self._beside  # type: ignore[no-any-return]
 

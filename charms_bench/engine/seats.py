@@ -10,21 +10,21 @@ from charms_bench.world.scene import Bools, Ints
 def seat(
     rows: Ints,
     ego: Ints,
-    traffic: Ints,
+    agents: Ints,
     models: Bools,
     drivers: Ints,
     is_modelled: Bools,
     is_ego: Bools,
 ) -> None:
-    """Gives the vehicles of the scenes `rows` (R,) their drivers; agent 0 drives the ego.
+    """Gives the vehicles of the scenes `rows` (R,) their drivers.
 
-    `traffic` (R, N - 1) are the agents of the other vehicles. `models` marks the agents that are
-    driver models; agents beyond its end are not.
+    `agents` (R, N) are the agent of the ego, and then those of the other vehicles. `models` marks
+    the agents that are driver models; agents beyond its end are not.
     """
     for r in range(rows.size):
         b = rows[r]
         for i in range(drivers.shape[1]):
-            drivers[b, i] = 0 if i == ego[b] else traffic[r, i - (i > ego[b])]
+            drivers[b, i] = agents[r, 0 if i == ego[b] else i + (i < ego[b])]
     mark_seats(rows, ego, models, drivers, is_modelled, is_ego)
 
 
@@ -44,15 +44,25 @@ def mark_seats(
 
 
 @compiled
-def vehicles_of(agent: int, drivers: Ints, scenes: Bools) -> tuple[Ints, Ints]:
-    """The vehicles (M,), by scene and place, that an agent drives in the scenes [B] marked."""
+def vehicles_of(
+    agent: int, drivers: Ints, scenes: Bools, present: Bools, entry: Ints
+) -> tuple[Ints, Ints]:
+    """The vehicles (M,) that an agent drives in the scenes [B] marked, by scene and place.
+
+    They are sorted by scene, and then in the order of entry [B, N].
+    """
     rows = np.empty(drivers.size, dtype=np.int64)
     places = np.empty(drivers.size, dtype=np.int64)
     found = 0
     for b in range(drivers.shape[0]):
         if scenes[b]:
             for i in range(drivers.shape[1]):
-                if drivers[b, i] == agent:
-                    rows[found], places[found] = b, i
-                    found += 1
+                if drivers[b, i] != agent or not present[b, i]:
+                    continue
+                k = found
+                while k > 0 and rows[k - 1] == b and entry[b, places[k - 1]] > entry[b, i]:
+                    places[k] = places[k - 1]
+                    k -= 1
+                rows[found], places[k] = b, i
+                found += 1
     return rows[:found].copy(), places[:found].copy()

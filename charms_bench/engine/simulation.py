@@ -16,7 +16,7 @@ from charms_bench.engine.collisions import (
 )
 from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
 from charms_bench.engine.parameters import Ranges, set_parameters
-from charms_bench.engine.rollouts import Futures
+from charms_bench.engine.rollouts import Futures, others_of
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
 from charms_bench.errors import (
@@ -91,17 +91,17 @@ class Simulation:
         self._everyone = np.arange(scenes)
         self._traffic = traffic
         self._egos_end_episodes = "" not in traffic.agents
-        # Agent 0 drives the ego; its name is empty if the ego is driven from outside.
-        self.agents = (ego or "", *(name for name in traffic.agents if name != (ego or "")))
-        """The names of the agents that `engine.drivers` holds indices of."""
+        self.ego_agent = ego or ""
+        """The name of the agent that drives the egos; empty if they are driven from outside."""
+        self.agents = tuple(dict.fromkeys((self.ego_agent, *traffic.agents)))
+        """The names of the agents that `engine.drivers` holds indices of, in the order in which
+        their driver models act."""
         undriven = ("", PRESCRIBED)
         self.made = {k: agents[name] for k, name in enumerate(self.agents) if name not in undriven}
         """The agents by their index; none for what is driven from outside or prescribed."""
-        self._policies = {
-            k: _checked_policy(self.agents[k], agent, settings)
-            for k, agent in self.made.items()
-            if isinstance(agent, Policy)
-        }
+        for k, agent in self.made.items():
+            _check_agent(self.agents[k], agent, settings)
+        self._policies = {k: each for k, each in self.made.items() if isinstance(each, Policy)}
         models = {
             k: _CheckedModel(self.agents[k], agent, self)
             for k, agent in self.made.items()
@@ -121,7 +121,8 @@ class Simulation:
         self._kept_widths = {k: kept_width(policy) for k, policy in self._policies.items()}
         widths = (*self._kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
-        self.engine = make_engine(engine, settings, scenes, models, continuous, memory)
+        prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
+        self.engine = make_engine(engine, settings, scenes, models, continuous, memory, prescribed)
         self._futures = {
             k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
         }
@@ -169,12 +170,15 @@ class Simulation:
         self.seeds[rows] = seeds
         others = self.settings.traffic_vehicles
         index = {name: k for k, name in enumerate(self.agents)}
-        traffic = np.full((rows.size, others), len(self.agents) - 1)
+        drivers = np.full((rows.size, 1 + others), len(self.agents) - 1)
+        drivers[:, 0] = self.agents.index(self.ego_agent)
         for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
-            traffic[r] = [index[name] for name in self._assigned(rng, int(seed), others)]
-        self.engine.reset(rows, seeds, traffic, draws)
+            drivers[r, 1:] = [index[name] for name in self._assigned(rng, int(seed), others)]
+        self.scene.present[rows] = True
+        self.scene.entry[rows] = np.arange(self.settings.vehicles)
+        self.engine.reset(rows, seeds, drivers, draws)
         set_parameters(self, rows)
         self.scene.memory[rows] = 0.0
         self.steps[rows] = 0
@@ -233,7 +237,9 @@ class Simulation:
             frames = self.steps * self.settings.steps_per_decision + self.phase
             period = round(self.settings.simulation_hz / policy.decision_hz)
             now = active & (frames % period == 0)
-            vehicles = vehicles_of(agent, self.engine.drivers, now)
+            vehicles = vehicles_of(
+                agent, self.engine.drivers, now, self.scene.present, self.scene.entry
+            )
             if vehicles[0].size:
                 number = (frames // period)[vehicles[0]].astype(np.uint64)
                 decisions.append((vehicles, self._decide(agent, policy, vehicles, number)))
@@ -260,9 +266,10 @@ class Simulation:
         self, agent: int, policy: Policy, vehicles: Vehicles, number: NDArray[np.uint64]
     ) -> Actions:
         """The actions of M vehicles, in their decisions `number` (M,)."""
-        name, (rows, places) = self.agents[agent], vehicles
+        name = self.agents[agent]
         kept: Any = (*vehicles, slice(self._kept_widths[agent]))
-        noise = uniforms(self.seeds[rows], number, places.astype(np.uint64), policy.noise_draws)
+        identity = self.scene.entry[vehicles].astype(np.uint64)
+        noise = uniforms(self.seeds[vehicles[0]], number, identity, policy.noise_draws)
         rollouts = self._futures[agent].of(vehicles) if policy.rollouts_with else None
         try:
             with np.errstate():  # what a plugin sets is for itself
@@ -301,19 +308,22 @@ class Simulation:
         self.ending[has_collided & (of_egos == SIDE_COLLISION)] = SIDE
 
 
-def _checked_policy(name: str, policy: Policy, settings: SceneSettings) -> Policy:
+def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
     try:
-        check_declared(policy)
+        check_declared(agent)
+        if isinstance(agent, DriverModel):
+            return
+        if agent.rollouts_with:
+            others_of(agent)
     except InputError as error:
         raise InputError(f"agent '{name}': {error}") from error
-    hz = policy.decision_hz
+    hz = agent.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if not 1 <= steps <= 1e9 or steps != round(steps):
         raise InputError(
             f"agent '{name}' decides {hz} times per second; simulation_hz "
             f"{settings.simulation_hz} is not a multiple of this rate"
         )
-    return policy
 
 
 def _checked_ranges(name: str, model: DriverModel) -> Ranges:
@@ -352,6 +362,11 @@ class _CheckedModel(DriverModel):
             raise self._simulation.blame(self._name, vehicles, what, error.vehicle) from error
         except PLUGIN_ERRORS as error:
             raise self._simulation.blame(self._name, vehicles, raised(error)) from error
+        if self.memory_width:
+            finite = np.isfinite(scene.memory[vehicles][:, : self.memory_width]).all(axis=1)
+            if not finite.all():
+                what = "drive left memory that is not finite"
+                raise self._simulation.blame(self._name, vehicles, what, int(finite.argmin()))
         shape, lanes, limit = vehicles[0].shape, scene.constants.lanes, ACCELERATION_LIMIT_MPS2
         wrong, what = 0, ""
         if acceleration.shape != shape or target_lane.shape != shape:

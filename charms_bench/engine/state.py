@@ -5,32 +5,23 @@ the other. What follows from positions and headings, such as neighbours, is comp
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.parameters import set_parameters
-from charms_bench.engine.type_draws import set_types
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.scene import Bools, Floats, Ints, SceneSettings
+from charms_bench.world.road import position
+from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
 
-OF_SCENE = (
-    "x", "y", "heading", "speed", "acceleration", "steering", "target_speed", "target_lane",
-    "crashed", "timer_s", "temperament", "memory", "impact_x", "impact_y", "impact", "ego",
-    "active",
-)  # fmt: skip
-"""The fields that are arrays of a `Scene`."""
-OF_SIMULATION = ("seeds", "steps", "ending", "action", "has_action", "collision")
-"""The fields that are arrays of a `Simulation`."""
 OF_SCENES = ("seeds", "steps", "ending", "ego", "active")
 """The arrays with one value per scene; all other arrays have one per vehicle."""
-ARRAYS = (*OF_SIMULATION, "drivers", *OF_SCENE)
 
 
 @dataclass(frozen=True)
@@ -57,12 +48,16 @@ class SceneState:
     action: Ints
     has_action: Bools
     collision: Ints
+    present: Bools
+    entry: Ints
     x: Floats
     y: Floats
     heading: Floats
     speed: Floats
     acceleration: Floats
     steering: Floats
+    length: Floats
+    width: Floats
     target_speed: Floats
     target_lane: Ints
     crashed: Bools
@@ -116,7 +111,7 @@ class SceneState:
         """The same scenes, in which an agent drives one vehicle; see `driven_by`.
 
         Args:
-            places: (S,) the vehicle of each scene, in the order of spawning.
+            places: (S,) the vehicle of each scene.
             agent: Its name; empty for an ego that is driven from outside.
         """
         chosen = np.zeros(self.drivers.shape, dtype=np.bool_)
@@ -141,6 +136,57 @@ class SceneState:
         target_speed[changed] = np.where(target_speed[changed], target_speed[changed], speed)
         return replace(self, agents=agents, **arrays)
 
+    def without(self, places: Ints) -> "SceneState":
+        """The same scenes, in each of which the vehicle at one of the places (S,) has left.
+
+        Raises:
+            InputError: There is no vehicle, or it is the ego.
+        """
+        each = (np.arange(len(self)), places)
+        if (wrong := ~self.present[each] | (places == self.ego)).any():
+            scene = int(wrong.argmax())
+            what = "is the ego" if places[scene] == self.ego[scene] else "has left already"
+            raise InputError(f"scene {scene}: vehicle {places[scene]} {what}")
+        present = self.present.copy()
+        present[each] = False
+        return replace(self, present=present)
+
+    def joined_by(self, agent: str, lane: Ints, x: Floats, speed: Floats) -> "SceneState":
+        """The same scenes, in each of which a vehicle of the profile's size enters an empty place.
+
+        It heads along its lane and wants the speed that it has.
+
+        Args:
+            agent: The name of its agent.
+            lane: (S,) its lanes.
+            x: (S,) its centres along the road, m.
+            speed: (S,) its speeds, m/s.
+
+        Raises:
+            InputError: A scene is full.
+        """
+        if (full := self.present.all(axis=1)).any():
+            vehicles = self.settings.vehicles
+            raise InputError(f"scene {full.argmax()} is full: it has {vehicles} vehicles already")
+        each = (np.arange(len(self)), (~self.present).argmax(axis=1))
+        profile, arrays = self.settings.profile, self.arrays()
+        values = {name: 0 for name, array in arrays.items() if array.ndim > 1} | {
+            "present": True,
+            "entry": self.entry.max(axis=1) + 1,
+            "x": x,
+            "y": position(self.settings.road, lane, x, 0.0)[1],
+            "speed": speed,
+            "length": profile.vehicle_length_m,
+            "width": profile.vehicle_width_m,
+            "target_speed": speed,
+            "target_lane": lane,
+            "temperament": 0.5,
+        }
+        for name, value in values.items():
+            arrays[name] = arrays[name].copy()
+            arrays[name][each] = value
+        return self.with_arrays(arrays).seated(each[1], agent)
+
     def __eq__(self, other: object) -> bool:
         """Whether all values are the same to the last bit."""
         if not isinstance(other, SceneState):
@@ -153,21 +199,24 @@ class SceneState:
     __hash__ = None  # type: ignore[assignment]  # arrays have none
 
 
+ARRAYS = tuple(each.name for each in fields(SceneState))[3:]
+"""The fields that are arrays."""
+
+
+def _holder(simulation: "Simulation", name: str) -> Any:
+    """What has an array in a simulation."""
+    if name == "drivers":
+        return simulation.engine
+    return simulation.scene if name in Scene._fields else simulation
+
+
 def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
     """Saves the scenes `rows` (S,) of a simulation."""
-    scene = simulation.scene
-    arrays = {name: getattr(simulation, name)[rows] for name in OF_SIMULATION}
-    arrays |= {name: getattr(scene, name)[rows] for name in OF_SCENE}
+    arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in ARRAYS}
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0
     arrays["impact_y"][~arrays["impact"]] = 0.0
-    return SceneState(
-        simulation.settings,
-        simulation.agents,
-        simulation.phase,
-        drivers=simulation.engine.drivers[rows],
-        **arrays,
-    )
+    return SceneState(simulation.settings, simulation.agents, simulation.phase, **arrays)
 
 
 def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
@@ -188,19 +237,30 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
         )
     index = _agents_in(simulation, state)
     simulation.phase = state.phase
-    simulation.engine.drivers[rows] = index[state.drivers]
-    for names, arrays in ((OF_SIMULATION, simulation), (OF_SCENE, simulation.scene)):
-        for name in names:
-            if name != "memory":
-                getattr(arrays, name)[rows] = getattr(state, name)
+    for name, array in {**state.arrays(), "drivers": index[state.drivers]}.items():
+        if name != "memory":
+            getattr(_holder(simulation, name), name)[rows] = array
     # With other agents, it can be wider or narrower; no agent that is here declares what is cut.
     memory = simulation.scene.memory
     width = min(memory.shape[2], state.memory.shape[2])
     memory[rows] = 0.0
     memory[rows, :, :width] = state.memory[:, :, :width]
-    set_types(simulation.scene, simulation.settings, rows, state.seeds)
+    _vacate(simulation.scene, rows)
     simulation.engine.restore(rows, state.seeds)
     set_parameters(simulation, rows)
+
+
+def _vacate(scene: Scene, rows: Ints) -> None:
+    """Puts the vehicles of empty places where nobody meets them."""
+    empty = ~scene.present[rows]
+    if not empty.any():
+        return
+    for name in ("y", "heading", "speed", "acceleration", "target_speed", "target_lane"):
+        getattr(scene, name)[rows] *= ~empty
+    for name in ("crashed", "impact"):
+        getattr(scene, name)[rows] &= ~empty
+    vacant_x = VACANT_X_M - 1000.0 * np.arange(scene.x.shape[1])
+    scene.x[rows] = np.where(empty, vacant_x, scene.x[rows])
 
 
 def check_settings(found: SceneSettings, expected: SceneSettings) -> None:

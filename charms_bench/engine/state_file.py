@@ -23,12 +23,14 @@ from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import SceneSettings
 
-FORMAT, VERSION = "charms-bench scene state", 3
+FORMAT, VERSION = "charms-bench scene state", 4
 LIMIT_BYTES = 2**28
+ENTRIES = 100_000
+"""Bound of the number of vehicles that have entered a scene."""
 _LARGEST = 1e9
 """Bound of what a driver model may write to its timer: with it, nothing overflows."""
-_INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "target_lane")
-_BOOLEANS = ("active", "has_action", "crashed", "impact")
+_INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "entry", "target_lane")
+_BOOLEANS = ("active", "has_action", "present", "crashed", "impact")
 _TYPES = (
     (_INTEGERS, "i", "integers"),
     (_BOOLEANS, "b", "true or false"),
@@ -168,6 +170,7 @@ def check_state(state: SceneState) -> None:
         shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
+    lengths, widths = zip(*settings.sizes_m, strict=True)
     bounds: dict[str, tuple[float, float]] = {
         **{name: (-bound, bound) for name, bound in _magnitudes(settings).items()},
         "phase": (0, settings.steps_per_decision),
@@ -177,10 +180,15 @@ def check_state(state: SceneState) -> None:
         "drivers": (0, len(state.agents) - 1),
         "action": (0, len(ACTIONS) - 1),
         "collision": (0, len(COLLISIONS) - 1),
+        "entry": (0, ENTRIES),
         "target_lane": (0, settings.lanes - 1),
         "temperament": (0.0, 1.0),
         "memory": (-np.inf, np.inf),
+        "length": (min(lengths), max(lengths)),
+        "width": (min(widths), max(widths)),
     }
+    if any(len(set(numbers)) < len(numbers) for numbers in state.entry.tolist()):
+        raise InputError("entry: two vehicles of a scene have the same number")
     for name in ("phase", *ARRAYS):
         values = np.asarray(getattr(state, name))
         low, high = bounds.get(name, (-_LARGEST, _LARGEST))

@@ -13,12 +13,13 @@ _STREAM = 4
 
 
 def draw_types(
-    settings: SceneSettings, seeds: NDArray[np.uint64], egos: Ints
+    settings: SceneSettings, seeds: NDArray[np.uint64], entry: Ints, egos: Ints
 ) -> tuple[Ints, Floats]:
     """Draws the types (R, N) of the vehicles of R scenes, and where their desired speeds lie.
 
     A type is an index into `vehicle_types`; the index after the last stands for the profile's
-    vehicle. The second array has numbers in [0, 1), from the lowest desired speed to the highest.
+    vehicle, which vehicles are that enter later. The second array has numbers in [0, 1), from the
+    lowest desired speed to the highest. `entry` (R, N) are those of the scene.
     """
     types, shape = settings.vehicle_types, (seeds.size, settings.vehicles)
     kinds, shares = np.full(shape, len(types)), np.zeros(shape)
@@ -27,8 +28,10 @@ def draw_types(
     ends = np.cumsum([each.share for each in types])[:-1]
     for r, seed in enumerate(seeds):
         rng = np.random.default_rng([int(seed), _STREAM])
-        kinds[r] = np.searchsorted(ends, rng.random(settings.vehicles), side="right")
-        shares[r] = rng.random(settings.vehicles)
+        drawn = np.searchsorted(ends, rng.random(settings.vehicles), side="right")
+        at_start = entry[r] < settings.vehicles
+        kinds[r, at_start] = drawn[entry[r, at_start]]
+        shares[r, at_start] = rng.random(settings.vehicles)[entry[r, at_start]]
     names = [*(each.name for each in types), None]
     kinds[np.arange(seeds.size), egos] = names.index(settings.ego_type)
     return kinds, shares
@@ -44,7 +47,7 @@ def set_types(
     """
     if not settings.vehicle_types:
         return np.full((rows.size, settings.vehicles), np.nan)
-    kinds, shares = draw_types(settings, seeds, scene.ego[rows])
+    kinds, shares = draw_types(settings, seeds, scene.entry[rows], scene.ego[rows])
     sizes = np.array(settings.sizes_m)[kinds]
     scene.length[rows], scene.width[rows] = sizes[..., 0], sizes[..., 1]
     speeds = [*(each.desired_speed_mps for each in settings.vehicle_types), None]

@@ -132,14 +132,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         return np.asarray(masks[0], dtype=np.bool_)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The scene as animations of replays draw it, (height, width, 3), if asked for.
-
-        In the render mode `human`, `reset` and `step` show the scene in a window after each
-        decision, in real time, and nothing is returned.
-
-        Raises:
-            InputError: There is no display for the window.
-        """
+        """The scene, (height, width, 3), if asked for; see `HighwayVectorEnv.render`."""
         frames = self._learners.renderer.render()
         return frames[0] if frames else None
 

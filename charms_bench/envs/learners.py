@@ -203,11 +203,9 @@ class Learners:
 
 
 class FromOutside(Traffic):
-    """A traffic in which some vehicles have no agent, because the caller drives them.
+    """A traffic in which vehicles with these numbers have no agent; the caller drives them.
 
-    Args:
-        numbers: These vehicles; see `Learners`. The ego is no part of a traffic.
-        traffic: Assigns a driver to each of the other vehicles: the same one as without learners.
+    The others have the same drivers as without learners. The ego is no part of a traffic.
     """
 
     def __init__(self, numbers: Sequence[int], traffic: Traffic) -> None:

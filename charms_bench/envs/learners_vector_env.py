@@ -12,16 +12,13 @@ from charms_bench.world.scene import EVALUATION_SEEDS, Bools
 
 
 class LearnersVectorEnv(ScenesVectorEnv):
-    """B scenes with L learners each, as a Gymnasium vector environment of B L environments.
+    """B scenes with L learners each, as a Gymnasium vector environment; see `ScenesVectorEnv`.
 
-    The learners of the first scene come first, so that `array.reshape(B, L, ...)` has one row per
-    scene. A learner's episode terminates when its vehicle crashes or leaves the road, and is
-    truncated when the scene's time is over. Its vehicle stays in the scene, which goes on for the
-    other learners. When no learner is left, the next scene starts within the same step.
-
-    Until then, `alive` is false for the learners that have left: their observations are zeros,
-    their rewards are 0, and their actions have no effect. So the next episode of such a learner
-    begins with a wait. The k-th scene to start has the seed `EVALUATION_SEEDS + k`.
+    `array.reshape(B, L, ...)` has one row per scene. A learner's episode terminates when its
+    vehicle crashes or leaves the road, and is truncated when the scene's time is over. Its vehicle
+    stays in the scene, which goes on for the other learners. `alive` is false for the learners that
+    have left, so the next episode of such a learner begins with a wait. The first scene has the
+    seed `EVALUATION_SEEDS`.
 
     Args:
         scenes: B.

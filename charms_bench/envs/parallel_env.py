@@ -45,15 +45,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
     `reset(seed=k)` starts the episode of a suite with seed k. Without a seed, one is drawn that no
     suite evaluates on.
 
-    Args:
-        learners: The numbers of the vehicles that the caller drives; they include 0. None means
-            all vehicles.
-        traffic: Assigns a driver to each of the other vehicles.
-        reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
-        observation: The agents' observation; see `charms_bench.world.observations`.
-        render_mode: `rgb_array` or `human`; see `render`.
-        scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
-            `scene`, with the same defaults.
+    The arguments are those of `LearnersVectorEnv`, without the number of scenes.
 
     Raises:
         InputError: The traffic is not installed, or an argument is wrong.
@@ -138,30 +130,19 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         if not self.agents:
             return {}, {}, {}, {}, {}
         outcome = self._learners.step(self._checked(actions))
-        acted, observations = self.agents, self._observe()
-        rewards, terminated, truncated, endings = (part.tolist() for part in outcome)
-        infos = self._masks()
-        for agent in acted:
-            if endings[self._place[agent]] != RUNNING:
-                infos[agent]["ending"] = ENDINGS[endings[self._place[agent]]]
-        self.agents = [agent for agent in acted if "ending" not in infos[agent]]
-        return (
-            observations,
-            {agent: rewards[self._place[agent]] for agent in acted},
-            {agent: terminated[self._place[agent]] for agent in acted},
-            {agent: truncated[self._place[agent]] for agent in acted},
-            infos,
+        acted, observations, infos = self.agents, self._observe(), self._masks()
+        rewards, terminated, truncated, endings = (
+            {agent: values[self._place[agent]] for agent in acted}
+            for values in (part.tolist() for part in outcome)
         )
+        for agent in acted:
+            if endings[agent] != RUNNING:
+                infos[agent]["ending"] = ENDINGS[endings[agent]]
+        self.agents = [agent for agent in acted if endings[agent] == RUNNING]
+        return observations, rewards, terminated, truncated, infos
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The scene around `vehicle_0` as animations of replays draw it, (height, width, 3).
-
-        In the render mode `human`, `reset` and `step` show the scene in a window after each
-        decision, in real time, and nothing is returned.
-
-        Raises:
-            InputError: There is no display for the window.
-        """
+        """The scene around `vehicle_0`, (height, width, 3); see `HighwayVectorEnv.render`."""
         frames = self._learners.renderer.render()
         return frames[0] if frames else None
 
@@ -193,10 +174,8 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
 
     def _masks(self) -> dict[str, dict[str, Any]]:
         """The infos of `agents` with their action masks."""
-        masks = action_masks(self.simulation.scene, self._vehicles())
-        return {
-            agent: {"action_mask": mask} for agent, mask in zip(self.agents, masks, strict=True)
-        }
+        masks = zip(self.agents, action_masks(self.simulation.scene, self._vehicles()), strict=True)
+        return {agent: {"action_mask": mask} for agent, mask in masks}
 
     def _vehicles(self) -> Vehicles:
         """The vehicles of `agents`."""

@@ -19,15 +19,14 @@ LEARNER = "learner"
 """What pictures call the driver of a vehicle other than the ego that the caller drives."""
 SHOWN = 4
 """The most scenes that a window shows, one below another."""
+STATE = ("x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "crashed")
+"""What a moment takes from the scene, besides the sizes of the vehicles."""
 
 
 class Renderer:
     """Draws the scenes of a simulation as animations of replays do; without a mode, nothing.
 
-    Args:
-        simulation: The simulation.
-        mode: One of `RENDER_MODES`, or None.
-        title: The environment's name, for messages and pictures.
+    The title is the environment's name, for messages and pictures.
 
     Raises:
         InputError: There is no such mode.
@@ -48,9 +47,8 @@ class Renderer:
             from charms_bench.envs.window import Window
 
             self._window = Window(self._title)
-        rows = range(min(SHOWN, self._simulation.seeds.size))
-        picture = np.concatenate([self._frame(row) for row in rows])
-        self._window.show(picture, self._simulation.settings.decision_hz)
+        frames = [*map(self._frame, range(min(SHOWN, self._simulation.seeds.size)))]
+        self._window.show(np.concatenate(frames), self._simulation.settings.decision_hz)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The frames (height, width, 3) of all scenes in the mode `rgb_array`."""
@@ -90,29 +88,20 @@ def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
     agents = [name or LEARNER for name in simulation.drivers[row].tolist()]
     agents[ego] = str(simulation.drivers[row, ego])
     traffic = {name for name in simulation.agents if name} | ({LEARNER} & {*agents})
+    t_s = simulation.steps[row] / settings.decision_hz + simulation.phase / settings.simulation_hz
     return Moment(
         settings=settings,
         title=title,
         episode=int(simulation.seeds[row]),
-        t_s=simulation.steps[row] / settings.decision_hz
-        + simulation.phase / settings.simulation_hz,
+        t_s=t_s,
         ego=ego,
         agents=agents,
         traffic=sorted(traffic),
-        x=scene.x[row],
-        y=scene.y[row],
-        heading=scene.heading[row],
-        length=scene.length[row],
-        width=scene.width[row],
-        speed=scene.speed[row],
-        acceleration=scene.acceleration[row],
-        lane=scene.lane[row],
-        target_lane=scene.target_lane[row],
-        crashed=scene.crashed[row],
         action=simulation.action[row],
         has_action=simulation.has_action[row],
         gap_ahead=gap,
         ttc=ttc,
+        **{name: getattr(scene, name)[row] for name in ("length", "width", *STATE)},
     )
 
 

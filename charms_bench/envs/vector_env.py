@@ -200,18 +200,8 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
     """B episodes side by side; when one ends, the next starts within the same step.
 
     An episode terminates when the ego collides or leaves the road, and is truncated when its time
-    is over. The k-th episode to start has the seed `first_seed + k`.
-
-    Args:
-        settings: What the scenes have in common.
-        scenes: B.
-        traffic: Assigns a driver to each of the other vehicles.
-        agents: All agents that `traffic` names, by name.
-        reward: The reward of a decision.
-        first_seed: The first episode's seed, unless a seed is given to `reset`.
-        observation: The egos' observation.
-        actions: The kind of the egos' actions.
-        render_mode: `rgb_array` or `human`; see `render`.
+    is over. The k-th episode to start has the seed `first_seed + k`, unless `reset` is given one.
+    The other arguments are those of `Learners`, and the egos are the learners.
 
     Raises:
         InputError: There is no such render mode.

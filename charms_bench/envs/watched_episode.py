@@ -17,12 +17,7 @@ if TYPE_CHECKING:
 
 
 class Watched:
-    """An episode with an agent as the ego.
-
-    Args:
-        agent: The name of an installed agent, or the path of a network.
-        traffic: The name of a traffic model or of an agent.
-        seed: The episode's seed.
+    """An episode with an agent as the ego, which is the name of one or the path of a network.
 
     Raises:
         CharmsBenchError: An agent or the traffic model cannot be used.

@@ -15,17 +15,12 @@ from charms_bench.world.picture import BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.world.tracks import Motion
 
 HOLD_S = 2.0
-"""How long the last picture is shown."""
 COLOURS = 96
 """Size of the GIF's palette, which limits the size of the file."""
 
 
 def check_animation(path: Path) -> None:
-    """Refuses a file name that is not a GIF's.
-
-    Raises:
-        InputError: The name does not end in `.gif`.
-    """
+    """Raises an `InputError` if a file name does not end in `.gif`."""
     if path.suffix.lower() != ".gif":
         raise InputError(f"{path}: expected a name that ends in .gif")
 

@@ -5,8 +5,10 @@ first decision interval that ends at least 2 s after the recorded collision. All
 react as their agents do.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 from typing import Literal
 
@@ -19,7 +21,7 @@ from charms_bench.episodes.escape import EscapeSearch
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import AgentError, InputError
-from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import AGENTS, make_agent, plugins
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.actions import ACTIONS, Actions
@@ -111,8 +113,7 @@ def avoidability(
     tried = _usable(cell.cell.scene) if agents is None else tuple(agents)
     found: list[Avoidability] = []
     for start in range(0, len(episodes), AT_ONCE):
-        chunk = _Chunk(cell, episodes[start : start + AT_ONCE], budget)
-        found += chunk.results(tried, tell)
+        found += _Chunk(cell, episodes[start : start + AT_ONCE], budget).results(tried, tell)
     return found
 
 
@@ -120,11 +121,9 @@ def _usable(settings: SceneSettings) -> tuple[str, ...]:
     """The installed agents that can be made and whose rates fit."""
     names = []
     for name in plugins(AGENTS):
-        try:
+        with suppress(InputError):
             Simulation(settings, 1, name, OneAgent(name), {name: make_agent(name)})
-        except InputError:
-            continue
-        names.append(name)
+            names.append(name)
     return tuple(names)
 
 
@@ -142,8 +141,7 @@ class _Chunk:
     """Some episodes of a cell, with their states before every decision."""
 
     def __init__(self, cell: RecordedCell, episodes: Sequence[int], budget: int) -> None:
-        self._cell, self._budget = cell, budget
-        scene = cell.cell.scene
+        self._budget, scene = budget, cell.cell.scene
         self._replays = replay(cell, episodes)
         for each in self._replays:
             if each.ending not in ("rear_end", "side"):
@@ -154,6 +152,7 @@ class _Chunk:
         # The last collision may be so late that 2 s after it the episode would be over.
         more = {"duration_s": scene.duration_s + AFTERWARDS_S + 1 / scene.decision_hz}
         self._settings = scene.model_copy(update=more)
+        self._simulation = partial(cell.simulation, settings=self._settings)
         self._last = np.array([each.steps.height for each in self._replays])
         frames = [int(each.crashed[:, each.ego].argmax()) for each in self._replays]
         beyond = AFTERWARDS_S * scene.simulation_hz
@@ -167,21 +166,14 @@ class _Chunk:
             self._kept.append(simulation.state())
         self._made = simulation.made
 
-    def _simulation(
-        self, scenes: int, guests: Mapping[str, Agent] | None = None, outside: bool = False
-    ) -> Simulation:
-        return self._cell.simulation(scenes, guests or {}, self._settings, outside)
-
     def _before(self, episode: int, step: int) -> SceneState:
-        """The state of one episode, by its place, before a decision."""
         return self._kept[step - 1].take(np.array([episode]))
 
     def results(self, tried: Sequence[str], tell: Callable[[int], None]) -> list[Avoidability]:
         """What could have been done about each collision."""
-        count = len(self._replays)
         searched = []
-        outside = self._simulation(_SCENES, outside=True)
-        for episode in range(count):
+        outside = self._simulation(_SCENES, is_ego_outside=True)
+        for episode in range(len(self._replays)):
             searched.append(self._last_escape(episode, outside))
             tell(1)
         avoids = self._who_avoids(tried, [last for _, last, _ in searched])
@@ -191,8 +183,9 @@ class _Chunk:
         }
         overridden = self._simulation(_SCENES, override)
         found = []
-        for episode, (verdict, last, nodes) in enumerate(searched):
-            each = self._replays[episode]
+        for episode, (each, (verdict, last, nodes)) in enumerate(
+            zip(self._replays, searched, strict=True)
+        ):
             own = {name: done[episode] for name, done in avoids.items()} if last else {}
             found.append(
                 Avoidability(
@@ -233,12 +226,10 @@ class _Chunk:
         for name in tried:
             simulation = self._simulation(len(episodes), {name: make_agent(name)})
             simulation.restore(starts.seated(starts.ego, name))
-            try:
+            with suppress(AgentError):
                 avoids = self._survive(simulation, self._until[episodes])
-            except AgentError:
-                continue
-            found[name] = np.zeros(len(steps), dtype=np.bool_)
-            found[name][episodes] = avoids
+                found[name] = np.zeros(len(steps), dtype=np.bool_)
+                found[name][episodes] = avoids
         return found
 
     @staticmethod
@@ -259,15 +250,13 @@ class _Chunk:
             for place in self._deciding(state):
                 others = [action for action in range(len(ACTIONS)) if action != taken[place]]
                 rows = np.arange(len(others))
-                agents, drivers = simulation.agents, state.drivers[[0] * len(others)]
-                replaced = drivers.copy()
-                replaced[:, place] = len(agents) - overrides + np.array(others)
-                start = state.take(np.zeros(len(others), dtype=np.int64))
-                start = replace(start, agents=agents)
+                start = replace(state.take(np.zeros_like(rows)), agents=simulation.agents)
+                replaced = start.drivers.copy()
+                replaced[:, place] = len(start.agents) - overrides + np.array(others)
                 simulation.scene.active[:] = False
                 simulation.restore(start.with_arrays({"drivers": replaced}), rows)
                 simulation.step()
-                after = simulation.state(rows).with_arrays({"drivers": drivers})
+                after = simulation.state(rows).with_arrays({"drivers": start.drivers})
                 simulation.restore(after, rows)
                 avoids = self._survive(simulation, np.full(rows.size, self._until[episode]))
                 if avoids.any():

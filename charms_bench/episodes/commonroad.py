@@ -22,26 +22,17 @@ PLANNING_PROBLEM = 1_000_000
 DATE = "1970-01-01"
 """The format requires a date; with this one, the same episode is always the same file."""
 MARGIN_M = 100.0
-"""How far lanelets reach beyond the vehicles."""
 POINT_DISTANCE_M = 10.0
 
 
 def check_commonroad(path: Path) -> None:
-    """Checks the name of a scenario file.
-
-    Raises:
-        InputError: It does not end in `.xml`.
-    """
+    """Raises an `InputError` if a file name does not end in `.xml`."""
     if path.suffix != ".xml":
         raise InputError(f"{path}: expected the name of a CommonRoad scenario, ending in .xml")
 
 
 def write_commonroad(replay: Replay, path: Path) -> None:
-    """Writes an episode with one time step per simulation step; see `ShownReplay.write_commonroad`.
-
-    Raises:
-        InputError: The file's name does not end in `.xml`, or the file cannot be written.
-    """
+    """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
     check_commonroad(path)
     root = ElementTree.Element(
         "commonRoad",
@@ -83,8 +74,8 @@ def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
             bound = ElementTree.SubElement(lanelet, name)
             for x in along:
                 _add_point(bound, float(x), edge * width)
-            marking = "solid" if is_outer else "dashed"
-            ElementTree.SubElement(bound, "lineMarking").text = marking
+            marking = ElementTree.SubElement(bound, "lineMarking")
+            marking.text = "solid" if is_outer else "dashed"
         for name, other in (("adjacentLeft", lane), ("adjacentRight", lane + 2)):
             if 1 <= other <= lanes:
                 ElementTree.SubElement(lanelet, name, ref=str(other), drivingDir="same")
@@ -93,16 +84,13 @@ def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
 
 
 def _add_vehicle(root: ElementTree.Element, replay: Replay, vehicle: int) -> None:
-    number = str(FIRST_VEHICLE + vehicle)
-    obstacle = ElementTree.SubElement(root, "dynamicObstacle", id=number)
+    obstacle = ElementTree.SubElement(root, "dynamicObstacle", id=str(FIRST_VEHICLE + vehicle))
     length, width = float(replay.length[0, vehicle]), float(replay.width[0, vehicle])
-    kind = "car" if length < TRUCK_LENGTH_M else "truck"
-    ElementTree.SubElement(obstacle, "type").text = kind
+    ElementTree.SubElement(obstacle, "type").text = "car" if length < TRUCK_LENGTH_M else "truck"
     shape = ElementTree.SubElement(ElementTree.SubElement(obstacle, "shape"), "rectangle")
     ElementTree.SubElement(shape, "length").text = _decimal(length)
     ElementTree.SubElement(shape, "width").text = _decimal(width)
-    initial = ElementTree.SubElement(obstacle, "initialState")
-    _add_state(initial, replay, vehicle, 0)
+    _add_state(ElementTree.SubElement(obstacle, "initialState"), replay, vehicle, 0)
     trajectory = ElementTree.SubElement(obstacle, "trajectory")
     for frame in range(1, len(replay.t_s)):
         _add_state(ElementTree.SubElement(trajectory, "state"), replay, vehicle, frame)
@@ -112,11 +100,9 @@ def _add_planning_problem(root: ElementTree.Element, replay: Replay) -> None:
     """Adds the ego's start, and the time until the end of the episode as its goal."""
     problem = ElementTree.SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
     _add_state(ElementTree.SubElement(problem, "initialState"), replay, replay.ego, 0)
-    goal = ElementTree.SubElement(problem, "goalState")
-    time = ElementTree.SubElement(goal, "time")
-    last = str(len(replay.t_s) - 1)
+    time = ElementTree.SubElement(ElementTree.SubElement(problem, "goalState"), "time")
     for name in ("intervalStart", "intervalEnd"):
-        ElementTree.SubElement(time, name).text = last
+        ElementTree.SubElement(time, name).text = str(len(replay.t_s) - 1)
 
 
 def _add_state(state: ElementTree.Element, replay: Replay, vehicle: int, frame: int) -> None:

@@ -20,6 +20,7 @@ from typing import Literal
 import polars as pl
 
 from charms_bench.metrics.rows import join_rows
+from charms_bench.recording.lane_changes import is_given_up
 from charms_bench.world.scene import SceneSettings
 from charms_bench.world.thresholds import CONFLICT_TTC_S, DRAC_LIMIT_MPS2, HARD_BRAKING_MPS2
 
@@ -59,17 +60,12 @@ def criticality(
     ttc_min_s: Null if the ego never closed in on a leader.
     drac_max_mps2: Null if the ego never had a leader.
     imposed_braking_mps2: Null if the ego never changed lanes in front of a follower.
-    abandoned_changes: Number of lane changes whose target lane was replaced by another one before
-        it was the ego's nearest lane.
+    abandoned_changes: Number of lane changes that were given up; see `recording.lane_changes`.
     criticality: 0 to 8; see the module.
     kind: The kind that contributes most to the criticality.
     """
-    before = {name: pl.col(name).shift().over("episode") for name in ("lane", "target_lane")}
-    abandoned = (
-        (before["target_lane"] != before["lane"])
-        & (pl.col("target_lane") != before["target_lane"])
-        & (pl.col("lane") != before["target_lane"])
-    )
+    lane, wanted = (pl.col(name).shift().over("episode") for name in ("lane", "target_lane"))
+    abandoned = is_given_up(lane, wanted, pl.col("lane"), pl.col("target_lane"))
     kinds = [kind for kind, _ in _MEASURES]
     measures = [measure.fill_null(0.0) for _, measure in _MEASURES]
     return (

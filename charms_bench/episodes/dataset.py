@@ -17,12 +17,13 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.foundation.files import write_bytes
-from charms_bench.foundation.names import slugs, unused
+from charms_bench.foundation.names import distinct, slugs
 from charms_bench.foundation.spreadsheets import in_csv
+from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Cell, Suite
 
-Format = Literal["minari", "highd"]
-FORMATS: tuple[Format, ...] = ("minari", "highd")
+Format = Literal["minari", "highd", "parquet"]
+FORMATS: tuple[Format, ...] = ("minari", "highd", "parquet")
 DRIVERS = "drivers.csv"
 """Beside the recordings in highD's format: which agent drives which vehicle."""
 
@@ -34,14 +35,10 @@ def write_dataset(
     output: Path | None,
     tell: Callable[[int], object],
 ) -> Path:
-    """Writes the first episodes of a cell into a new folder, and returns the folder.
+    """Writes the first `count` episodes of a cell into a new folder, and returns the folder.
 
-    Args:
-        recorded: The cell.
-        kind: One of `FORMATS`.
-        count: How many episodes; by default all.
-        output: The folder; by default one in the run folder.
-        tell: Called with the number of episodes that have been written.
+    By default, all episodes are written into a folder in the run folder. `tell` is called with the
+    number of episodes that have been written.
 
     Raises:
         InputError: The folder exists, or the format does not fit.
@@ -64,40 +61,43 @@ def write_dataset(
         if kind == "minari":
             write_minari(recorded, episodes, partial, path.name, tell)
         else:
-            _write_highd(recorded, episodes, partial, tell)
+            _write_replays(recorded, kind, episodes, partial, tell)
     return path
 
 
 def name_of(suite: Suite, cell: Cell) -> str:
     """Returns a name for files about a cell of a suite, which no other cell of it has."""
-    entries = suite.egos, suite.traffics
-    egos, traffics = (slugs(entry.title for entry in each) for each in entries)
-    names: dict[str, None] = {}
-    for ego, traffic in product(egos, traffics):
-        names[unused(f"{ego}-in-{traffic}", names)] = None
-    return list(names)[suite.cells.index(cell)]
+    egos = slugs(entry.title for entry in suite.egos)
+    traffics = slugs(entry.title for entry in suite.traffics)
+    names = distinct(f"{ego}-in-{traffic}" for ego, traffic in product(egos, traffics))
+    return names[suite.cells.index(cell)]
 
 
-def _write_highd(
-    recorded: RecordedCell, episodes: Sequence[int], path: Path, tell: Callable[[int], object]
+def _write_replays(
+    recorded: RecordedCell,
+    kind: Format,
+    episodes: Sequence[int],
+    path: Path,
+    tell: Callable[[int], object],
 ) -> None:
     names = []
     for first in range(0, len(episodes), AT_ONCE):
         for replayed in replay(recorded, episodes[first : first + AT_ONCE]):
-            write_recording(replayed, path)
-            names.append(drivers(replayed))
+            if kind == "parquet":
+                episode = pl.lit(replayed.episode, pl.UInt64).alias("episode")
+                rows = replayed.trajectories().select(episode, "*")
+                write_bytes(path / f"{replayed.episode:02}.parquet", in_parquet(rows))
+            else:
+                write_recording(replayed, path)
+                names.append(drivers(replayed))
             tell(1)
-    write_bytes(path / DRIVERS, in_csv(pl.concat(names)))
+    if names:
+        write_bytes(path / DRIVERS, in_csv(pl.concat(names)))
 
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """Yields an empty folder, which becomes `path` at the end or is deleted.
-
-    Raises:
-        InputError: The folder exists.
-        RunFolderError: It cannot be written to.
-    """
+    """Yields an empty folder, which becomes `path` at the end or is deleted."""
     try:
         if path.exists():
             raise InputError(f"{path}: already exists; delete it, or choose another with --output")

@@ -50,7 +50,7 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
         cells: The cells of a run to search.
         top: The largest number of episodes to return.
         kind: Only episodes of this kind, and `what` describes that event. An abandoned lane change
-            counts if another vehicle took the gap (`engine.lane_changes`).
+            counts if another vehicle took the gap (`recording.lane_changes`).
 
     Raises:
         CharmsBenchError: As for `replay.replay`.
@@ -58,12 +58,16 @@ def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> li
     measured = ranked(cells).drop("kind")
     if kind is not None:
         measured = measured.filter(IS_OF_KIND[kind])
-    found: list[EdgeCase] = []
-    for row, replayed in _replays(cells, measured.head(top)):
-        ego, traffic = replayed.cell.ego.title, replayed.cell.traffic.title
-        what = what_happened(replayed, kind)
-        found.append(EdgeCase(len(found) + 1, ego, traffic, what=what, **row))
-    return found
+    return [
+        EdgeCase(
+            rank,
+            replayed.cell.ego.title,
+            replayed.cell.traffic.title,
+            what=what_happened(replayed, kind),
+            **row,
+        )
+        for rank, (row, replayed) in enumerate(_replays(cells, measured.head(top)), start=1)
+    ]
 
 
 def ranked(cells: Sequence[RecordedCell]) -> pl.DataFrame:

@@ -32,7 +32,6 @@ class EscapeSearch:
         self._until = until
         self._budget = budget
         self.nodes = 0
-        """Decisions simulated so far."""
         self._dead: dict[int, set[bytes]] = {}
         """Digests of scenes without an escape, by the number of decisions made."""
 
@@ -41,8 +40,7 @@ class EscapeSearch:
 
         After an answer False, the searches that follow use what this one has visited.
         """
-        first = int(start.steps[0])
-        waiting: dict[int, list[SceneState]] = {first: [start]}
+        waiting: dict[int, list[SceneState]] = {int(start.steps[0]): [start]}
         at_once = max(1, len(self._simulation.seeds) // len(ACTIONS))
         while waiting:
             depth = max(waiting)

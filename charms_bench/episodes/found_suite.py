@@ -16,11 +16,7 @@ from charms_bench.runs.document import Document
 def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
     """Writes a suite whose episodes are the failures, driven by all drivers of the search.
 
-    Args:
-        search: What has been found.
-        document: The suite that was searched; its scene and scenario are taken over.
-        traffic: The index of the scenario among its traffics.
-        path: The file to write.
+    The scene, and the scenario at this index among the traffics, are those of the document.
     """
     entry = deepcopy(document.data["traffics"][traffic])
     entry["traffic"]["scenario"]["points"] = search.failures

@@ -22,13 +22,10 @@ from charms_bench.world.scene import Bools, Floats, Ints
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 MEDIAN_M = 4.0
-"""Distance between the carriageways."""
 WEEK_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 NO_NEIGHBOUR = 0
 BESIDE = {"left": -1, "right": 1}
 """By how much the lane on either side differs from a vehicle's own."""
-
-
 PAIRS_AT_ONCE = 2**21
 """Pairs of vehicles compared together; limits the memory that large scenes need."""
 
@@ -41,12 +38,11 @@ def write_recording(replay: Replay, folder: Path) -> None:
     tracks = _tracks(replay)
     files = {
         "tracks": tracks,
-        "tracksMeta": _tracks_meta(replay, tracks),
+        "tracksMeta": _tracks_meta(tracks),
         "recordingMeta": _recording_meta(replay),
     }
     for kind, table in files.items():
-        path = folder / f"{replay.episode:02}_{kind}.csv"
-        path.write_bytes(table.write_csv().encode())
+        table.write_csv(folder / f"{replay.episode:02}_{kind}.csv")
 
 
 def drivers(replay: Replay) -> pl.DataFrame:
@@ -70,13 +66,14 @@ def _markings(replay: Replay) -> tuple[Floats, Floats]:
 
 def _tracks(replay: Replay) -> pl.DataFrame:
     """Returns one row per vehicle and frame, sorted by both; frames are counted from 1."""
-    profile, hz = replay.settings.profile, replay.settings.simulation_hz
-    length, width = replay.length, replay.width
+    settings, x, length, width = replay.settings, replay.x, replay.length, replay.width
     upper, lower = _markings(replay)
-    frames, vehicles = replay.x.shape
-    x, y = replay.x, replay.y + lower[0] + profile.lane_width_m / 2
+    frames, vehicles = x.shape
+    y = replay.y + lower[0] + settings.profile.lane_width_m / 2
     velocity = replay.speed * np.cos(replay.heading), replay.speed * np.sin(replay.heading)
-    along, across = (np.diff(each, axis=0, prepend=each[:1]) * hz for each in velocity)
+    along, across = (
+        np.diff(each, axis=0, prepend=each[:1]) * settings.simulation_hz for each in velocity
+    )
     # A centre on a marking belongs to the lane to its left, as in `people.highd`.
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1
     some = max(1, PAIRS_AT_ONCE // vehicles**2)
@@ -148,7 +145,7 @@ def _nearest(distance: Floats, among: Bools) -> Ints:
     return np.where(among.any(axis=2), candidates.argmin(axis=2) + 1, NO_NEIGHBOUR)
 
 
-def _tracks_meta(replay: Replay, tracks: pl.DataFrame) -> pl.DataFrame:
+def _tracks_meta(tracks: pl.DataFrame) -> pl.DataFrame:
     """Returns one row per vehicle."""
 
     def smallest(name: str) -> pl.Expr:

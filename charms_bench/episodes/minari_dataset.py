@@ -17,7 +17,6 @@ from gymnasium.envs.registration import EnvSpec
 
 from charms_bench import __version__
 from charms_bench.engine.endings import ENDINGS
-from charms_bench.engine.recording import Recording
 from charms_bench.envs import ID
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.spaces import spaces_of
@@ -25,6 +24,7 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import is_network
+from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, Observation, observation_of
@@ -34,12 +34,7 @@ if TYPE_CHECKING:
 
 
 def check_name(path: Path) -> None:
-    """Checks that Minari can load a dataset from this folder.
-
-    Raises:
-        InputError: The name has no version or characters that Minari does not allow, or Minari is
-            not installed.
-    """
+    """Raises an `InputError` if Minari is missing, or cannot load a dataset from this folder."""
     try:
         import h5py  # noqa: F401  # only whether it is installed
         import minari  # noqa: F401
@@ -55,12 +50,7 @@ def check_name(path: Path) -> None:
 
 
 def check_policy(recorded: RecordedCell) -> Policy:
-    """Returns the ego's policy, if its actions are those of an environment.
-
-    Raises:
-        InputError: The ego is a driver model, has continuous actions, or decides at another rate
-            than the suite.
-    """
+    """The ego's policy; raises an `InputError` if its actions are not those of an environment."""
     chosen, path = recorded.cell, recorded.run.folder.path
     policy, title = chosen.ego.agent.make(recorded.networks), chosen.ego.title
     if not isinstance(policy, Policy):
@@ -88,14 +78,10 @@ def write_minari(
     name: str,
     tell: Callable[[int], object],
 ) -> None:
-    """Writes a dataset into an empty folder.
+    """Writes a dataset, which Minari will load by this name, into an empty folder.
 
-    Args:
-        recorded: A cell, whose ego `check_policy` accepts.
-        episodes: The seeds.
-        path: The folder of the dataset.
-        name: The name by which Minari will load it.
-        tell: Called with the number of episodes that have been written.
+    The ego is one that `check_policy` accepts. `tell` is called with the number of episodes that
+    have been written.
 
     Raises:
         RunFolderError: An episode no longer runs as it was recorded.
@@ -103,14 +89,12 @@ def write_minari(
     import minari
     from minari.dataset.minari_storage import MinariStorage
 
-    chosen = recorded.cell
+    chosen, suite = recorded.cell, recorded.run.suite.suite
     observation = observation_of(check_policy(recorded).observation)
-    observations, actions = spaces_of(chosen.scene, observation)
     # `minari.create_dataset_from_buffers` keeps all episodes in memory and takes no folder.
     data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
-    spec = environment_of(chosen, observation)
-    suite = recorded.run.suite.suite
-    storage = MinariStorage.new(data, observations, actions, spec)
+    spaces = spaces_of(chosen.scene, observation)
+    storage = MinariStorage.new(data, *spaces, environment_of(chosen, observation))
     storage.update_metadata(
         {
             "dataset_id": name,

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from charms_bench.engine.columns import with_lengths
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
+from charms_bench.recording.columns import with_lengths
+from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.code_hashes import library_versions, module_blobs, row_modules
 from charms_bench.runs.finished import EPISODES_AND_STEPS, FinishedRun, read_rows
 from charms_bench.runs.shard import identify_agents
 from charms_bench.runs.suite import Cell
@@ -70,24 +70,16 @@ class RecordedCell:
             guests: Agents beside those of the cell, by name; they act after these.
             settings: Other settings than the suite's.
             is_ego_outside: Whether the actions given to `Simulation.step` drive the ego.
-
-        Raises:
-            CharmsBenchError: An agent cannot be made.
         """
-        cell, networks = self.cell, self.networks
-        ego, traffic = cell.ego.agent, cell.traffic.traffic.make()
-        agents = {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
+        cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
+        agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
             traffic = _WithGuests(traffic, tuple({**agents, **guests}))
-        key = None if is_ego_outside else ego.key
+        key = None if is_ego_outside else cell.ego.agent.key
         return Simulation(settings or cell.scene, scenes, key, traffic, {**guests, **agents})
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
-        """Returns the step rows of these episodes from the run folder.
-
-        Raises:
-            RunFolderError: The run has no such episode, or a file has changed since it was written.
-        """
+        """The step rows of these episodes in the run folder; raises a `RunFolderError`."""
         run = self.run
         first, last = run.suite.seed, run.suite.seed + run.suite.episodes - 1
         for episode in episodes:
@@ -115,11 +107,7 @@ class RecordedCell:
         return range(shard.first_seed, shard.first_seed + shard.episodes)
 
     def check_steps(self, stored: pl.DataFrame, again: pl.DataFrame) -> None:
-        """Checks that the rows of episodes that were simulated `again` are those of `steps`.
-
-        Raises:
-            RunFolderError: A row differs.
-        """
+        """Raises a `RunFolderError` if the rows simulated `again` are not those of `steps`."""
         if again.equals(stored):
             return
         both = stored.join(again, on=["episode", "step"], how="full", coalesce=True, suffix="_now")
@@ -142,18 +130,15 @@ class RecordedCell:
         recorded = manifest.get("agents", {})
         changed = [name for name, identity in agents.items() if recorded.get(name) != identity]
         if changed:
-            used = f"used other versions of {', '.join(changed)}"
-            return f"The run {used}; install those to replay it"
-        versions, modules = manifest.get("versions"), manifest.get("modules") or {}
-        blobs = module_blobs()
-        is_ours = all(modules.get(name) == blobs[name] for name in row_modules())
-        if is_ours and versions == library_versions():
+            names = ", ".join(changed)
+            return f"The run used other versions of {names}; install those to replay it"
+        if names_installed_code(manifest):
             return (
                 "The software is that of the run, so its rows have been changed, or an agent does "
                 "not repeat its answers; `charms-bench audit` and `charms-bench check` tell which"
             )
-        made = f"was made with charms-bench {manifest.get('charms_bench')} and {versions}"
-        return f"The run {made}; install those to replay it"
+        versions = f"charms-bench {manifest.get('charms_bench')} and {manifest.get('versions')}"
+        return f"The run was made with {versions}; install those to replay it"
 
 
 class _WithGuests(Traffic):
@@ -170,11 +155,7 @@ class _WithGuests(Traffic):
 def find_cells(
     run: FinishedRun, folder: Path, ego: str | None = None, traffic: str | None = None
 ) -> list[RecordedCell]:
-    """Returns the cells whose ego and traffic have these titles; None is any.
-
-    Raises:
-        RunFolderError: The run has no ego or no traffic with that title.
-    """
+    """Returns the cells whose ego and traffic have these titles; None is any."""
     asked = (("ego", ego, run.suite.egos), ("traffic", traffic, run.suite.traffics))
     for what, title, entries in asked:
         titles = {entry.title: entry for entry in entries}
@@ -195,11 +176,7 @@ def find_cell(
     traffic: str | None,
     how: str = "--ego and --traffic",
 ) -> RecordedCell:
-    """Returns the only one of `find_cells`.
-
-    Raises:
-        InputError: No cell or several have these titles; the message says `how` to choose one.
-    """
+    """Returns the only one of `find_cells`, or raises an `InputError` that says `how` to choose."""
     cells = find_cells(run, folder, ego, traffic)
     if len(cells) > 1:
         titles = "; ".join(each.cell.title for each in cells)

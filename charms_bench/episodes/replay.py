@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.plugins.registry import make_agent
+from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import Floats, SceneSettings
 from charms_bench.world.tracks import Motion
@@ -58,9 +58,9 @@ class Replay(Motion):
     t_s: Floats
     """[T + 1] time since the start."""
     episodes: pl.DataFrame
-    """The episode row (`engine.columns.EPISODE`)."""
+    """The episode row (`recording.columns.EPISODE`)."""
     steps: pl.DataFrame
-    """The step rows (`engine.columns.STEP`)."""
+    """The step rows (`recording.columns.STEP`)."""
 
     def __repr__(self) -> str:
         what = f"{self.cell.title}, {self.x.shape[1]} vehicles, {self.t_s[-1]:.1f} s"

@@ -137,11 +137,7 @@ class Search:
 
 
 def scenario_of(path: Path, suite: Suite, title: str | None) -> int:
-    """Returns the index of a scenario among the traffics of a suite; None is the only one.
-
-    Raises:
-        InputError: There is no such scenario, or several.
-    """
+    """The index of a suite's scenario; None is the only one. Raises an `InputError`."""
     found = {
         entry.title: index
         for index, entry in enumerate(suite.traffics)
@@ -156,11 +152,7 @@ def scenario_of(path: Path, suite: Suite, title: str | None) -> int:
 
 
 def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
-    """Returns an ego of a suite by its label, or an installed agent; None is the only one.
-
-    Raises:
-        InputError: There is no such ego and no such agent, or the suite has several egos.
-    """
+    """A suite's ego by its label, or an agent; None is the only one. Raises an `InputError`."""
     known = {entry.title: entry for entry in suite.egos if entry.title not in suite.preventable_by}
     if name is None and len(known) != 1:
         what = f"{len(known)} egos to search failures of; choose one with --ego"

@@ -9,11 +9,12 @@ import numpy as np
 import polars as pl
 
 from charms_bench.engine.collisions import vehicle_hit
-from charms_bench.engine.lane_changes import ATTEMPT_DECISIONS, TAKEN_RANGE_M
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import DRIFT_MPS, join_rows
+from charms_bench.recording.lane_changes import ATTEMPT_DECISIONS, is_given_up, taker_of
+from charms_bench.recording.primitives import NOBODY, VEHICLE
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,6 @@ class AbandonedChange:
     """A lane change that the ego began and abandoned; frames are those of decisions."""
 
     lane: int
-    """The lane that the ego wanted to reach."""
     began: int
     ended: int
     taker: int | None
@@ -46,8 +46,8 @@ def critical_time_s(replay: Replay, since: int = 1) -> float:
 def _event(replay: Replay, kind: Kind | None, since: int) -> tuple[str, int | None]:
     """The most critical event, or the one of a kind, in words, and its frame."""
     if kind is None:
-        measured = criticality(replay.episodes, replay.steps, replay.settings, since)
-        kind = measured["kind"].item()
+        rows = replay.episodes, replay.steps
+        kind = criticality(*rows, replay.settings, since)["kind"].item()
     return {
         "collision": _collision,
         "near-miss": _near_miss,
@@ -59,12 +59,12 @@ def _event(replay: Replay, kind: Kind | None, since: int) -> tuple[str, int | No
 def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
     """Returns the lane changes that the ego abandoned before the new lane was its nearest lane.
 
-    The rules are those of `engine.lane_changes`, which counts them at decisions.
+    The rules are those of `recording.lane_changes`, which counts them at decisions.
     """
     interval = replay.frame_of(1)
     lane, target = (each[::interval, replay.ego] for each in (replay.lane, replay.target_lane))
     wanted = target[:-1]
-    given_up = (wanted != lane[:-1]) & (wanted != target[1:]) & (wanted != lane[1:])
+    given_up = is_given_up(lane[:-1], wanted, lane[1:], target[1:])
     found = []
     for ended in np.nonzero(given_up)[0] + 1:
         lost = int(wanted[ended - 1])
@@ -76,19 +76,14 @@ def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
 
 
 def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
-    bound = (replay.target_lane[ended] == wanted) | (replay.lane[ended] == wanted)
-    bound[replay.ego] = False
+    now = np.zeros(len(replay.agents), dtype=VEHICLE)
+    for name in ("x", "lane", "target_lane"):
+        now[name] = getattr(replay, name)[ended]
+    now["lost"] = replay.crashed[ended]
     meanwhile = replay.lane[began : ended + 1 : replay.frame_of(1)]
-    came = (meanwhile != wanted).any(axis=0) & (replay.target_lane[ended] == wanted)
-    came &= ~replay.crashed[ended]
-    ahead = replay.x[ended] - replay.x[ended, replay.ego]
-    nearest = [
-        int(np.where(side, np.abs(ahead), np.inf).argmin())
-        for side in (bound & (ahead >= 0), bound & (ahead < 0))
-        if side.any()
-    ]
-    takers = [v for v in nearest if came[v] and abs(ahead[v]) <= TAKEN_RANGE_M]
-    return min(takers, key=lambda v: abs(float(ahead[v])), default=None)
+    now["lane_since"] = (meanwhile != wanted).any(axis=0)  # 1 is later than the beginning, 0
+    taker = taker_of(replay.ego, wanted, 0, now)
+    return None if taker == NOBODY else taker
 
 
 def _abandoned_change(replay: Replay, since: int) -> tuple[str, int | None]:

@@ -65,16 +65,14 @@ class WhatIf:
 
     def sentences(self) -> tuple[str, str]:
         """The most critical event from the decision on, in the recorded future and the other."""
-        return what_happened(self.recorded, since=self.step), what_happened(
-            self.other, since=self.step
-        )
+        recorded = what_happened(self.recorded, since=self.step)
+        return recorded, what_happened(self.other, since=self.step)
 
     def futures(self) -> list[tuple[Future, Future]]:
         """The recorded future and the other one, of the ego and of the vehicle."""
-        places = dict.fromkeys([self.recorded.ego, self.vehicle])
         return [
             (future_of(self.recorded, place, self.start), future_of(self.other, place, self.start))
-            for place in places
+            for place in dict.fromkeys([self.recorded.ego, self.vehicle])
         ]
 
 
@@ -114,8 +112,7 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
 def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
     """What a vehicle did from a frame on, before which it has not crashed, until it crashes."""
     crashed = replayed.crashed[:, vehicle]
-    last = len(replayed.t_s) - 1
-    end = int(crashed.argmax()) if crashed.any() else last
+    end = int(crashed.argmax()) if crashed.any() else len(replayed.t_s) - 1
     after = slice(start + 1, end + 1)  # a frame has the command of the step that ends in it
     if vehicle == replayed.ego:
         ending = "time over" if replayed.ending == "time" else replayed.ending.replace("_", " ")

@@ -36,16 +36,12 @@ class FrozenModel(BaseModel):
         if not unknown:
             return data
         shown = {name: field for name, field in known.items() if not field.exclude}
-        what = f"unknown key. {suggestion(str(unknown[0]), shown)}"
-        problems = [
-            InitErrorDetails(type=_unknown_key(what), loc=(key,), input=data[key])
-            for key, what in {**dict.fromkeys(unknown, "unknown key"), unknown[0]: what}.items()
-        ]
+        first = {unknown[0]: f"unknown key. {suggestion(str(unknown[0]), shown)}"}
+        problems = []
+        for key, what in (dict.fromkeys(unknown, "unknown key") | first).items():
+            kind = PydanticCustomError("unknown_key", "{what}", {"what": what})
+            problems.append(InitErrorDetails(type=kind, loc=(key,), input=data[key]))
         raise ValidationError.from_exception_data(cls.__name__, problems)
-
-
-def _unknown_key(what: str) -> PydanticCustomError:
-    return PydanticCustomError("unknown_key", "{what}", {"what": what})
 
 
 def _printable(text: str) -> str:

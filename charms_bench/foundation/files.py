@@ -12,10 +12,9 @@ from charms_bench.errors import InputError, RunFolderError
 
 
 def absolute(path: str | Path) -> Path:
-    """The path from the root of the file system: a plugin can change the current folder.
+    """The path from the root, because a plugin can change the current folder.
 
-    Raises:
-        InputError: The path is relative, and the current folder has been deleted.
+    Raises an `InputError` if the path is relative and the current folder has been deleted.
     """
     try:
         return Path(path).absolute()
@@ -37,11 +36,7 @@ PARTIAL = r"\..+\.[0-9]+\.partial"
 
 
 def size_of(path: Path) -> int:
-    """The size of a regular file, bytes.
-
-    Raises:
-        OSError: The file does not exist, or is a folder, a pipe or a device.
-    """
+    """The size of a regular file, bytes; raises an `OSError` for anything else."""
     try:
         found = path.stat()
     except ValueError as error:  # a NUL in the name
@@ -54,11 +49,7 @@ def size_of(path: Path) -> int:
 
 
 def read_limited(path: Path, limit: int) -> bytes:
-    """The content of a regular file.
-
-    Raises:
-        OSError: The file cannot be read, or has more than `limit` bytes, whatever size it reports.
-    """
+    """The content of a regular file; raises an `OSError` if it has more than `limit` bytes."""
     if size_of(path) <= limit:
         with path.open("rb") as file:
             data = file.read(limit + 1)
@@ -68,11 +59,7 @@ def read_limited(path: Path, limit: int) -> bytes:
 
 
 def read_file(path: Path, limit: int) -> bytes:
-    """The content of a regular file of a run folder; see `read_limited`.
-
-    Raises:
-        RunFolderError: The file cannot be read, or has more than `limit` bytes.
-    """
+    """As `read_limited`, of a file in a run folder; raises a `RunFolderError`."""
     try:
         return read_limited(path, limit)
     except OSError as error:
@@ -86,12 +73,7 @@ _CONTAINERS_LIMIT = 2**20
 def json_of(data: bytes, **options: Any) -> Any:
     """The value of a JSON text, which takes at most about ten times its size in memory.
 
-    Args:
-        data: The text.
-        options: See `json.loads`.
-
-    Raises:
-        ValueError: It is not JSON, is nested too deep, or has too many lists and objects.
+    Raises a `ValueError` if it is not JSON, is nested too deep, or has too many lists and objects.
     """
     if data.count(b"[") + data.count(b"{") > _CONTAINERS_LIMIT:
         raise ValueError(f"it has more than {_CONTAINERS_LIMIT:,} lists and objects")
@@ -111,11 +93,7 @@ def is_compressed(beginning: bytes) -> bool:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` fill a temporary file and then moves it to `path`.
-
-    Raises:
-        RunFolderError: The folder cannot be written to.
-    """
+    """Lets `write` fill a temporary file and moves it to `path`, or raises a `RunFolderError`."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

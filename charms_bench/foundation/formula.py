@@ -22,11 +22,7 @@ _OPERATIONS: dict[type, Any] = {
 
 
 def evaluate(formula: float | str, values: Mapping[str, NDArray[np.float64]]) -> Any:
-    """Returns the value of a formula, given those of the parameters.
-
-    Raises:
-        ValueError: It is not a formula, or names an unknown parameter.
-    """
+    """The value of a formula, given those of the parameters; raises a `ValueError`."""
     if not isinstance(formula, str):
         return float(formula)
     try:

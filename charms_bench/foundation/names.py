@@ -18,10 +18,15 @@ def slug(title: str) -> str:
 
 def slugs(titles: Iterable[str]) -> list[str]:
     """Returns a name for each title, no two of them equal; a title gets its `slug` if it can."""
-    names: dict[str, None] = {}
-    for title in titles:
-        names[unused(slug(title), names)] = None
-    return list(names)
+    return distinct(map(slug, titles))
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Returns the names, each followed by a number if it was there before; see `unused`."""
+    found: dict[str, None] = {}
+    for name in names:
+        found[unused(name, found)] = None
+    return list(found)
 
 
 def unused(name: str, taken: Collection[str]) -> str:
@@ -31,11 +36,7 @@ def unused(name: str, taken: Collection[str]) -> str:
 
 
 def name_of_agent(agent: str) -> str:
-    """Returns a name for files about an agent: its own if that is safe, or one with a hash.
-
-    Args:
-        agent: The name of an installed agent, or the path of a network.
-    """
+    """Returns a name for files about an agent or a network: its own if safe, or one with a hash."""
     if slug(agent) == agent:
         return agent
     return f"{slug(Path(agent).stem)}-{sha256(agent.encode()).hexdigest()[:8]}"

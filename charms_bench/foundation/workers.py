@@ -54,10 +54,7 @@ def in_processes(
     notice: Callable[[str], None] = lambda what: None,
     environment: Mapping[str, str] = MappingProxyType({}),
 ) -> Generator[tuple[Task, Result], None, None]:
-    """Yields each task with its result as soon as it is finished; see `Pool`.
-
-    Closing the generator ends the workers at once.
-    """
+    """As `Pool`: yields each task with its result. Closing the generator ends the workers."""
     with Pool(work, count, title, limit_s, notice, environment) as pool:
         pool.add(tasks)
         yield from pool.results()
@@ -71,7 +68,6 @@ class Pool(Generic[Task, Result]):
     Args:
         work: A function of a task; it and the tasks are pickled. Each worker gets it once, so it
             may keep something between tasks.
-        count: Number of processes.
         title: Returns what messages call a task.
         limit_s: Seconds that a task may take, including the start of its worker.
         notice: Called with a message when a worker has died.
@@ -149,11 +145,7 @@ class Pool(Generic[Task, Result]):
             worker.send((number, task))
 
     def _ready(self, until: float | None) -> list[Connection]:
-        """Waits until workers answer or die; returns their connections.
-
-        Raises:
-            WorkerError: The longest-running task has used up its time.
-        """
+        """Waits until workers answer or die; returns their connections."""
         while True:
             now = time.monotonic()
             longest = min(self._busy.values(), key=lambda each: each.since_s)
@@ -212,12 +204,9 @@ class Died(Exception):
 
 
 def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
-    """Has a worker do one task: one that was started early, or one that is kept for the next task.
+    """Has a worker do one task within `limit_s`, its start included; the worker is kept.
 
-    Args:
-        work: A function of a task; it, the task and the result are pickled.
-        task: The task.
-        limit_s: Seconds that it may take, including the start of the worker.
+    The function, the task and the result are pickled.
 
     Raises:
         Died: The worker died, or took longer.
@@ -225,10 +214,7 @@ def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
     """
     until = time.monotonic() + limit_s
     with _asking:
-        workers = _asked or _early or _asked
-        if not workers:
-            workers.append(_start(ONE_THREAD))
-        worker, number = workers.pop(), next(_numbers)
+        worker, number = _spare.pop() if _spare else _start(ONE_THREAD), next(_numbers)
         try:
             worker.send(work)
             worker.send((number, task))
@@ -244,7 +230,7 @@ def ask(work: Callable[[Task], Result], task: Task, limit_s: float) -> Result:
         except BaseException:  # Ctrl-C, too
             worker.kill()
             raise
-        workers.append(worker)
+        _spare.append(worker)
     if isinstance(answer[2], BaseException):
         raise answer[2]
     return answer[2]
@@ -291,26 +277,18 @@ class _Busy(Generic[Task]):
     since_s: float
 
 
-_early: list[_Worker] = []
-"""Workers that have been started early and have nothing to do yet."""
-_asked: list[_Worker] = []
-"""The worker of `ask`, if none was started early."""
+_spare: list[_Worker] = []
+"""Workers that have nothing to do: those started early, and the one that `ask` keeps."""
 _asking = threading.Lock()
 
 
-def _forget() -> None:
-    """Leaves the workers of the process that this one is a copy of."""
-    _early.clear()
-    _asked.clear()
+def _end_spare() -> None:
+    while _spare:
+        _spare.pop().kill()
 
 
-def _end_idle() -> None:
-    while _early or _asked:
-        (_early or _asked).pop().kill()
-
-
-os.register_at_fork(after_in_child=_forget)
-atexit.register(_end_idle)  # before multiprocessing, which would wait for them
+os.register_at_fork(after_in_child=_spare.clear)
+atexit.register(_end_spare)  # before multiprocessing, which would wait for them
 
 
 @contextmanager
@@ -320,16 +298,15 @@ def started_early(count: int, module: str) -> Iterator[None]:
     Within this context, `Pool` uses them if they have the environment that it asks for, and so does
     `ask`.
     """
-    _early[:] = [_start(ONE_THREAD, module) for _ in range(count)]
+    _spare.extend(_start(ONE_THREAD, module) for _ in range(count))
     try:
         yield
     finally:
-        while _early:
-            _early.pop().kill()
+        _end_spare()
 
 
 def _worker_for(work: Callable[[Any], Any], environment: Mapping[str, str]) -> _Worker:
-    worker = _early.pop() if _early and environment == ONE_THREAD else _start(environment)
+    worker = _spare.pop() if _spare and environment == ONE_THREAD else _start(environment)
     worker.send(work)
     return worker
 
@@ -406,7 +383,7 @@ def _serve(connection: Connection, module: str) -> None:
     `module` is imported at once, because the function may come later.
     """
     gc.set_threshold(100_000)  # else a quarter of the start is spent on collecting live objects
-    _end_with_parent()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     write_to_stderr_only()  # standard output is for results, whatever a plugin prints
     for number in FOR_PARENT:
         signal.signal(number, signal.SIG_IGN)
@@ -446,12 +423,7 @@ def _answer(work: Callable[[Any], Any], task: object) -> object:
 
 
 def _end_with_parent() -> None:
-    """Ends this process when the parent has ended."""
-
-    def follow() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+    """Waits for the end of the parent, and then ends this process."""
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)

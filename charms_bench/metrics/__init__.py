@@ -1,7 +1,8 @@
 """Metrics, one concept per module, and the sets in which they are reported."""
 
 from charms_bench.metrics.metric import Metric, MetricSet
+from charms_bench.metrics.paper import PAPER
 from charms_bench.metrics.rows import sums_by_episode
-from charms_bench.metrics.sets import METRIC_SETS, PAPER, STANDARD, standard
+from charms_bench.metrics.sets import METRIC_SETS, STANDARD, standard
 
 __all__ = ["METRIC_SETS", "PAPER", "STANDARD", "Metric", "MetricSet", "standard", "sums_by_episode"]

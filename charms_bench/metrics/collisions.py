@@ -6,53 +6,7 @@ from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDING = pl.first("ending")
 STRUCK = pl.first("struck")
-AT_FAULT = pl.first("at_fault")
 ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
-
-COLLISION_RATE = Metric(
-    name="collision_rate",
-    unit="1/step",
-    description="episodes that end with a collision or off the road, per decision",
-    rests_on="steps",
-    sums=(pl.first("steps"), pl.first("steps"), ENDED_BADLY),
-    interval="garwood",
-)
-CRASHED_EPISODES = per_episode(
-    "crashed_episodes",
-    "",
-    ENDED_BADLY,
-    "proportion of episodes in which the ego collides or leaves the road",
-    interval="wilson",
-)
-CRASHED_AT_FAULT = per_episode(
-    "crashed_at_fault",
-    "",
-    AT_FAULT,
-    "proportion of episodes in which the ego crashes and is at fault: it leaves the road, strikes "
-    "a vehicle ahead, cuts in, or began last to move out of its lane",
-    interval="wilson",
-)
-TRAFFIC_CRASHED = per_episode(
-    "traffic_crashed",
-    "",
-    pl.first("traffic_crashed"),
-    "proportion of the other vehicles that collide or leave the road within an episode",
-    rests_on="vehicles",
-    counts=pl.first("traffic_vehicles"),
-    interval="share",
-)
-TRAFFIC_CRASHES_PER_1000KM = Metric(
-    name="traffic_crashes_per_1000km",
-    unit="1/1,000 km",
-    description="other vehicles that collide or leave the road, per 1,000 km driven by them",
-    rests_on="vehicles",
-    sums=(
-        pl.first("traffic_vehicles"),
-        pl.first("traffic_distance_m") / 1e6,
-        pl.first("traffic_crashed"),
-    ),
-    interval="rate",
-)
 
 
 def _per_1000km(kind: str, what: str, happened: pl.Expr) -> Metric:
@@ -66,28 +20,62 @@ def _per_1000km(kind: str, what: str, happened: pl.Expr) -> Metric:
     )
 
 
-CRASHES_PER_1000KM = _per_1000km(
-    "crashes", "collisions of the ego and departures from the road", ENDED_BADLY
+OF_EGO = (
+    per_episode(
+        "crashed_episodes",
+        "",
+        ENDED_BADLY,
+        "proportion of episodes in which the ego collides or leaves the road",
+        interval="wilson",
+    ),
+    per_episode(
+        "crashed_at_fault",
+        "",
+        pl.first("at_fault"),
+        "proportion of episodes in which the ego crashes and is at fault: it leaves the road, "
+        "strikes a vehicle ahead, cuts in, or began last to move out of its lane",
+        interval="wilson",
+    ),
+    _per_1000km("crashes", "collisions of the ego and departures from the road", ENDED_BADLY),
+    _per_1000km("rear_end", "rear-end collisions of the ego", ENDING == "rear_end"),
+    _per_1000km(
+        "rear_end_striking", "rear-end collisions in which the ego struck its leader", ~STRUCK
+    ),
+    _per_1000km(
+        "rear_end_struck", "rear-end collisions in which the ego was struck by its follower", STRUCK
+    ),
+    per_episode(
+        "rear_end_striking",
+        "",
+        ~STRUCK,
+        "proportion of the ego's rear-end collisions in which the ego struck its leader",
+        rests_on="rear-end collisions",
+        counts=STRUCK.is_not_null(),
+        interval="wilson",
+    ),
+    _per_1000km("side", "side collisions of the ego", ENDING == "side"),
+    _per_1000km("off_road", "departures of the ego from the road", ENDING == "off_road"),
 )
-REAR_END_PER_1000KM = _per_1000km(
-    "rear_end", "rear-end collisions of the ego", ENDING == "rear_end"
-)
-STRIKING_PER_1000KM = _per_1000km(
-    "rear_end_striking", "rear-end collisions in which the ego struck its leader", ~STRUCK
-)
-STRUCK_PER_1000KM = _per_1000km(
-    "rear_end_struck", "rear-end collisions in which the ego was struck by its follower", STRUCK
-)
-REAR_END_STRIKING = per_episode(
-    "rear_end_striking",
-    "",
-    ~STRUCK,
-    "proportion of the ego's rear-end collisions in which the ego struck its leader",
-    rests_on="rear-end collisions",
-    counts=STRUCK.is_not_null(),
-    interval="wilson",
-)
-SIDE_PER_1000KM = _per_1000km("side", "side collisions of the ego", ENDING == "side")
-OFF_ROAD_PER_1000KM = _per_1000km(
-    "off_road", "departures of the ego from the road", ENDING == "off_road"
+OF_TRAFFIC = (
+    per_episode(
+        "traffic_crashed",
+        "",
+        pl.first("traffic_crashed"),
+        "proportion of the other vehicles that collide or leave the road within an episode",
+        rests_on="vehicles",
+        counts=pl.first("traffic_vehicles"),
+        interval="share",
+    ),
+    Metric(
+        name="traffic_crashes_per_1000km",
+        unit="1/1,000 km",
+        description="other vehicles that collide or leave the road, per 1,000 km driven by them",
+        rests_on="vehicles",
+        sums=(
+            pl.first("traffic_vehicles"),
+            pl.first("traffic_distance_m") / 1e6,
+            pl.first("traffic_crashed"),
+        ),
+        interval="rate",
+    ),
 )

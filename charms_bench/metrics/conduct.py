@@ -1,16 +1,16 @@
 """What drivers do to other vehicles and what other vehicles do to them: conflicts, gaps, PET, RSS.
 
-The events are counted during the simulation, for every vehicle (`columns.DRIVER`); `engine.rss`,
-`engine.conflict_onsets`, `engine.encroachment` and `engine.lane_changes` define them. So their
-thresholds cannot be changed afterwards.
+The events are counted during the simulation, for every vehicle (`columns.DRIVER`), as
+`recording.rss`, `recording.conflict_onsets`, `recording.encroachment` and `recording.lane_changes`
+define them. So their thresholds cannot be changed afterwards.
 """
 
 from collections.abc import Callable
 
 import polars as pl
 
-from charms_bench.engine.columns import DRIVER_SUMS
 from charms_bench.metrics.metric import Metric
+from charms_bench.recording.columns import DRIVER_SUMS
 
 _PER_1000KM = {
     "gaps_lost": "lane changes given up because another vehicle took the gap",
@@ -52,13 +52,7 @@ def _rate(of: Sums, name: str, what: str, who: str, prefix: str = "") -> Metric:
 
 
 def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
-    """The metrics of some vehicles, from the sums of their driver rows.
-
-    Args:
-        of: Where the sums are.
-        who: The vehicles in words, such as `the ego`.
-        prefix: The beginning of the metrics' names.
-    """
+    """The metrics of vehicles, `who` in words, from the sums of their driver rows."""
     rates = (_rate(of, name, what, who, prefix) for name, what in _PER_1000KM.items())
     encroachments = (
         Metric(
@@ -102,21 +96,19 @@ TRAFFIC_CONDUCT = conduct_metrics(
 )
 _VEHICLES = "the driver's vehicles"
 OF_DRIVERS = (
-    Metric(
-        name="crashed",
-        unit="",
-        description=f"proportion of {_VEHICLES} that collide or leave the road within an episode",
-        rests_on="vehicles",
-        sums=(pl.col("vehicles"), pl.col("crashed")),
-        interval="share",
-    ),
-    Metric(
-        name="crashed_at_fault",
-        unit="",
-        description=f"proportion of {_VEHICLES} that crash within an episode and are at fault",
-        rests_on="vehicles",
-        sums=(pl.col("vehicles"), pl.col("at_fault")),
-        interval="share",
+    *(
+        Metric(
+            name=name,
+            unit="",
+            description=f"proportion of {_VEHICLES} that {what}",
+            rests_on="vehicles",
+            sums=(pl.col("vehicles"), pl.col(column)),
+            interval="share",
+        )
+        for name, column, what in (
+            ("crashed", "crashed", "collide or leave the road within an episode"),
+            ("crashed_at_fault", "at_fault", "crash within an episode and are at fault"),
+        )
     ),
     _rate(pl.col, "rear_end_striking", "collisions with the rear of another vehicle", _VEHICLES),
     _rate(pl.col, "rear_end_struck", "collisions with the front of another vehicle", _VEHICLES),

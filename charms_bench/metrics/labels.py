@@ -80,7 +80,6 @@ NEAR_LEADER = {
 }
 """Metrics that the set `paper` measures only with a leader within 50 m, and `standard` always."""
 SETS = {"paper": "Metrics of the paper", "standard": "Standard metrics"}
-"""By name of the metric set."""
 KEYS = {
     "traffic": "traffic model",
     "ego \\ traffic": "ego \\ traffic model",

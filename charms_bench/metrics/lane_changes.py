@@ -9,70 +9,50 @@ follower has to brake by at most a limit, which is 2 m/s2 in highway-env.
 import polars as pl
 
 from charms_bench.metrics.metric import Metric, in_name
-from charms_bench.metrics.samples import Sample
+from charms_bench.metrics.row_samples import Sample
 
 IMPOSED = pl.col("imposed_braking_mps2")
 LEAD_GAP, LAG_GAP = pl.col("lead_gap_m"), pl.col("lag_gap_m")
 MOVEMENT, CHANGES = pl.col("movement_s"), pl.col("movement_changes")
 
 
-def lane_changes_per_km(driving: Sample) -> Metric:
-    """The rate of lane changes."""
-    return driving.per_km("lane_changes_per_km", pl.col("lane_changed"), "lane changes")
-
-
-def lane_change_duration_mean(driving: Sample) -> Metric:
-    """The mean duration of lane changes that end before the episode does."""
+def of_lane_changes(driving: Sample, limit_mps2: float) -> tuple[Metric, ...]:
+    """The rate and duration of lane changes, their gaps, and the braking that they impose."""
     ended = driving.among("finished lane changes", CHANGES.is_not_null())
-    return Metric(
-        name="lane_change_duration_mean",
-        unit="s",
-        description="time from start to end of the lateral movement (faster than 0.1 m/s) per lane "
-        "change: mean over the movements that end within the episode",
-        rests_on=ended.name,
-        sums=(ended.only(CHANGES).sum(), ended.only(MOVEMENT).sum()),
-    )
-
-
-def lead_gap_mean(driving: Sample) -> Metric:
-    """The mean gap to the new leader."""
-    return driving.among("lane changes with a leader", LEAD_GAP.is_not_null()).mean(
-        "lead_gap_mean",
-        "m",
-        LEAD_GAP,
-        "gap from the ego's front to the new leader's rear when the ego's nearest lane changes",
-    )
-
-
-def lag_gap_mean(driving: Sample) -> Metric:
-    """The mean gap to the new follower."""
-    return driving.among("lane changes with a follower", LAG_GAP.is_not_null()).mean(
-        "lag_gap_mean",
-        "m",
-        LAG_GAP,
-        "gap from the ego's rear to the new follower's front when the ego's nearest lane changes",
-    )
-
-
-def _imposing(driving: Sample) -> Sample:
-    return driving.among("lane changes with a follower", IMPOSED.is_not_null())
-
-
-def imposed_braking_mean(driving: Sample) -> Metric:
-    """The mean braking that lane changes impose on the new follower."""
-    return _imposing(driving).mean(
-        "imposed_braking_mean",
-        "m/s²",
-        IMPOSED,
-        "strongest braking of the new follower within 2 s after a lane change",
-    )
-
-
-def imposed_braking_above(driving: Sample, limit_mps2: float) -> Metric:
-    """The proportion of lane changes that make the new follower brake harder than the limit."""
-    return _imposing(driving).share(
-        f"imposed_braking_above_{in_name(limit_mps2)}",
-        IMPOSED.gt(limit_mps2),
-        "proportion of lane changes after which the new follower brakes by more than "
-        f"{limit_mps2:g} m/s² within 2 s",
+    imposing = driving.among("lane changes with a follower", IMPOSED.is_not_null())
+    return (
+        driving.per_km("lane_changes_per_km", pl.col("lane_changed"), "lane changes"),
+        Metric(
+            name="lane_change_duration_mean",
+            unit="s",
+            description="time from start to end of the lateral movement (faster than 0.1 m/s) per "
+            "lane change: mean over the movements that end within the episode",
+            rests_on=ended.name,
+            sums=(ended.only(CHANGES).sum(), ended.only(MOVEMENT).sum()),
+        ),
+        driving.among("lane changes with a leader", LEAD_GAP.is_not_null()).mean(
+            "lead_gap_mean",
+            "m",
+            LEAD_GAP,
+            "gap from the ego's front to the new leader's rear when the ego's nearest lane changes",
+        ),
+        driving.among("lane changes with a follower", LAG_GAP.is_not_null()).mean(
+            "lag_gap_mean",
+            "m",
+            LAG_GAP,
+            "gap from the ego's rear to the new follower's front when the ego's nearest lane "
+            "changes",
+        ),
+        imposing.mean(
+            "imposed_braking_mean",
+            "m/s²",
+            IMPOSED,
+            "strongest braking of the new follower within 2 s after a lane change",
+        ),
+        imposing.share(
+            f"imposed_braking_above_{in_name(limit_mps2)}",
+            IMPOSED.gt(limit_mps2),
+            "proportion of lane changes after which the new follower brakes by more than "
+            f"{limit_mps2:g} m/s² within 2 s",
+        ),
     )

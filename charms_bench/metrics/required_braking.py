@@ -7,31 +7,28 @@ DRAC is the closing speed squared over twice the bumper gap (Cooper & Ferguson 1
 import polars as pl
 
 from charms_bench.metrics.metric import Metric, in_name, per_episode
-from charms_bench.metrics.samples import Sample
+from charms_bench.metrics.row_samples import Sample
 
 DRAC_CAP_MPS2 = 9.81
 """Tyres allow no more; DRAC grows without bounds just before a collision."""
-
 DRAC = pl.col("drac_mps2")
 
 
-def drac_max(driving: Sample) -> Metric:
-    """The largest DRAC of an episode, mean over episodes."""
+def of_required_braking(driving: Sample, limit_mps2: float) -> tuple[Metric, ...]:
+    """The largest DRAC, and the time above a limit."""
     drac = driving.only(DRAC)
-    return per_episode(
-        "drac_max",
-        "m/s²",
-        drac.max().clip(upper_bound=DRAC_CAP_MPS2),
-        "largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a leader",
-        rests_on="episodes with a leader",
-        counts=drac.is_not_null().any(),
-    )
-
-
-def drac_above(driving: Sample, limit_mps2: float) -> Metric:
-    """The proportion of time in which more braking than the limit would be required."""
-    return driving.share(
-        f"drac_above_{in_name(limit_mps2)}",
-        DRAC.gt(limit_mps2),
-        f"proportion of time with a DRAC above {limit_mps2:g} m/s²",
+    return (
+        per_episode(
+            "drac_max",
+            "m/s²",
+            drac.max().clip(upper_bound=DRAC_CAP_MPS2),
+            "largest DRAC of an episode, at most 9.81 m/s²: mean over the episodes with a leader",
+            rests_on="episodes with a leader",
+            counts=drac.is_not_null().any(),
+        ),
+        driving.share(
+            f"drac_above_{in_name(limit_mps2)}",
+            DRAC.gt(limit_mps2),
+            f"proportion of time with a DRAC above {limit_mps2:g} m/s²",
+        ),
     )

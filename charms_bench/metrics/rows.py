@@ -11,9 +11,9 @@ import numpy as np
 import polars as pl
 import polars.selectors as cs
 
-from charms_bench.engine.columns import NO_DRIVERS, with_lengths
 from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
+from charms_bench.recording.columns import NO_DRIVERS, with_lengths
 from charms_bench.world.scene import Floats, SceneSettings
 
 LOGGED_RANGE_M = 50.0

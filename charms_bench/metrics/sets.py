@@ -5,24 +5,18 @@ centre. `standard` follows traffic safety research: exposure in km, gaps from bu
 all steps between a warm-up and a collision.
 """
 
-from charms_bench.engine.planar_ttc import HORIZON_S
 from charms_bench.errors import InputError
-from charms_bench.metrics import (
-    acceleration,
-    collisions,
-    conduct,
-    conflicts,
-    headway,
-    interaction,
-    lane_changes,
-    planar_conflicts,
-    speed,
-    steering,
-)
-from charms_bench.metrics import required_braking as braking
-from charms_bench.metrics import time_to_collision as ttc
+from charms_bench.metrics import collisions, conduct
+from charms_bench.metrics.conflicts import of_conflicts, of_planar_conflicts
+from charms_bench.metrics.headway import SHORT_HEADWAY_S, of_headway
+from charms_bench.metrics.lane_changes import of_lane_changes
 from charms_bench.metrics.metric import MetricSet
-from charms_bench.metrics.samples import driving_after
+from charms_bench.metrics.paper import PAPER
+from charms_bench.metrics.required_braking import of_required_braking
+from charms_bench.metrics.row_samples import driving_after
+from charms_bench.metrics.speed_and_smoothness import TRAFFIC_SPEED_MEAN, of_motion
+from charms_bench.metrics.time_to_collision import TTC_THRESHOLD_S, of_time_to_collision
+from charms_bench.recording.planar_ttc import HORIZON_S
 from charms_bench.world import thresholds
 
 WARM_UP_S = 3.0
@@ -37,33 +31,13 @@ WARM_UP_S = 3.0
   because the ego's first speed is also the speed that highway-env's drivers desire.
 """
 
-PAPER = MetricSet(
-    name="paper",
-    version=2,
-    metrics=(
-        collisions.COLLISION_RATE,
-        ttc.PAPER_TTC_BELOW_3S,
-        ttc.PAPER_TTC_BELOW_3S_CLOSING,
-        speed.PAPER_SPEED_MEAN,
-        speed.PAPER_SPEED_STD,
-        acceleration.PAPER_ACC_MEAN,
-        acceleration.PAPER_ACC_STD,
-        steering.PAPER_YAW_STD,
-        acceleration.PAPER_HARSH_ACC_RATE,
-        acceleration.PAPER_HARSH_ACC_RATE_ALL_STEPS,
-        headway.DHW_MEAN,
-        headway.DHW_STD,
-        interaction.INTERACTION_DENSITY,
-    ),
-)
-
 
 def standard(
     warm_up_s: float = WARM_UP_S,
-    ttc_s: float = ttc.TTC_THRESHOLD_S,
+    ttc_s: float = TTC_THRESHOLD_S,
     conflict_ttc_s: float = thresholds.CONFLICT_TTC_S,
     drac_mps2: float = thresholds.DRAC_LIMIT_MPS2,
-    headway_s: float = headway.SHORT_HEADWAY_S,
+    headway_s: float = SHORT_HEADWAY_S,
     imposed_mps2: float = thresholds.HARD_BRAKING_MPS2,
 ) -> MetricSet:
     """The set `standard`, if need be with other thresholds.
@@ -89,44 +63,16 @@ def standard(
         name="standard",
         version=3,
         metrics=(
-            collisions.CRASHED_EPISODES,
-            collisions.CRASHED_AT_FAULT,
-            collisions.CRASHES_PER_1000KM,
-            collisions.REAR_END_PER_1000KM,
-            collisions.STRIKING_PER_1000KM,
-            collisions.STRUCK_PER_1000KM,
-            collisions.REAR_END_STRIKING,
-            collisions.SIDE_PER_1000KM,
-            collisions.OFF_ROAD_PER_1000KM,
-            conflicts.conflict_episodes(driving, conflict_ttc_s),
-            conflicts.conflicts_per_1000km(driving, conflict_ttc_s),
-            *conflicts.conflict_beginnings(driving, conflict_ttc_s),
-            planar_conflicts.planar_conflict_episodes(driving, conflict_ttc_s),
-            planar_conflicts.planar_conflicts_per_1000km(driving, conflict_ttc_s),
-            planar_conflicts.planar_ttc_min(driving),
-            ttc.ttc_min(driving),
-            ttc.ttc_below(driving, ttc_s),
-            ttc.rear_ttc_below(driving, ttc_s),
-            ttc.time_exposed(driving, ttc_s),
-            ttc.time_integrated(driving, ttc_s),
-            braking.drac_max(driving),
-            braking.drac_above(driving, drac_mps2),
-            headway.time_headway_mean(driving),
-            headway.time_headway_below(driving, headway_s),
-            speed.speed_mean(driving),
-            acceleration.acc_std(driving),
-            acceleration.harsh_acc_rate(driving),
-            acceleration.jerk_rms(driving),
-            steering.yaw_rate_rms(driving),
-            lane_changes.lane_changes_per_km(driving),
-            lane_changes.lane_change_duration_mean(driving),
-            lane_changes.lead_gap_mean(driving),
-            lane_changes.lag_gap_mean(driving),
-            lane_changes.imposed_braking_mean(driving),
-            lane_changes.imposed_braking_above(driving, imposed_mps2),
-            collisions.TRAFFIC_CRASHED,
-            collisions.TRAFFIC_CRASHES_PER_1000KM,
-            speed.TRAFFIC_SPEED_MEAN,
+            *collisions.OF_EGO,
+            *of_conflicts(driving, conflict_ttc_s),
+            *of_planar_conflicts(driving, conflict_ttc_s),
+            *of_time_to_collision(driving, ttc_s),
+            *of_required_braking(driving, drac_mps2),
+            *of_headway(driving, headway_s),
+            *of_motion(driving),
+            *of_lane_changes(driving, imposed_mps2),
+            *collisions.OF_TRAFFIC,
+            TRAFFIC_SPEED_MEAN,
             *conduct.EGO_CONDUCT,
             *conduct.TRAFFIC_CONDUCT,
         ),

@@ -46,13 +46,8 @@ def read_table(
 ) -> pl.DataFrame:
     """The named columns of a CSV file; other columns are ignored.
 
-    Line `i + 2` of the file becomes row `i`. Every number is finite and within its range.
-
-    Args:
-        path: The file.
-        columns: Names and allowed values.
-        limit: Largest size of the file in bytes.
-        optional: Names of further columns of text, which the file may lack.
+    Line `i + 2` of the file becomes row `i`. Every number is finite and within its range. The file,
+    of at most `limit` bytes, may lack `optional` columns of text.
 
     Raises:
         DataError: The file cannot be read or is too large, a column is missing, or a value is
@@ -81,7 +76,9 @@ def read_table(
     if table.height > ROW_LIMIT:
         raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
     # An extra field shifts the rest of its line, and polars may not report that.
-    if not usable or _commas(path) != (len(header) - 1) * (table.height + 1):
+    with path.open("rb") as file:
+        commas = sum(block.count(b",") for block in iter(lambda: file.read(2**20), b""))
+    if not usable or commas != (len(header) - 1) * (table.height + 1):
         raise _first_mistake(path, header, numbers, "not a CSV table of numbers")
     whole = [name for name, allowed in numbers.items() if allowed.whole]
     return table.with_columns(pl.col(whole).cast(pl.Int64))
@@ -102,11 +99,6 @@ def _header(path: Path, limit: int) -> list[str]:
     if len(first) == _LINE_LIMIT_BYTES:
         raise DataError(f"{path}: line 1: longer than {_LINE_LIMIT_BYTES:,} bytes")
     return first.decode("utf-8-sig", errors="replace").rstrip("\r\n").split(",")
-
-
-def _commas(path: Path) -> int:
-    with path.open("rb") as file:
-        return sum(block.count(b",") for block in iter(lambda: file.read(2**20), b""))
 
 
 def _usable(values: pl.Series, allowed: Numbers) -> bool:

@@ -1,4 +1,4 @@
-"""What recorded drivers do while they follow: the quantities that `engine.following_counts` counts.
+"""What recorded drivers do while they follow: the quantities of `recording.following_counts`.
 
 A recording does not tell when a driver decided to change lanes. Here a lane change starts at the
 last moment before the vehicle leaves its lane at which it does not yet move towards the new lane.

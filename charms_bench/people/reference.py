@@ -120,12 +120,17 @@ def histograms(values: Floats, units: Ints) -> tuple[tuple[int, ...], ...]:
     )
 
 
-def packaged_references() -> dict[str, Reference]:
-    """The references in the package, by name."""
-    return {
-        path.stem: Reference.model_validate_json(path.read_bytes(), strict=False)
-        for path in sorted(REFERENCES.glob("*.json"))
-    }
+def references() -> dict[str, Reference]:
+    """The references in the package, by the names that suites use.
+
+    Each has its origin, the terms of the recording, the number of recorded vehicles, and the counts
+    of speeds and distance headways; `counts("speed")` sums them over all recorded units.
+    """
+    return {path.stem: _read(path) for path in sorted(REFERENCES.glob("*.json"))}
+
+
+def _read(path: Path) -> Reference:
+    return Reference.model_validate_json(path.read_bytes(), strict=False)
 
 
 def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Reference]:
@@ -137,9 +142,7 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
     return [
         from_recordings(folder / spec.recordings, name=spec.title)
         if spec.recordings is not None
-        else Reference.model_validate_json(
-            (REFERENCES / f"{spec.title}.json").read_bytes(), strict=False
-        )
+        else _read(REFERENCES / f"{spec.title}.json")
         for spec in specs
     ]
 
@@ -147,9 +150,7 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
 def from_recordings(folder: Path, **fields: str) -> Reference:
     """A reference made from a folder of recordings in highD's format.
 
-    Args:
-        folder: The folder of recordings.
-        fields: Name, origin and terms; by default they are derived from the folder's name.
+    By default, its `fields` name, origin and terms are derived from the folder's name.
 
     Raises:
         DataError: The recordings cannot be used.

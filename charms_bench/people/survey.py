@@ -88,12 +88,7 @@ def survey(
 ) -> tuple[Survey, dict[str, Learnable]]:
     """The survey of a folder, and what each sampler can learn from it.
 
-    Only one recording is in memory at a time.
-
-    Args:
-        folder: With recordings in highD's format.
-        samplers: By name; each is given every recording.
-        tell: Called with 1 after each recording.
+    Only one recording is in memory at a time; `tell` is called with 1 after each.
 
     Raises:
         DataError: The recordings cannot be used, or a sampler can learn nothing from them.

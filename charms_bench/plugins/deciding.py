@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from charms_bench.errors import BrokenWordError, InputError
-from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.world.actions import ACTION_KINDS, Actions
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import Floats, Ints, Observations
@@ -92,19 +92,27 @@ def part_of(question: Question, some: Ints) -> Question:
     return tuple(each[some] for each in question)
 
 
-def check_declared(policy: Policy) -> None:
-    """Checks what a policy declares of itself, but for its rate.
+def check_declared(agent: Agent) -> None:
+    """Checks what an agent declares of itself, but for its rates and ranges of parameters.
 
     Raises:
         InputError: An attribute has a value that is not possible.
     """
+    if isinstance(agent, DriverModel):
+        _require_number(agent, "memory_width", 0)
+        return
+    policy = agent
     observation_of(policy.observation)
     kinds = " or ".join(ACTION_KINDS)
     _require("actions", policy.actions, kinds, lambda found: found in ACTION_KINDS)
     for name, lowest in (("history_length", 1), ("memory_width", 0), ("noise_draws", 0)):
-        expected = f"an integer from {lowest} to {WIDEST:,}"
-        _require(name, getattr(policy, name), expected, lambda found: lowest <= found <= WIDEST)  # noqa: B023
+        _require_number(policy, name, lowest)
     _require("rollouts_with", policy.rollouts_with, "the name of an agent", lambda found: True)
+
+
+def _require_number(agent: Agent, name: str, lowest: int) -> None:
+    expected = f"an integer from {lowest} to {WIDEST:,}"
+    _require(name, getattr(agent, name), expected, lambda found: lowest <= found <= WIDEST)
 
 
 def _require(name: str, found: Any, expected: str, fits: Callable[[Any], bool]) -> None:

@@ -23,7 +23,6 @@ from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 P = TypeVar("P")
-"""The kind of a plugin."""
 TIMES = 10
 """How often the other instance is asked: some state is only seen after several calls."""
 ASSIGNMENTS = 150
@@ -35,8 +34,7 @@ class Held(Generic[P]):
     """A plugin of which one call is asked again.
 
     Args:
-        plugin: The plugin.
-        other: Another instance of it, made in the same way.
+        other: Another instance of the plugin, made in the same way.
         rng: Chooses the call and the vehicles.
         calls: About how many calls a shard has. If there are fewer, the first one is asked again.
     """
@@ -52,11 +50,7 @@ class Held(Generic[P]):
         return self._calls - 1 in (0, self._chosen)
 
     def finish(self, whose: str) -> None:
-        """Asks the other instance, after all calls.
-
-        Raises:
-            AgentError: An answer differs; the message begins with `whose`.
-        """
+        """Asks the other instance after all calls; raises an `AgentError` if an answer differs."""
         try:
             for halvings in range(TIMES):
                 if self._question is not None:

@@ -41,22 +41,14 @@ _DECLARED = (
     "decision_hz", "actions", "history_length", "memory_width", "noise_draws", "rollouts_with",
 )  # fmt: skip
 VARIANTS = 64
-"""Changed observations that are tried."""
 
 
 def hold(
     agent: Agent, other: Agent, settings: SceneSettings, rng: np.random.Generator
 ) -> "HeldPolicy | HeldModel":
-    """An agent of which one call is asked again.
+    """An agent of which one call is asked again; see `Held`.
 
-    Args:
-        agent: The agent.
-        other: Another instance of it, made in the same way.
-        settings: The scene, which decides how often it is called.
-        rng: Chooses the call.
-
-    Raises:
-        BrokenWordError: One is a policy and the other is a driver model.
+    Raises a `BrokenWordError` if one is a policy and the other is a driver model.
     """
     if isinstance(agent, DriverModel) and isinstance(other, DriverModel):
         return HeldModel(agent, other, rng, settings.decisions * settings.steps_per_decision)
@@ -101,20 +93,16 @@ class HeldPolicy(Held[Policy], Policy):
 def check_decisions(
     policy: Policy, asked: Question, expected: tuple[Actions, Floats], how: str, rows: Ints
 ) -> None:
-    """Asks a policy and compares its answers.
+    """Asks a policy and raises a `BrokenWordError` if an answer differs.
 
     One meta-action, and all continuous actions and memory, may differ as far as rounding explains
     it.
 
     Args:
-        policy: The policy.
         asked: What it is asked about M vehicles.
         expected: The actions, (M,) or (M, 2), and the memory (M, Q).
         how: In words, how it is asked.
         rows: (M,) the vehicles' indices in the call.
-
-    Raises:
-        BrokenWordError: An answer differs.
     """
     actions, memory = expected
     everyone = np.arange(len(actions))

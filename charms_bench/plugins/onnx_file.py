@@ -1,18 +1,17 @@
 """Checks what an ONNX file contains before onnxruntime loads it.
 
 Only the fields that matter here are read, by their numbers in `onnx.proto`.
+
+Integers must not be divided: the smallest integer divided by -1 ends the process (SIGFPE), and both
+may come from an observation that nobody has tried. Floating-point numbers can be divided without
+harm. The first input of each division has to be floating-point for certain: types follow from the
+inputs of the graph, its constants and its operators, as ONNX declares them.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
-from charms_bench.plugins.onnx_types import divides_integers
-from charms_bench.plugins.protobuf import (
-    FIELDS_LIMIT,
-    Fields,
-    TooManyFieldsError,
-    message_of,
-    text_of,
-)
+from charms_bench.plugins.protobuf import FIELDS_LIMIT, Reader, TooManyFieldsError, text_of
 
 _ARITHMETIC = (
     "Abs Add And ArgMax ArgMin AveragePool BatchNormalization Cast Ceil Celu Clip Concat Constant "
@@ -32,71 +31,119 @@ OPERATORS = frozenset(_ARITHMETIC.split())
 NODES_LIMIT = 10_000
 """onnxruntime takes about a second to load so many."""
 
-_GRAPH, _FUNCTIONS = 7, 25  # of a model
-_NODE, _INITIALIZER, _SPARSE_INITIALIZER = 1, 5, 15  # of a graph
-_OPERATOR, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # of a node
-_TENSOR, _SUBGRAPH, _TENSORS, _SUBGRAPHS, _SPARSE = 5, 6, 10, 11, (22, 23)  # of an attribute
-_TEXTS = {b"value_string", b"value_strings"}  # names of attributes
-_DATA_TYPE, _EXTERNAL_DATA, _DATA_LOCATION = 2, 13, 14  # of a tensor
+_TENSOR = {2: "type", 8: "name", 13: "external", 14: "location"}
+_ATTRIBUTE = {
+    1: "name", 2: "float", 3: "integer", 5: ("tensor", _TENSOR), 6: "graph", 7: "floats",
+    8: "integers", 10: ("tensors", _TENSOR), 11: "graph", 22: "sparse", 23: "sparse",
+}  # fmt: skip
+_NODE = {1: "taken", 2: "given", 4: "operator", 5: ("attribute", _ATTRIBUTE), 7: "domain"}
+_INPUT = {1: "name", 2: ("type", {1: ("tensor", {1: "element"})})}
+_GRAPH = {1: ("node", _NODE), 5: ("initializer", _TENSOR), 11: ("input", _INPUT), 15: "sparse"}
+_MODEL = {7: ("graph", _GRAPH), 25: "function"}
 _STRING = 8
+_FLOATING = {1, 10, 11, 16}
+"""The types float32, float16, float64 and bfloat16."""
+_NEVER_FLOATING = {"And", "ArgMax", "ArgMin", "Equal", "Greater", "GreaterOrEqual", "Less"}
+_NEVER_FLOATING |= {"LessOrEqual", "Not", "Or", "Shape", "Size", "Xor"}
+_TYPED_BY = {"Where": 1, "OneHot": 2}
+"""The operators whose result has the type of another input than the first."""
+_ALIKE = {"Split", "LSTM", "GRU", "RNN"}
+"""The operators all of whose results have the same type."""
+
+Message = Mapping[str, Sequence[Any]]
 
 
 def problem_of(data: bytes) -> str:
     """Why a file must not be loaded; empty if the file passes all checks."""
     try:
-        problem = next(_problems(memoryview(data), Fields()), "")
-        if not problem and divides_integers(memoryview(data)):
-            problem = "divides integers (Div or Mod), which can end the process; divide floats"
-        return problem
+        return next(_problems(Reader().read(memoryview(data), _MODEL)), "")
     except TooManyFieldsError:
         return f"has more than {FIELDS_LIMIT:,} fields; a policy is far smaller"
     except (IndexError, ValueError):
         return "is not an ONNX file, or is damaged"
 
 
-def _problems(model: memoryview, fields: Fields) -> Iterator[str]:
-    nodes = 0
-    for number, graph in fields.of(model):
-        if number == _FUNCTIONS:
-            yield "has functions; save it with all functions inlined"
-        if number != _GRAPH:
-            continue
-        for kind, value in fields.of(message_of(graph)):
-            if kind == _NODE:
-                nodes += 1
-                if nodes > NODES_LIMIT:
-                    yield f"has more than {NODES_LIMIT:,} nodes; a policy is far smaller"
-                yield from _problems_of_node(message_of(value), fields)
-            elif kind == _INITIALIZER:
-                yield from _problems_of_tensor(message_of(value), fields)
-            elif kind == _SPARSE_INITIALIZER:
-                yield "has sparse tensors; save it with dense ones"
+def _problems(model: Message) -> Iterator[str]:
+    # Readers merge a field that is given several times.
+    names = ("node", "initializer", "input", "sparse")
+    graph = {name: [each for part in model["graph"] for each in part[name]] for name in names}
+    for node in graph["node"][:NODES_LIMIT]:
+        yield from _problems_of_node(node)
+    if len(graph["node"]) > NODES_LIMIT:
+        yield f"has more than {NODES_LIMIT:,} nodes; a policy is far smaller"
+    for tensor in graph["initializer"]:
+        yield from _problems_of_tensor(tensor)
+    if graph["sparse"]:
+        yield "has sparse tensors; save it with dense ones"
+    if model["function"]:
+        yield "has functions; save it with all functions inlined"
+    if _divides_integers(graph):
+        yield "divides integers (Div or Mod), which can end the process; divide floats"
 
 
-def _problems_of_node(node: memoryview, fields: Fields) -> Iterator[str]:
-    parts = list(fields.of(node))
-    domains = [text_of(value) for number, value in parts if number == _DOMAIN]
-    for name in (text_of(value) for number, value in parts if number == _OPERATOR):
+def _problems_of_node(node: Message) -> Iterator[str]:
+    domains = [text_of(value) for value in node["domain"]]
+    for name in map(text_of, node["operator"]):
         if name not in OPERATORS or any(domain not in ("", "ai.onnx") for domain in domains):
             full = ".".join(filter(None, (*domains, name)))
             yield f"has the operator '{full[:80]}'; a policy may only have ONNX's arithmetic"
-    for number, attribute in parts:
-        if number != _ATTRIBUTE:
-            continue
-        for kind, value in fields.of(message_of(attribute)):
-            if kind in (_TENSOR, _TENSORS):
-                yield from _problems_of_tensor(message_of(value), fields)
-            elif kind in (_SUBGRAPH, _SUBGRAPHS):
-                yield "has graphs within its graph"
-            elif kind in _SPARSE:
-                yield "has sparse tensors; save it with dense ones"
-            elif isinstance(value, memoryview) and bytes(value[:16]) in _TEXTS:
-                yield "has texts among its tensors"
-
-
-def _problems_of_tensor(tensor: memoryview, fields: Fields) -> Iterator[str]:
-    for number, value in fields.of(tensor):
-        if number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value):
-            yield "keeps tensors in other files; save it as a single file"
-        if number == _DATA_TYPE and value == _STRING:
+    for attribute in node["attribute"]:
+        if not {"value_string", "value_strings"}.isdisjoint(map(text_of, attribute["name"])):
             yield "has texts among its tensors"
+        for tensor in (*attribute["tensor"], *attribute["tensors"]):
+            yield from _problems_of_tensor(tensor)
+        if attribute["graph"]:
+            yield "has graphs within its graph"
+        if attribute["sparse"]:
+            yield "has sparse tensors; save it with dense ones"
+
+
+def _problems_of_tensor(tensor: Message) -> Iterator[str]:
+    if tensor["external"] or any(tensor["location"]):
+        yield "keeps tensors in other files; save it as a single file"
+    if _STRING in tensor["type"]:
+        yield "has texts among its tensors"
+
+
+def _divides_integers(graph: Message) -> bool:
+    """Whether a division may be one of integers."""
+    floating: dict[str, bool] = {"": False}
+    typed = [(tensor["name"], tensor["type"]) for tensor in graph["initializer"]]
+    for port in graph["input"]:
+        tensors = (tensor for kind in port["type"] for tensor in kind["tensor"])
+        typed.append((port["name"], [each for tensor in tensors for each in tensor["element"]]))
+    for names, types in typed:
+        for name in map(text_of, names):
+            floating[name] = _all_floating(types) and floating.get(name, True)
+    for node in graph["node"]:
+        operator = text_of(node["operator"][-1]) if node["operator"] else ""
+        taken, place = node["taken"], _TYPED_BY.get(operator, 0)
+        source = text_of(taken[place]) if place < len(taken) else ""
+        is_floating = floating.get(source, False)
+        if operator in ("Div", "Mod") and not is_floating:
+            return True
+        if operator in ("Constant", "ConstantOfShape", "Cast"):
+            types = [each for attribute in node["attribute"] for each in _types_in(attribute)]
+            is_floating = _all_floating(types) or (operator == "ConstantOfShape" and not types)
+        elif operator in _NEVER_FLOATING:
+            is_floating = False
+        for index, name in enumerate(map(text_of, node["given"])):
+            is_alike = index == 0 or operator in _ALIKE
+            floating[name] = is_floating and is_alike and floating.get(name, True)
+    return False
+
+
+def _all_floating(types: Sequence[Any]) -> bool:
+    return bool(types) and _FLOATING.issuperset(types)
+
+
+def _types_in(attribute: Message) -> list[Any]:
+    """The types that an attribute names, or those of the constants in it."""
+    names = {text_of(name) for name in attribute["name"]}
+    if names == {"to"}:
+        return list(attribute["integer"])
+    if not any(name.startswith("value") for name in names):
+        return []
+    types = [each for tensor in attribute["tensor"] for each in tensor["type"]]
+    types += [1] * bool(attribute["float"] or attribute["floats"])
+    return types + [7] * bool(attribute["integer"] or attribute["integers"])

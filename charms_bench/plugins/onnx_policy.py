@@ -2,6 +2,7 @@
 
 import math
 import re
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -54,10 +55,7 @@ class OnnxPolicy(Policy):
     The metadata also name the observation; the default is `neighbours`. With `history: K`, the
     input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last.
 
-    A network with an input named `action_mask`, `(batch, 5)`, receives the vehicles' action masks
-    there; see `world.action_mask`. One with an input `noise`, `(batch, k)`, receives uniform random
-    numbers in [0, 1). All further inputs are states, and all further outputs the next states; see
-    `onnx_ports`. They are the memory of the vehicles.
+    Further inputs receive action masks and noise, or are states; see `onnx_ports`.
 
     Args:
         path: The `.onnx` file.
@@ -71,43 +69,48 @@ class OnnxPolicy(Policy):
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
         try:
+            shape = self._open(decision_hz)
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
+        if is_child():
+            self.values(np.zeros((2, *shape), np.float32))
+
+    def _open(self, decision_hz: float | None) -> tuple[int, ...]:
+        """Reads what the file says of itself; returns the shape of what a vehicle observes."""
+        try:
             data = read_limited(self.path, SIZE_LIMIT_BYTES)
         except OSError as error:
-            missing = isinstance(error, FileNotFoundError)
-            remedy = f"; {_made_by(self.path)}" if missing else ""
-            raise ModelError(f"{self.path}: cannot be read: {error.strerror}{remedy}") from error
+            command = f"charms-bench export {self.path.stem}.zip --to {self.path.parent}"
+            remedy = f"; `{command}` makes it from a checkpoint of Stable-Baselines3"
+            remedy *= isinstance(error, FileNotFoundError)
+            raise ModelError(f"cannot be read: {error.strerror}{remedy}") from error
         if problem := problem_of(data):
-            raise ModelError(f"{self.path}: {problem}")
+            raise ModelError(problem)
         self._sha256 = sha256(data).hexdigest()
         self._data: bytes | None = data
         self._opened: Any = None
+        found = signature_of(self._session) if is_child() else tried(data)
+        said = found.metadata
         try:
-            found = signature_of(self._session) if is_child() else tried(data)
-        except ModelError as error:
-            raise ModelError(f"{self.path}: {error}") from error
-        try:
-            self.observation = observation_described(
-                found.metadata.get("observation", "neighbours")
-            )
+            self.observation = observation_described(said.get("observation", "neighbours"))
         except InputError as error:
-            raise ModelError(f"{self.path}: metadata: {error}") from error
-        if found.metadata.get("actions") == "continuous":
+            raise ModelError(f"metadata: {error}") from error
+        if said.get("actions") == "continuous":
             self.actions = "continuous"
-        self.history_length = _history(self.path, found.metadata.get("history", "1"))
+        self.history_length = _history(said.get("history", "1"))
         history = (self.history_length,) * (self.history_length > 1)
         shape = *history, *self.observation.shape
         self._rows = self.observation.shape[0]
-        self._roles = _roles(self.path, found, shape, outputs_of(self.actions))
+        self._roles = _roles(found, shape, outputs_of(self.actions))
         self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
         if self._roles.takes_mask:
-            self.observation = _with_mask(self.path, self.observation, self.actions)
+            self.observation = _with_mask(self.observation, self.actions)
         if decision_hz is None:
-            decision_hz = _decision_hz(self.path, found.metadata.get("decision_hz", "3"))
+            decision_hz = _decision_hz(said.get("decision_hz", "3"))
         self.decision_hz = decision_hz
-        if is_child():
-            self.values(np.zeros((2, *history, *self.observation.shape), np.float32))
-        elif found.problem:
-            raise ModelError(f"{self.path}: {found.problem}")
+        if found.problem:
+            raise ModelError(found.problem)
+        return *history, *self.observation.shape
 
     @property
     def _session(self) -> Any:
@@ -183,42 +186,31 @@ class OnnxPolicy(Policy):
         return type(self), (self.path, self.decision_hz)
 
 
-def _with_mask(path: Path, seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
+def _with_mask(seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
     """The observation of a network that receives the action mask as an input of its own."""
     if isinstance(seen, Kinematics) or kind != "meta":
         raise ModelError(
-            f"{path}: has the input {MASK_INPUT}, which a network has with meta-actions and the "
+            f"has the input {MASK_INPUT}, which a network has with meta-actions and the "
             "observation neighbours or paper_neighbours only; put the mask into the network instead"
         )
     return seen.model_copy(update={"action_mask": True})
 
 
-def _made_by(path: Path) -> str:
-    """How to make a network from its checkpoint."""
-    command = f"charms-bench export {path.stem}.zip --to {path.parent}"
-    return f"`{command}` makes it from a checkpoint of Stable-Baselines3"
+def _decision_hz(said: str) -> float:
+    with suppress(ValueError):
+        if 0 < (hz := float(said)) <= 1000:
+            return hz
+    raise ModelError(f"metadata: decision_hz is '{said}'; expected a positive rate")
 
 
-def _decision_hz(path: Path, said: str) -> float:
-    try:
-        hz = float(said)
-    except ValueError:
-        hz = 0.0
-    if not 0 < hz <= 1000:
-        raise ModelError(f"{path}: metadata: decision_hz is '{said}'; expected a positive rate")
-    return hz
-
-
-def _history(path: Path, said: str) -> int:
+def _history(said: str) -> int:
     if not re.fullmatch(r"[1-9]\d?|100", said):
-        raise ModelError(
-            f"{path}: metadata: history is '{said[:40]}'; expected a number of observations from 1 "
-            "to 100"
-        )
+        what = "expected a number of observations from 1 to 100"
+        raise ModelError(f"metadata: history is '{said[:40]}'; {what}")
     return int(said)
 
 
-def _roles(path: Path, found: Signature, shape: tuple[int, ...], count: int) -> Roles:
+def _roles(found: Signature, shape: tuple[int, ...], count: int) -> Roles:
     """What the ports are for; refuses other shapes than these of an observation and the values."""
     roles = roles_of(found)
     if roles and roles.shape in ((math.prod(shape),), shape) and roles.outputs == count:
@@ -237,7 +229,7 @@ def _roles(path: Path, found: Signature, shape: tuple[int, ...], count: int) -> 
             f"{MEMORY_LIMIT:,} numbers of states and of draws"
         )
     has = f"inputs {_listed(found.inputs)}, outputs {_listed(found.outputs)}"
-    raise ModelError(f"{path}: has {has}; expected {wanted}")
+    raise ModelError(f"has {has}; expected {wanted}")
 
 
 def _listed(ports: tuple[Port, ...]) -> str:

@@ -24,9 +24,7 @@ Arrays = dict[str, NDArray[np.float32]]
 """The inputs of a network, by name."""
 
 MASK_INPUT = "action_mask"
-"""The name of the input of a network that takes the action mask."""
 NOISE_INPUT = "noise"
-"""The name of the input of a network that takes random numbers."""
 WIDEST = 100_000
 """Numbers in an observation, more than any observation has."""
 MEMORY_LIMIT = 4_096

@@ -54,11 +54,7 @@ _signatures: dict[str, Signature | str] = {}
 
 
 def tried(data: bytes) -> Signature:
-    """Returns the signature of a network, which a worker tries the first time.
-
-    Raises:
-        ModelError: It cannot be loaded, ends its process, or takes too long; without the file.
-    """
+    """The signature of a network, which a worker tries first; raises a `ModelError`."""
     key = sha256(data).hexdigest()
     if key not in _signatures:
         try:
@@ -139,11 +135,7 @@ def _limits() -> Iterator[None]:
 
 
 def open_session(data: bytes) -> Any:
-    """Opens a network in this process.
-
-    Raises:
-        ModelError: onnxruntime cannot load it; without the file.
-    """
+    """Opens a network in this process; raises a `ModelError` that does not name the file."""
     import onnxruntime
 
     _bound_memory()
@@ -173,8 +165,6 @@ def compute(
     """The values (M, outputs) of an open network, and the memory (M, memory) that it leaves.
 
     Args:
-        session: The network.
-        roles: What its ports are for.
         inputs: (M, ...) each; M is at most `ROWS_WITH_MEMORY` if it has states.
         memory: (M, memory).
 

@@ -4,7 +4,9 @@ A message is a sequence of fields; each has a number, a kind and a value, and a 
 message itself. https://protobuf.dev/programming-guides/encoding/
 """
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 Value = int | memoryview
 """The value of a field: a number, or the bytes of anything else."""
@@ -16,18 +18,34 @@ class TooManyFieldsError(ValueError):
     """A file has more than `FIELDS_LIMIT` fields."""
 
 
-class Fields:
-    """The fields of messages, of which a file may have a limited number."""
+class Reader:
+    """Reads the messages of a file, which may have a limited number of fields."""
 
     def __init__(self) -> None:
         self._left = FIELDS_LIMIT
 
-    def of(self, message: memoryview) -> Iterator[tuple[int, Value]]:
-        """The number and value of each field.
+    def read(self, message: memoryview, schema: Mapping[int, Any]) -> dict[str, list[Any]]:
+        """The values of the fields that a schema names, by name, in their order.
+
+        Args:
+            message: The message.
+            schema: By the number of a field, its name; or its name and the schema of the messages
+                that are its values.
 
         Raises:
-            ValueError, IndexError: It is not a message.
+            ValueError, IndexError: It is not a message, or a field has another kind of value.
         """
+        found: dict[str, list[Any]] = defaultdict(list)
+        for number, value in self._fields(message):
+            match schema.get(number):
+                case str(name):
+                    found[name].append(value)
+                case (name, inner):
+                    found[name].append(self.read(_bytes_of(value), inner))
+        return found
+
+    def _fields(self, message: memoryview) -> Iterator[tuple[int, Value]]:
+        """The number and value of each field."""
         at = 0
         while at < len(message):
             tag, at = _varint(message, at)
@@ -63,12 +81,12 @@ def _varint(message: memoryview, at: int) -> tuple[int, int]:
     raise ValueError("a number without end")
 
 
-def message_of(value: Value) -> memoryview:
-    """The value of a field that must be a message."""
-    if isinstance(value, int):
-        raise ValueError("a number, expected a message")
-    return value
-
-
 def text_of(value: Value) -> str:
-    return bytes(message_of(value)).decode(errors="replace")
+    """The value of a field that must be a text."""
+    return bytes(_bytes_of(value)).decode(errors="replace")
+
+
+def _bytes_of(value: Value) -> memoryview:
+    if isinstance(value, int):
+        raise ValueError("a number, expected a message or a text")
+    return value

@@ -90,11 +90,7 @@ def _plugins(group: str, path: tuple[tuple[str, int], ...]) -> Mapping[str, Plug
 
 
 def find(group: str, name: str) -> Plugin:
-    """The plugin of that name.
-
-    Raises:
-        RegistryError: It is not installed, or two distributions claim its name.
-    """
+    """The plugin of that name; raises a `RegistryError` if it is missing or claimed twice."""
     installed = plugins(group)
     if name in installed:
         return _unrivalled(installed[name])
@@ -135,11 +131,7 @@ def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
 
 
 def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:
-    """The traffic of that name; an agent's name is the traffic in which it drives all vehicles.
-
-    Raises:
-        RegistryError: As for `make_agent`.
-    """
+    """The traffic of that name; an agent's name is the traffic in which it drives all vehicles."""
     installed, agents = plugins(TRAFFIC), plugins(AGENTS)
     if name in installed:
         plugin, agent = _unrivalled(installed[name]), agents.get(name)
@@ -156,21 +148,12 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
 
 
 def make_event(name: str, options: Mapping[str, Any] | None = None) -> Event:
-    """The event of that name, made with `options`.
-
-    Raises:
-        RegistryError: It is not installed, cannot be imported, does not accept the options, or is
-            not an event.
-    """
+    """The event of that name, made with `options`; raises a `RegistryError` like `make_agent`."""
     return cast(Event, _make(find(EVENTS, name), options, Event))
 
 
 def load(group: str, name: str) -> Any:
-    """The object that the entry point of that name refers to.
-
-    Raises:
-        RegistryError: It is not installed or cannot be imported.
-    """
+    """The object that the entry point of that name refers to; raises a `RegistryError`."""
     return _load(find(group, name))
 
 

@@ -11,17 +11,12 @@ from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
 TEMPLATES = Path(__file__).with_name("templates")
 _NAME = re.compile(r"[a-z](?:[a-z0-9_]{0,48}[a-z0-9])?")
-"""A name that is valid for an agent, a module and a distribution."""
 _OF_PYTEST = ("tests", "conftest")
 """Names with a special meaning to pytest, which runs the new agent's tests."""
 
 
 def new_agent(name: str, folder: Path) -> tuple[Path, ...]:
-    """Writes the distribution of an agent that can drive; returns its files.
-
-    Args:
-        name: The name of the agent, its module and its distribution.
-        folder: The folder to write to; it does not exist yet, or is empty.
+    """Writes the distribution of an agent that can drive into a new folder; returns its files.
 
     Raises:
         InputError: The name is invalid or taken, or the folder is not empty or cannot be written.

@@ -52,15 +52,7 @@ class SceneQuestion:
         return self.part(rows[halved(rows.size, times)])
 
     def check(self, ask: Ask, how: str) -> None:
-        """Asks again.
-
-        Args:
-            ask: Asks the plugin.
-            how: In words, how it is asked.
-
-        Raises:
-            BrokenWordError: An answer differs.
-        """
+        """Asks again; raises a `BrokenWordError` that says `how` if an answer differs."""
         again = ask(copied(self.scene).read_only(), tuple(map(np.copy, self.vehicles)))
         for then, now in zip(self.said, again, strict=True):
             if now.shape != then.shape:

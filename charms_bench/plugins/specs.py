@@ -117,12 +117,7 @@ def networks_of(ego: AgentSpec, traffic: Traffic, folder: Path) -> dict[str, Pat
 
 
 def by_content(value: Any, contents: Mapping[str, str]) -> Any:
-    """A JSON value in which what stands for a network's content replaces its name.
-
-    Args:
-        value: The JSON value.
-        contents: What stands for each network, by its name.
-    """
+    """The JSON value with the name of each network replaced by what `contents` has for it."""
     if isinstance(value, str):
         return contents.get(value, value)
     if isinstance(value, Mapping):

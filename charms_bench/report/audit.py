@@ -18,7 +18,7 @@ from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.audit_finding import VERDICTS, Finding, Verdict
 from charms_bench.runs.code_hashes import module_blobs, row_modules
-from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.finished import open_finished
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
 
@@ -33,16 +33,16 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
     The table of a run with other code may differ for that reason, which is `unknown`. It is `fail`
     where that is no explanation; see `_is_false`.
 
-    Args:
-        folder: The run folder.
-        suite: Its suite, with the folder that relative paths of recordings start from.
+    The folder is a run's, and the suite names the folder that paths of recordings start from.
     """
     try:
         run = open_finished(folder)
     except RunFolderError as error:
         yield Finding("tables", "", "unknown", f"cannot be computed again: {error}")
         return
-    is_own = not _has_other_code(run)
+    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
+    deciding = row_modules(entry=run_files.__name__)
+    is_own = all(recorded.get(name) == blobs[name] for name in deciding)
     try:
         references = read_references(suite.references, suite.folder)
     except CharmsBenchError as error:
@@ -87,12 +87,6 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
         yield Finding("tables", "", "pass", what)
 
 
-def _has_other_code(run: FinishedRun) -> bool:
-    recorded, blobs = run.folder.manifest().get("modules", {}), module_blobs()
-    deciding = row_modules(entry=run_files.__name__)
-    return any(recorded.get(name) != blobs[name] for name in deciding)
-
-
 def _is_false(tables: Path, name: str, expected: Mapping[str, bytes]) -> bool:
     """Whether a table that differs is false even if other code has computed it.
 
@@ -119,15 +113,9 @@ def _has_other_value(found: bytes, expected: bytes) -> bool:
     if both is None or "metric_set" not in both[0].columns:
         return False
     keys = ("agent", "traffic", "metric_set", "metric")
-    values = [
-        {tuple(row[each] for each in keys): row["value"] for row in table.iter_rows(named=True)}
-        for table in both
-    ]
-    return any(
-        values[0][key] != value and not _is_rounded(values[0][key], value)
-        for key, value in values[1].items()
-        if key in values[0]
-    )
+    stored, again = (table.select(*keys, "value") for table in both)
+    pairs = again.join(stored, on=keys, nulls_equal=True).select("value", "value_right").rows()
+    return any(one != other and not _is_rounded(one, other) for one, other in pairs)
 
 
 def _is_rounded(one: str | None, other: str | None) -> bool:
@@ -214,12 +202,15 @@ class Audit:
         return f"<Audit of {self.path}: {self.verdict}, {len(self.findings)} findings>"
 
     def __str__(self) -> str:
-        found = (
-            f"{each.verdict:<9}{each.check:<10}{f'{each.where}: ' if each.where else ''}{each.what}"
-            for each in self.findings[:FINDINGS]
-        )
         more = [f"{len(self.findings) - FINDINGS} more findings"][: len(self.findings) > FINDINGS]
-        return "\n".join([repr(self), *found, *more])
+        return "\n".join([repr(self), *self.lines()[:FINDINGS], *more])
+
+    def lines(self) -> list[str]:
+        """A line for each finding."""
+        return [
+            f"{each.verdict:<9}{each.check:<10}{f'{each.where}: ' if each.where else ''}{each.what}"
+            for each in self.findings
+        ]
 
     def _repr_html_(self) -> str:
         return self.table._repr_html_()

@@ -85,10 +85,6 @@ def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
         record["avoided_by"] = f"{len(each.avoided_by)} of {tried}"
     if (r := each.replacement) is not None:
         who = "ego" if r.is_ego else f"vehicle {r.vehicle}"
-        was, instead = (_words(action) for action in (r.was, r.instead))
+        was, instead = (action.replace("_", " ").lower() for action in (r.was, r.instead))
         record["single_action"] = f"decision {r.step}, {who}: {instead} instead of {was}"
     return record
-
-
-def _words(action: str) -> str:
-    return action.replace("_", " ").lower()

@@ -50,12 +50,8 @@ def compare(
 ) -> Table:
     """Every metric of every pair, first minus second, a metric per row.
 
-    Args:
-        pairs: Two agents in the same episodes each, from `runs.pairing.pairs_of`.
-        metric_sets: What to compute.
-        settings: Of the scenes.
-        seed: Of the resamples.
-        only: Names of metrics, in every set that has them; none means all.
+    The pairs are from `runs.pairing.pairs_of`, and the seed is that of the resamples. `only` names
+    metrics, in every set that has them; none means all.
 
     Raises:
         InputError: There is no metric of such a name.

@@ -12,14 +12,14 @@ import polars as pl
 from charms_bench.metrics import MetricSet
 from charms_bench.metrics.conduct import OF_DRIVERS
 from charms_bench.report.definitions import columns_of
-from charms_bench.report.table import Column, Table, long_frame
+from charms_bench.report.table import ESTIMATE, Column, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
 from charms_bench.world.scene import Floats
 
 KEYS = ("agent", "traffic", "driver")
-LONG = {"metric": "name", "value": "value", "low": "low", "high": "high", "n": "n"}
+LONG = {"metric": "name", **ESTIMATE}
 EGO = "ego"
 """What the ego is called as a driver, because its agent can also drive vehicles of the traffic."""
 _SUMS = [each.cast(pl.Float64) for metric in OF_DRIVERS for each in metric.sums]

@@ -17,8 +17,6 @@ from charms_bench.runs.suite import Suite
 
 DISTANCE = "js"
 """The distance from human driving that is shown: it has bounds, and needs no smoothing."""
-
-
 QUANTITY = {"speed": "Speed", "dhw": "Headway"}
 
 

@@ -12,13 +12,13 @@ import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.metrics.collisions import ENDED_BADLY
-from charms_bench.report.table import Column, Table, long_schema
+from charms_bench.report.table import ESTIMATE, Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import wilson
 
 KEYS = ("agent", "traffic")
-LONG = {"share": "name", "value": "value", "low": "low", "high": "high", "n": "n"}
+LONG = {"share": "name", **ESTIMATE}
 ONLY = "preventable only by "
 """Begins the name of a kind of collisions, which ends with a reference driver's."""
 
@@ -66,14 +66,11 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         "crashed": "proportion of episodes in which the ego collides or leaves the road",
         "preventable": f"proportion of episodes in which it does so and {references} "
         f"{'do' if len(suite.preventable_by) > 1 else 'does'} not",
-        **{
-            ONLY
-            + name: f"proportion of episodes in which it does so and, of {references}, only {name} "
-            "does not"
-            for name in suite.preventable_by
-        },
         "not_preventable": f"proportion of episodes in which it and {references} do so",
     }
+    for name in suite.preventable_by:
+        so = "proportion of episodes in which it does so and"
+        shares[ONLY + name] = f"{so}, of {references}, only {name} does not"
 
     def column(_: str, name: str) -> Column:
         return Column(

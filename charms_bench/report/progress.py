@@ -29,20 +29,14 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def progress(unit: str, total: int, console: Console | None = None) -> Iterator[Tell]:
-    """Shows how many of `total` units are finished, on standard error.
-
-    Args:
-        unit: What is counted, such as `episodes`.
-        total: How many there are.
-        console: Where to show it.
-    """
+def progress(unit: str, total: int) -> Iterator[Tell]:
+    """Shows how many of `total` units, such as `episodes`, are finished, on standard error."""
     if QUIET.get():
         yield lambda what, count: None
         return
     # FORCE_COLOR asks for colours in a file, not for a bar that is drawn again and again.
     interactive = None if sys.stderr.isatty() else False
-    console = console or Console(stderr=True, emoji=False, force_interactive=interactive)
+    console = Console(stderr=True, emoji=False, force_interactive=interactive)
     if not console.is_interactive:
         yield _lines(console, unit, total)
         return

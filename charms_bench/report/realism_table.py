@@ -1,6 +1,6 @@
 """The table of realism: how far each traffic is from human driving, reference by reference.
 
-Two quantities of all vehicles (`engine.following_counts`), each with three distances
+Two quantities of all vehicles (`recording.following_counts`), each with three distances
 (`statistics.divergence`). The paper reports KL from the human data, on bins it does not state;
 here they are 1 m/s and 5 m. Jensen-Shannon uses the same bins, Wasserstein those of the rows. Two
 more rows say which distances are possible: the sampling-noise floor of so few recorded drivers, and
@@ -15,7 +15,7 @@ import polars as pl
 
 from charms_bench.people.reference import Reference
 from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Table, long_frame
+from charms_bench.report.table import ESTIMATE, Column, Table, long_frame
 from charms_bench.runs.cells import TrafficCounts
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.divergence import (
@@ -30,14 +30,7 @@ from charms_bench.world.following import BIN, BINS, QUANTITIES, bins_of
 from charms_bench.world.scene import Floats
 
 KEYS = ("traffic",)
-LONG = {
-    "reference": "group",
-    "metric": "name",
-    "value": "value",
-    "low": "low",
-    "high": "high",
-    "n": "n",
-}
+LONG = {"reference": "group", "metric": "name", **ESTIMATE}
 COARSE_BIN = {"speed": 1.0, "dhw": 5.0}
 """Width of the bins of KL and Jensen-Shannon, m/s and m."""
 TITLE = {"speed": "Speed while following", "dhw": "Headway at the start of a lane change"}
@@ -164,14 +157,11 @@ def smallest_distances(human: Floats, limits: tuple[float, float], n: int) -> di
         np.arange(BINS) // width * width <= highest
     )
     clipped = human @ np.eye(BINS)[np.arange(BINS).clip(lowest, highest)]
-    found = distances(human, _as_many(human * inside, n), "speed")
-    return {**found, "wasserstein_speed": wasserstein(human, clipped, BIN)}
-
-
-def _as_many(counts: Floats, n: int) -> Floats:
-    """Counts [..., BINS] scaled to a total, on which the smoothing of KL depends."""
+    counts = human * inside
     total = counts.sum(axis=-1, keepdims=True)
-    return np.asarray(counts * (n / np.where(total > 0, total, 1.0)))
+    # The smoothing of KL depends on the total.
+    found = distances(human, counts * (n / np.where(total > 0, total, 1.0)), "speed")
+    return {**found, "wasserstein_speed": wasserstein(human, clipped, BIN)}
 
 
 def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
@@ -185,15 +175,12 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         _column,
         note=f"{NOTE} {suite.note}".rstrip(),
     )
-    names = [row.labels[0] for row in table.rows]
     columns = range(len(table.columns))
-    nearest = [_nearest(dict(zip(names, table.column(i), strict=True))) for i in columns]
+    nearest = [_nearest({row.labels[0]: row.numbers[i] for row in table.rows}) for i in columns]
     rows = []
-    for row, name in zip(table.rows, names, strict=True):
-        cells = (
-            replace(number, marked=name == each)
-            for number, each in zip(row.numbers, nearest, strict=True)
-        )
+    for row in table.rows:
+        pairs = zip(row.numbers, nearest, strict=True)
+        cells = (replace(number, marked=row.labels[0] == name) for number, name in pairs)
         rows.append(replace(row, cells=tuple(cells)))
     return replace(table, rows=tuple(rows))
 

@@ -96,7 +96,9 @@ def run_tables(
     rows = [cell.rows for cell in cells]
     if suite.pairs:
         pairs = pairs_table(suite, rows)
-        made.append((pairs, _pairs_summary(pairs, guess_summary(suite, rows))))
+        apart = sum(any(cell.marked for cell in row.numbers) for row in pairs.rows)
+        differ = f"{apart} of {len(pairs.rows)} pairs differ in at least one metric."
+        made.append((pairs, [differ, guess_summary(suite, rows)]))
     if suite.preventable_by:
         made.append((preventable_table(suite, rows), ()))
     if references:
@@ -125,12 +127,6 @@ def table_files(table: Table, introduction: Sequence[str] = ()) -> dict[str, byt
         f"{table.name}.csv": in_csv(table.frame()),
         f"{table.name}.md": document(table, introduction).encode(),
     }
-
-
-def _pairs_summary(table: Table, guess: str) -> list[str]:
-    """How many pairs differ, and how often an episode's ego is recognised."""
-    apart = sum(any(cell.marked for cell in row.numbers) for row in table.rows)
-    return [f"{apart} of {len(table.rows)} pairs differ in at least one metric.", guess]
 
 
 def _described(reference: Reference) -> str:

@@ -4,6 +4,7 @@ Who crashes least is chosen after the results are known. So the p-value of its p
 the next agent is multiplied by the number of all pairs that could have been chosen (Bonferroni).
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from charms_bench.report.number import Number
@@ -45,7 +46,9 @@ def finding(
         return _of_egos(suite, rates, by_label) + _speeds(metrics)
     ego = suite.egos[0].title
     found = _sorted((traffic, number) for (_, traffic), number in rates.items())
-    return _of_traffics(ego, found, _places(suite)) if len(found) > 1 else _of_one(ego, found[0])
+    return (
+        _of_traffics(ego, found, f"{place(suite)}s") if len(found) > 1 else _of_one(ego, found[0])
+    )
 
 
 def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells) -> str:
@@ -86,7 +89,7 @@ def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cel
         wins.setdefault(best, []).append(entry.title)
         *_, p = _paired(cells[second, entry.title], cells[best, entry.title])
         apart += p * _pairs(suite) < 1 - CONFIDENCE
-    count, places = len(suite.traffics), _places(suite)
+    count, places = len(suite.traffics), f"{place(suite)}s"
     ranked = sorted(wins.items(), key=lambda each: -len(each[1]))
     sentences = [f"{ego} crashed least in {_listed(where)}" for ego, where in ranked[:NAMED]]
     more = sum(len(where) for _, where in ranked[NAMED:])
@@ -127,28 +130,21 @@ def _of_one(ego: str, found: tuple[str, Number]) -> str:
 
 def _nearest(realism: Table) -> str:
     """How often one traffic model is nearest to human driving, by the marks of the table."""
-    wins: dict[str, int] = {}
+    wins: Counter[str] = Counter()
+    models = [row for row in realism.rows if row.labels[0] not in (FLOOR, WITHIN_LIMITS)]
     tested = 0
     for place in range(len(realism.columns)):
-        column = [
-            (row.labels[0], number)
-            for row, number in zip(realism.rows, realism.column(place), strict=True)
-            if row.labels[0] not in (FLOOR, WITHIN_LIMITS) and number.value is not None
-        ]
-        tested += len(column) > 1
-        for name, number in column:
-            if number.marked:
-                wins[name] = wins.get(name, 0) + 1
+        tested += sum(row.numbers[place].value is not None for row in models) > 1
+        wins.update(row.labels[0] for row in models if row.numbers[place].marked)
     if not tested:
         return ""
-    separated = sum(wins.values())
+    separated = wins.total()
     if not separated:
         return (
             f"In none of {tested} comparisons with human driving is one traffic model separated "
             "from all others as the nearest."
         )
-    ranked = sorted(wins.items(), key=lambda each: -each[1])
-    who = _listed([f"{name} in {count}" for name, count in ranked], len(ranked))
+    who = _listed([f"{name} in {count}" for name, count in wins.most_common()], len(wins))
     return (
         f"In {separated} of {tested} comparisons with human driving, one traffic model is nearest "
         f"and separated from all others: {who}."
@@ -180,9 +176,10 @@ def _pairs(suite: Suite) -> int:
     return len(suite.traffics) * len(suite.egos) * (len(suite.egos) - 1) // 2
 
 
-def _places(suite: Suite) -> str:
+def place(suite: Suite) -> str:
+    """What the traffics of a suite are."""
     of_scenarios = all(entry.traffic.scenario for entry in suite.traffics)
-    return "scenarios" if of_scenarios else "traffic models"
+    return "scenario" if of_scenarios else "traffic model"
 
 
 def _sorted(rates: Iterable[tuple[str, Number]]) -> Rates:

@@ -9,21 +9,14 @@ import polars as pl
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
-from charms_bench.report.table import Row, Table, long_frame
+from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 from charms_bench.statistics.intervals import estimate
 
 KEYS = ("agent", "traffic")
-LONG = {
-    "metric_set": "group",  # with its version, such as paper-2
-    "metric": "name",
-    "value": "value",
-    "low": "low",
-    "high": "high",
-    "n": "n",
-    "paper": "reference",
-}
+LONG = {"metric_set": "group", "metric": "name", **ESTIMATE, "paper": "reference"}
+"""A metric set is named with its version, such as `paper-2`."""
 MATRICES = {
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
     "crashed_at_fault": ("Egos crashed at fault, % of episodes", 100.0),
@@ -87,10 +80,8 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
 def printed(table: Table, columns: Sequence[str]) -> Table:
     """The metrics that a suite prints, without keys that are all the same.
 
-    Args:
-        table: A suite's.
-        columns: The suite's own choice. If the table has none of them, the metrics that the paper
-            reports are shown, and if there are none, all.
+    They are the suite's own `columns`. If the table has none of them, they are the metrics that the
+    paper reports, and if there are none, all.
     """
     names = list(dict.fromkeys(column.name for column in table.columns))
     reported = [table.columns[i].name for i in table.reported()]

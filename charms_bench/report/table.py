@@ -20,6 +20,8 @@ LONG = {
     for name in ("group", "name", "value", "low", "high", "n", "reference", "p", "marked")
 }
 """The columns of a long frame after the keys, each with the part of a number that it holds."""
+ESTIMATE = {name: name for name in ("value", "low", "high", "n")}
+"""The parts of a number with its interval, by the columns of a long frame with the same names."""
 DIGITS = 6
 """Significant digits kept: more than intervals warrant, fewer than the order of a sum disturbs."""
 _TYPES: dict[str, pl.DataType] = {
@@ -172,6 +174,14 @@ class Table:
             cells = tuple(cell(record.get(column.name)) for column in columns)
             rows.append(Row(tuple(str(record[key]) for key in keys), cells))
         return cls(name, title, keys, columns, tuple(rows), note)
+
+    @classmethod
+    def plain(
+        cls, records: Iterable[Mapping[str, Any]], keys: tuple[str, ...], forms: Mapping[str, str]
+    ) -> "Table":
+        """The table of some records with neither name nor title; `forms` are those of columns."""
+        columns = tuple(Column(name, form=form) for name, form in forms.items())
+        return cls.from_records(records, "", "", keys, columns)
 
     def frame(self) -> pl.DataFrame:
         """The numbers as a long frame: row by row, but quantity by quantity if there are some."""

@@ -59,14 +59,8 @@ def compact(table: Table, width: int = 100) -> Group:
 
 def _label_width(table: Table) -> int:
     """The characters that the labels of a table need side by side."""
-    keys = (map(len, (key, *labels)) for key, *labels in _by_key(table))
-    return sum(map(max, keys)) + 3 * (len(table.keys) - 1)
-
-
-def _by_key(table: Table) -> list[tuple[str, ...]]:
-    return list(
-        zip(map(key_label_of, table.keys), *(row.labels for row in table.rows), strict=True)
-    )
+    by_row = (map(key_label_of, table.keys), *(row.labels for row in table.rows))
+    return sum(max(map(len, key)) + 3 for key in zip(*by_row, strict=True)) - 3
 
 
 def grid(table: Table, width: int = 100, stacked: bool = True) -> Group:

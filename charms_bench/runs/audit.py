@@ -16,9 +16,8 @@ import polars as pl
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.audit_files import audit_files, audit_networks
 from charms_bench.runs.audit_finding import Finding, Verdict
-from charms_bench.runs.audit_software import audit_software
+from charms_bench.runs.audit_software import audit_software, planned_again
 from charms_bench.runs.folder import KINDS, RunFolder
-from charms_bench.runs.planned import planned_again
 from charms_bench.runs.rare import damaged_files
 from charms_bench.runs.runner import SHARD_LIMIT_S, on_this_machine
 from charms_bench.runs.shard import ShardFiles, simulate
@@ -51,12 +50,8 @@ def audit_run(
 ) -> Iterator[Finding]:
     """Yields what is found about the software, files, networks and rows of an evaluation.
 
-    Args:
-        folder: The run folder.
-        suite: Its suite, with the folder that relative paths start from.
-        asked: What to check.
-        progress: Called for every shard that has been simulated.
-        notice: Called with a message about a problem that was solved.
+    `progress` is called for every shard that has been simulated, and `notice` with a message about
+    a problem that was solved.
 
     Raises:
         RunFolderError: The folder holds no run.
@@ -94,8 +89,7 @@ def audit_run(
         else f"{count} of {shards} shards, simulated again, have the same rows"
     )
     verdict: Verdict = "fail" if wrong else "pass"
-    undrawn = (shards - count) / shards
-    yield Finding("rows", "", verdict, f"{what} (seed {seed})", undrawn)
+    yield Finding("rows", "", verdict, f"{what} (seed {seed})", (shards - count) / shards)
 
 
 def _differing_rows(folder: RunFolder, shard: Shard, files: ShardFiles) -> Iterator[Finding]:
@@ -142,8 +136,7 @@ def audit_rare(folder: Path) -> Iterator[Finding]:
         where = str(path.relative_to(folder))
         yield Finding("files", where, "fail", "does not match the hash in it")
     if not damaged:
-        what = "the files of all runs match the hashes in them"
-        yield Finding("files", "", "pass", what)
+        yield Finding("files", "", "pass", "the files of all runs match the hashes in them")
     what = (
         "are not simulated again; run `charms-bench rare` with the same suite, event, samples and "
         "seed into another folder, and compare the tables"

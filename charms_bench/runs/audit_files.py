@@ -10,12 +10,12 @@ from typing import Any
 
 import polars as pl
 
-from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import read_limited
 from charms_bench.plugins.registry import is_network
+from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.audit_finding import Finding
-from charms_bench.runs.audit_software import names_installed_code
+from charms_bench.runs.audit_software import Planned, names_installed_code
 from charms_bench.runs.folder import (
     CHECKSUMS,
     FILE_LIMIT_BYTES,
@@ -25,7 +25,6 @@ from charms_bench.runs.folder import (
     RunFolder,
 )
 from charms_bench.runs.lock import LOCK
-from charms_bench.runs.planned import Planned
 from charms_bench.runs.shard_rows import problem_between
 from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import Suite
@@ -37,22 +36,19 @@ TABLES = "tables"
 
 def audit_networks(folder: RunFolder) -> Iterator[Finding]:
     """Yields whether the networks in the folder have the hashes in the manifest."""
-    wrong, hashes = False, folder.network_hashes()
+    good, hashes = 0, folder.network_hashes()
     for name, sha256 in hashes.items():
-        path, what = folder.path / NETWORKS / f"{sha256}.onnx", ""
+        path = folder.path / NETWORKS / f"{sha256}.onnx"
         try:
             found = hashlib.sha256(read_limited(path, FILE_LIMIT_BYTES)).hexdigest()
+            what = f"has the hash {found}, not the one in its name, which is {name}"
         except OSError as error:
-            what = f"cannot be read, which is {name}: {error.strerror}"
-        else:
-            if found != sha256:
-                what = f"has the hash {found}, not the one in its name, which is {name}"
-        if what:
-            wrong = True
+            found, what = "", f"cannot be read, which is {name}: {error.strerror}"
+        good += found == sha256
+        if found != sha256:
             yield Finding("networks", f"{NETWORKS}/{path.name}", "fail", what)
-    if not wrong and hashes:
-        what = f"{len(hashes)} of {len(hashes)} have the hash in the manifest"
-        yield Finding("networks", "", "pass", what)
+    if good == len(hashes) > 0:
+        yield Finding("networks", "", "pass", f"{good} of {good} have the hash in the manifest")
 
 
 def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> Iterator[Finding]:
@@ -89,20 +85,15 @@ def _shards(
         yield from _rows(folder, shard, agent, is_own)
     for (index, first), episodes in places.items():
         if (index, first) not in by_place:
-            what = (
-                f"the rows of {cells[index].cell.title}, episodes {first} to "
-                f"{first + episodes - 1} are missing"
-            )
+            last = first + episodes - 1
+            what = f"the rows of {cells[index].cell.title}, episodes {first} to {last} are missing"
             yield Finding("files", f"{CHECKSUMS}/{index:03d}-{first:09d}-*.sha256", "fail", what)
     if is_own:
         yield from _keys(manifest, by_place, cells)
 
 
 def _rows(folder: RunFolder, shard: Shard, ego: str, is_own: bool) -> Iterator[Finding]:
-    """What is wrong with the rows of a shard that can be seen without simulating it.
-
-    `is_own` is whether the installed code has written them.
-    """
+    """What is visibly wrong with the rows of a shard; the installed code wrote them if `is_own`."""
     rows = {}
     for kind in KINDS:
         where = f"{kind}/{shard.name}.parquet"
@@ -160,8 +151,7 @@ def _unexpected(folder: RunFolder, names: Collection[str]) -> Iterator[Finding]:
         elif top in (CHECKSUMS, NETWORKS, TABLES):
             yield Finding("files", where, "fail", "is not a file of this run")
         else:
-            what = "is not a file of a run, and is not checked"
-            yield Finding("files", where, "unknown", what)
+            yield Finding("files", where, "unknown", "is not a file of a run, and is not checked")
 
 
 def entries(folder: Path) -> Iterator[tuple[Path, int]]:

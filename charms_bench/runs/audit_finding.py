@@ -18,6 +18,5 @@ class Finding:
     """The file or the place in it; empty for the check as a whole."""
     verdict: Verdict
     what: str
-    """In words."""
     undrawn: float = 0.0
     """Probability that the sample of this check does not contain a single false shard."""

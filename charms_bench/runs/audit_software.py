@@ -7,9 +7,11 @@ contradicts the keys of the shards or the manifest itself is `false`, whatever e
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from charms_bench.engine import EngineName
+from charms_bench.errors import CharmsBenchError
 from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.code_hashes import (
     commit,
@@ -20,14 +22,50 @@ from charms_bench.runs.code_hashes import (
 )
 from charms_bench.runs.folder import MANIFEST, RunFolder
 from charms_bench.runs.manifest import differing_fields
-from charms_bench.runs.planned import Planned
-from charms_bench.runs.suite import Suite
+from charms_bench.runs.runner import plan_cell
+from charms_bench.runs.shard import ShardTask, forget_agents
+from charms_bench.runs.shards import Shard
+from charms_bench.runs.suite import Cell, Suite
 
 LISTED = 5
 """Most modules that a finding lists."""
 _COMPARED_APART = ("suite_sha256", "agents", "versions", "commit", "modules", "machine")
 """Fields of a manifest that are compared in other ways, or differ from machine to machine."""
 _KEYS = "but shards have the keys of the installed software"
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A cell, as the installed software runs it."""
+
+    cell: Cell
+    tasks: Mapping[str, tuple[Shard, ShardTask]]
+    """Its shards and how to simulate them, by name; empty if it cannot be run."""
+    agents: Mapping[str, Mapping[str, str]]
+    problem: str
+    """Why it cannot be run; empty if it can."""
+    own: frozenset[str]
+    """The shards in the folder with the keys of the installed software.
+
+    A key is a hash of the code, the libraries, the agents and the settings that decide rows. So
+    these shards were made with the installed software, or are claimed to be.
+    """
+
+
+def planned_again(folder: RunFolder, suite: Suite, names: Collection[str]) -> list[Planned]:
+    """Plans every cell of a suite; `names` are those of the shards in its run folder."""
+    forget_agents()
+    engine, found = folder.engine(), []
+    for index, cell in enumerate(suite.cells):
+        try:
+            planned = plan_cell(suite, index, engine, folder)
+        except CharmsBenchError as error:
+            found.append(Planned(cell, {}, {}, str(error), frozenset()))
+            continue
+        tasks = {shard.name: (shard, task) for shard, task in planned.items()}
+        agents = next(iter(planned.values())).software.agents
+        found.append(Planned(cell, tasks, agents, "", frozenset(tasks.keys() & set(names))))
+    return found
 
 
 def audit_software(
@@ -63,10 +101,7 @@ def names_installed_code(manifest: Mapping[str, Any]) -> bool:
 
 
 def _code(manifest: Mapping[str, Any], is_own: bool) -> Iterator[Finding]:
-    """Where the code and libraries in the manifest are not the installed ones.
-
-    `is_own` is whether shards have the keys of the installed software.
-    """
+    """Where the manifest names other code or libraries; shards have our keys if `is_own`."""
     recorded, blobs = manifest.get("modules", {}), module_blobs()
     release, made_from = f"charms-bench {manifest.get('charms_bench')}", manifest.get("commit")
     verdict: Verdict = "fail" if is_own else "unknown"

@@ -23,7 +23,6 @@ class CellRows:
     agent: str
     traffic: str
     size: int
-    """Number of episodes."""
     parts: Iterable[Rows]
     """The episode rows and the step rows of some episodes at a time. They are read again each time,
     because all step rows of a long run do not fit into memory."""

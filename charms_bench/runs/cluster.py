@@ -31,10 +31,9 @@ _POLL_S = 1.0
 
 
 def on_cluster(address: str) -> SimulateAll:
-    """Returns a function that simulates shards on the Dask cluster with its scheduler at `address`.
+    """A function that simulates shards on the Dask cluster with its scheduler at `address`.
 
-    Raises:
-        InputError: The address has another form, or Dask is not installed.
+    Raises an `InputError` if the address has another form, or Dask is not installed.
     """
     _check_address(address)
     try:
@@ -66,10 +65,6 @@ def _simulate_all(
     """Simulates shards on the cluster; see `SimulateAll`.
 
     When the generator is closed its client is too, and then the scheduler drops what is left.
-
-    Raises:
-        ClusterError: The cluster cannot be reached or used, or is gone.
-        CharmsBenchError: A worker raised it.
     """
     if not tasks:
         return
@@ -137,11 +132,7 @@ async def _greet(address: str) -> None:
 
 
 def _common_platform(client: "Client", distributions: Sequence[str]) -> dict[str, str | None]:
-    """Returns what this machine and all workers have installed.
-
-    Raises:
-        ClusterError: A worker, or the scheduler, has something else.
-    """
+    """Returns what this machine and all workers have installed, if it is the same."""
     versions = client.get_versions(packages=distributions)
     here = describe_platform(versions["client"], distributions)
     scheduler = describe_platform(versions["scheduler"], ["charms-bench"])
@@ -159,12 +150,7 @@ def _common_platform(client: "Client", distributions: Sequence[str]) -> dict[str
 def _finished(
     client: "Client", sent: dict["Future", T], title: Callable[[T], str], limit_s: float
 ) -> Iterator[tuple[T, Any]]:
-    """Yields what was sent with its result as soon as it is finished, and takes it out of `sent`.
-
-    Raises:
-        ClusterError: The cluster has no workers, or a task ended too many of them.
-        CharmsBenchError: A worker raised it.
-    """
+    """Yields what was sent with its result when it is finished, and takes it out of `sent`."""
     from distributed import KilledWorker
 
     address = client.scheduler.address

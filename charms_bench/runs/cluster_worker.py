@@ -30,7 +30,6 @@ class Job:
     platform: Mapping[str, str | None]
     """The client's software; see `describe_platform`."""
     environment: Mapping[str, str]
-    """Environment variables that workers have to set."""
     networks: Mapping[str, bytes]
     """The ONNX files of networks given by path, by their SHA-256."""
 
@@ -38,12 +37,7 @@ class Job:
 def describe_platform(
     versions: Mapping[str, Any], distributions: Iterable[str]
 ) -> dict[str, str | None]:
-    """Returns what has to be equal on all machines, from what Dask says of one of them.
-
-    Args:
-        versions: An entry of `Client.get_versions`.
-        distributions: Names of installed distributions to include.
-    """
+    """Returns what has to be equal on all machines, from an entry of `Client.get_versions`."""
     packages = versions["packages"]
     return {
         "processor": versions["host"]["machine"],
@@ -53,12 +47,7 @@ def describe_platform(
 
 
 def run_shard(pickled: bytes, job: Job) -> "ShardFiles":
-    """Simulates a pickled `ShardTask`.
-
-    Raises:
-        ClusterError: This worker's software or agents differ from the client's.
-        CharmsBenchError: An agent fails.
-    """
+    """Simulates a pickled `ShardTask`; raises a `ClusterError` if the software here differs."""
     from distributed import get_worker
 
     with _one_at_a_time:

@@ -75,11 +75,7 @@ def harness_sha256(sources: Path = SOURCES, entry: str = ENTRY) -> str:
 
 @cache
 def code_sha256(module: str) -> str:
-    """Returns the hash of all code of a plugin's package, compiled extensions included.
-
-    Args:
-        module: Any module of the package.
-    """
+    """Returns the hash of all code of a module's package, compiled extensions included."""
     spec = find_spec(module.partition(".")[0])
     if spec is None:
         return ""

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from charms_bench.errors import SuiteError, first_problem
+from charms_bench.errors import InputError, SuiteError, first_problem
 from charms_bench.foundation.files import absolute, read_limited
 from charms_bench.runs.packaged import suite_file
 
@@ -35,13 +35,11 @@ class Document:
         path = suite_file(path)
         self.path, self.folder = path, absolute(path).parent
         try:
-            text = read_limited(path, SIZE_LIMIT_BYTES).decode()
+            self._root, self.data = _parsed(read_limited(path, SIZE_LIMIT_BYTES).decode())
         except OSError as error:
             raise SuiteError(f"{path}: cannot be read: {error.strerror}") from error
         except UnicodeDecodeError as error:
             raise SuiteError(f"{path}: is not UTF-8 text: {error.reason}") from error
-        try:
-            self._root, self.data = _parsed(text)
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark
             what = error.problem or "cannot be read"
@@ -54,12 +52,7 @@ class Document:
             raise self._at(0, "expected a mapping of keys to values")
 
     def validate(self, model: type[M]) -> M:
-        """Returns the document as a model.
-
-        Raises:
-            SuiteError: The document does not fit the model; names the first problem and counts
-                the others.
-        """
+        """Returns the document as a model; raises a `SuiteError` that names the first problem."""
         try:
             return model.model_validate(self.data, context={"folder": self.folder})
         except ValidationError as error:
@@ -80,17 +73,14 @@ class Document:
         return self._at(line, f"{named.lstrip('.')}: {what}" if named else what)
 
     def place_of(self, text: str, within: Location) -> Location:
-        """Returns the location of the first key or value that is this text.
+        """Returns the location of the first key or value within a location that is this text.
 
-        Args:
-            text: The key or value.
-            within: The location to search, which is also returned if the text is not there.
+        If it is not there, it is the location itself.
         """
         value = self.data
         for part in within:
             value = value[part]
-        found = _places(value, text)
-        return (*within, *next(found, ()))
+        return (*within, *next(_places(value, text), ()))
 
     def _at(self, line: int, what: str) -> SuiteError:
         return SuiteError(f"{self.path}:{line + 1}: {what}")
@@ -106,17 +96,33 @@ def _places(value: Any, text: str) -> Iterator[tuple[str | int, ...]]:
 
 
 def value_of(text: str) -> Any:
-    """Returns the value of a text on the command line, read as YAML like a suite.
-
-    Raises:
-        ValueError: `_Loader` refuses it; the message is one line.
-    """
+    """The value of a text on the command line, read like a suite; raises a `ValueError`."""
     try:
         return _parsed(text)[1]
     except yaml.MarkedYAMLError as error:
         raise ValueError(error.problem) from error
     except yaml.YAMLError as error:
         raise ValueError(_on_one_line(error)) from error
+
+
+def name_and_options(text: str, what: str) -> tuple[str, dict[str, Any]]:
+    """The name and the options of a text like `NAME` or `NAME:OPTION=VALUE,...`.
+
+    `what` is what the `InputError` about another text calls the thing, such as `metric set`.
+    """
+    name, _, given = text.partition(":")
+    options = {}
+    for part in filter(None, given.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals or not key.isidentifier():
+            raise InputError(f"{what} '{text}': expected NAME:OPTION=VALUE, found '{part}'")
+        if key in options:
+            raise InputError(f"{what} '{text}': {key} is given twice")
+        try:
+            options[key] = value_of(value)
+        except ValueError as error:
+            raise InputError(f"{what} '{name}': {key}: cannot be read: {error}") from error
+    return name, options
 
 
 class _Refused(yaml.MarkedYAMLError):
@@ -154,11 +160,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _parsed(text: str) -> tuple[yaml.Node | None, Any]:
-    """Returns the root node of a YAML document and its value.
-
-    Raises:
-        yaml.YAMLError: `_Loader` refuses it.
-    """
+    """Returns the root node of a YAML document and its value."""
     try:
         loader = _Loader(text)
         root = loader.get_single_node()

@@ -84,8 +84,7 @@ class _Parts:
     def __iter__(self) -> Iterator[Rows]:
         count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
         for start in range(0, len(self.shards), count):
-            shards = self.shards[start : start + count]
-            yield read_rows(self.folder, self.kinds, shards)
+            yield read_rows(self.folder, self.kinds, self.shards[start : start + count])
 
 
 def read_rows(folder: RunFolder, kinds: tuple[str, ...], shards: Sequence[Shard]) -> Rows:

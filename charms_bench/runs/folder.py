@@ -10,29 +10,24 @@ import os
 import platform
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import polars as pl
 
 from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.engine.columns import SCHEMAS
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
+from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.manifest import check_fields, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
-from charms_bench.runs.shard_rows import (
-    check_seeds,
-    problem_between,
-    problem_of_egos,
-    rows_in,
-)
+from charms_bench.runs.shard_rows import check_seeds, problem_between, problem_of_egos, rows_in
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 
@@ -155,9 +150,8 @@ class RunFolder:
             RunFolderError: The manifest cannot be read, or names no engine.
         """
         found = self.manifest().get("engine")
-        for engine in ENGINES:
-            if found == engine:
-                return engine
+        if found in ENGINES:
+            return cast(EngineName, found)
         raise RunFolderError(
             f"{self.path / MANIFEST}: engine is {found!r}; expected one of {', '.join(ENGINES)}"
         )
@@ -193,12 +187,10 @@ class RunFolder:
     def _drivers(self, suite: Suite) -> list[str | None]:
         """What driver rows call each ego; None for a network that the manifest does not name."""
         agents = self.manifest().get("agents", {})
-        found: list[str | None] = []
-        for ego in suite.egos:
-            sha256 = agents.get(ego.agent.name, {}).get("weights_sha256")
-            of_network = f"{sha256}.onnx" if sha256 else None
-            found.append(of_network if is_network(ego.agent.name) else ego.agent.key)
-        return found
+        named = {name: each.get("weights_sha256") for name, each in agents.items()}
+        networks = {name: f"{sha256}.onnx" for name, sha256 in named.items() if sha256}
+        egos = [ego.agent for ego in suite.egos]
+        return [networks.get(ego.name) if is_network(ego.name) else ego.key for ego in egos]
 
     def has(self, shard: Shard) -> bool:
         """Returns whether the shard was finished; its files may have changed since."""
@@ -240,10 +232,10 @@ class RunFolder:
         for shard in shards:
             seed_and_key = shard.name.partition("-")[2]
             for path in (other / CHECKSUMS).glob(f"*-{seed_and_key}.sha256"):
-                files = RunFolder(other)._files(path.stem, shard)
-                has_some = has_some or files is not None
-                if files is not None and not self.is_whole(shard):
-                    self.write(shard, files)
+                if (files := RunFolder(other)._files(path.stem, shard)) is not None:
+                    has_some = True
+                    if not self.is_whole(shard):
+                        self.write(shard, files)
         if not has_some:
             raise RunFolderError(
                 f"{other}: holds no rows of this suite; expected a run of the same version, with "
@@ -293,37 +285,28 @@ class RunFolder:
 
     def damaged_files(self, shard: Shard) -> list[Path]:
         """Returns the files of a shard that are missing or do not match their checksums."""
-        damaged, lines = [], []
+        checksums, found = self._checksums(shard.name), dict.fromkeys(KINDS, b"")
         try:
-            written = _content(self._checksums(shard.name)).split(b"\n")
+            written = _content(checksums).split(b"\n")
         except RunFolderError:
-            return [self._checksums(shard.name)]
+            return [checksums]
         for kind in KINDS:
-            try:
-                line = _checksum(kind, shard.name, self.content(kind, shard))
-            except RunFolderError:
-                line = b""
-            if line not in written:
-                damaged.append(self._file(kind, shard.name))
-            lines.append(line)
-        return damaged or [self._checksums(shard.name)] * (written != [*lines, b""])
+            with suppress(RunFolderError):
+                found[kind] = _checksum(kind, shard.name, self.content(kind, shard))
+        damaged = [self._file(kind, shard.name) for kind in KINDS if found[kind] not in written]
+        return damaged or [checksums] * (written != [*found.values(), b""])
 
     def _files(self, name: str, shard: Shard) -> ShardFiles | None:
         """Returns the files of this name if they are whole and have the rows of the shard."""
         try:
-            files = {kind: read_limited(self._file(kind, name), FILE_LIMIT_BYTES) for kind in KINDS}
-            written = read_limited(self._checksums(name), FILE_LIMIT_BYTES)
-            if written != _checksums(name, files):
+            paths = {kind: self._file(kind, name) for kind in KINDS}
+            files = {kind: _content(path) for kind, path in paths.items()}
+            if _content(self._checksums(name)) != _checksums(name, files):
                 return None
-            rows = {
-                kind: rows_in(data, kind, shard, self._file(kind, name))
-                for kind, data in files.items()
-            }
-            if problem_between(rows, shard.ego):
-                return None
-        except (OSError, RunFolderError):
+            rows = {kind: rows_in(files[kind], kind, shard, path) for kind, path in paths.items()}
+        except RunFolderError:
             return None
-        return files
+        return None if problem_between(rows, shard.ego) else files
 
     def keep_network(self, network: Path, sha256: str) -> None:
         """Copies a network that the suite gives by path, so that the folder is complete.
@@ -335,12 +318,10 @@ class RunFolder:
         data = read_file(network, FILE_LIMIT_BYTES)
         if hashlib.sha256(data).hexdigest() != sha256:
             raise RunFolderError(f"{network}: has changed since the run began; run the suite again")
-        try:
-            is_whole = read_limited(copy, FILE_LIMIT_BYTES) == data
-        except OSError:
-            is_whole = False
-        if not is_whole:
-            write_bytes(copy, data)
+        with suppress(OSError):
+            if read_limited(copy, FILE_LIMIT_BYTES) == data:
+                return
+        write_bytes(copy, data)
 
     def network_hashes(self) -> dict[str, str]:
         """Returns the SHA-256 of each network that the suite gives by path, by its name there."""
@@ -400,11 +381,7 @@ class RunFolder:
 
 
 def _delete(folder: Path, pattern: str, kept: Collection[str] = ()) -> None:
-    """Deletes the files of a folder whose names match, except those whose stems are kept.
-
-    Raises:
-        RunFolderError: A file cannot be deleted.
-    """
+    """Deletes the files of a folder whose names match, except those whose stems are kept."""
     try:
         for path in sorted(folder.glob("*")):
             is_file = path.is_file() and not path.is_symlink()

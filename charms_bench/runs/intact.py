@@ -43,11 +43,7 @@ def _namespaces(name: str, module: ModuleType) -> Iterator[tuple[str, Mapping[st
 
 
 def problem_of(before: Names) -> str:
-    """What has changed since `harness_names`, or is wrong with floating-point numbers.
-
-    Returns:
-        A clause; empty if nothing is wrong.
-    """
+    """What has changed since `harness_names`, or is wrong with the arithmetic; else empty."""
     for where, names, then in before:
         for name, value in then.items():
             if names.get(name) is not value and name not in _BOOKKEEPING:

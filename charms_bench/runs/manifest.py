@@ -29,11 +29,7 @@ class RunFields(BaseModel):
 
 
 def check_fields(path: Path, manifest: dict[str, Any]) -> None:
-    """Checks the types of the fields of a run's manifest.
-
-    Raises:
-        RunFolderError: One is wrong; names the first.
-    """
+    """Raises a `RunFolderError` that names the first field of a run's manifest of another type."""
     try:
         RunFields.model_validate(manifest)
     except ValidationError as error:
@@ -42,11 +38,7 @@ def check_fields(path: Path, manifest: dict[str, Any]) -> None:
 
 
 def read_manifest(path: Path, limit: int) -> Any:
-    """Returns the content of a JSON file of at most `limit` bytes.
-
-    Raises:
-        RunFolderError: It cannot be read, is not JSON, or gives a field twice.
-    """
+    """The content of a JSON file of at most `limit` bytes; raises a `RunFolderError`."""
     try:
         return json_of(read_file(path, limit), object_pairs_hook=_given_once)
     except ValueError as error:
@@ -68,12 +60,8 @@ def opened(
 ) -> Iterator[None]:
     """Locks a folder with a manifest; a folder with something else is not changed.
 
-    Args:
-        folder: The folder, which is made if it does not exist.
-        manifest: The name of the file.
-        kind: What the folder should hold.
-        ours: The fields that must be those of the manifest, if there is one.
-        read: Reads the manifest.
+    The folder is made if it does not exist. If it has a manifest, which `read` reads, it must have
+    the fields `ours`; `kind` is what messages call its content.
 
     Raises:
         RunFolderError: The folder holds something else, another process uses it, or it cannot be

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, InputError, RegistryError
 from charms_bench.metrics import METRIC_SETS, Metric, MetricSet, sums_by_episode
 from charms_bench.plugins.registry import METRICS, load
-from charms_bench.runs.options import name_and_options
+from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
+from charms_bench.runs.document import name_and_options
 from charms_bench.world.scene import SceneSettings
 
 

@@ -18,11 +18,7 @@ def packaged_suites() -> dict[str, Path]:
 
 
 def suite_file(path: Path) -> Path:
-    """Returns the file that a user means by a path or by the name of a packaged suite.
-
-    Raises:
-        SuiteError: Neither exists, or a file in the current folder has the name of a suite.
-    """
+    """The file that a user means by a path or a packaged suite's name; raises a `SuiteError`."""
     packaged, name = packaged_suites(), path.as_posix()
     if name in packaged and os.path.isfile(path):
         raise SuiteError(

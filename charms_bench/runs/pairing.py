@@ -17,11 +17,8 @@ def pairs_of(
 ) -> list[Pair]:
     """Returns the pairs of cells to compare, one per traffic and pair of egos.
 
-    Args:
-        first: The run of the first ego.
-        second: The run of the second ego; None if it is in the first run too.
-        egos: The labels of both egos. They are not needed if each run has one ego,
-            or if both runs have the same egos.
+    The second run is None if both egos are in the first. The labels of the egos are not needed if
+    each run has one ego, or if both have the same.
 
     Raises:
         InputError: The runs are not of the same episodes, or have no such egos.
@@ -52,11 +49,7 @@ def pairs_of(
 
 
 def check_same_episodes(first: FinishedRun, second: FinishedRun) -> None:
-    """Checks that two runs differ in nothing but their egos.
-
-    Raises:
-        InputError: They differ; names the first field that does.
-    """
+    """Raises an `InputError` that names the first field, but for egos, in which two runs differ."""
     for field, one, other in differing_fields(_conditions(first), _conditions(second)):
         raise InputError(
             f"{first.folder.path} and {second.folder.path} do not have the same episodes: "

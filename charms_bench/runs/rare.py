@@ -6,11 +6,13 @@ written whole or not at all, so an interrupted estimation continues with the run
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from charms_bench.errors import CharmsBenchError, InputError
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
@@ -23,7 +25,6 @@ from charms_bench.runs.suite import PRESENTATION, Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 
 FORMAT = 2
-"""Version of the format of these folders."""
 MANIFEST = "rare.json"
 RUNS = 10
 LEAST_RUNS = 5
@@ -61,20 +62,11 @@ def run_rare(
     progress: Callable[[Cell, int], None] = lambda cell, runs: None,
     notice: Callable[[str], None] = lambda what: None,
 ) -> list[RareCell]:
-    """Estimates the probability of an event in every cell; finished runs are not made again.
+    """Estimates the probability of an event in every cell; see `charms_bench.rare`.
 
-    Args:
-        suite: Its cells, its scene and its seed.
-        output: The folder.
-        event: See `rare_task.event_of`.
-        runs: Independent runs per cell.
-        samples: Episodes of each level of a run and of the pilot.
-        workers: Number of processes; by default one per core.
-        progress: Called for every finished run, first for those already in the folder.
-        notice: Called with a message about what went wrong and was put right.
-
-    Raises:
-        CharmsBenchError: Something is wrong; the folder keeps the runs finished so far.
+    `progress` is called for every finished run, first for those already in the folder, and `notice`
+    with a message about what went wrong and was put right. If a `CharmsBenchError` is raised, the
+    folder keeps the runs finished so far.
     """
     most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
     if not LEAST_RUNS <= runs <= MOST_RUNS:
@@ -183,7 +175,7 @@ def _write(path: Path, run: SubsetRun) -> None:
     write_bytes(path, json.dumps(checked).encode())
 
 
-LISTS = ("thresholds", "sizes", "shares", "acceptance")
+_SUBSET_RUN = TypeAdapter(SubsetRun)
 
 
 def _read(path: Path) -> SubsetRun | None:
@@ -193,8 +185,6 @@ def _read(path: Path) -> SubsetRun | None:
         text = checked["run"]
         if hashlib.sha256(text.encode()).hexdigest() != checked["sha256"]:
             return None
-        fields: Mapping[str, Sequence[float]] = json_of(text.encode())
-        tuples = {name: tuple(fields[name]) for name in LISTS}
-        return SubsetRun(**{**fields, **tuples})  # type: ignore[arg-type]
+        return _SUBSET_RUN.validate_json(text)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -213,11 +213,9 @@ def on_this_machine(
 ) -> Generator[tuple[T, R], None, None]:
     """Does the work of tasks in processes on this machine; see `SimulateAll`."""
     count = min(workers or os.cpu_count() or 1, len(tasks))
-    environment = worker_environment(engine)
-    return in_processes(work, tasks, count, _title, limit_s, notice, environment)
 
+    def title(task: CellTask) -> str:
+        """What messages call a task whose worker has died, perhaps because of a network."""
+        return f"{task.title} ({', '.join(task.networks)})" if task.networks else task.title
 
-def _title(task: CellTask) -> str:
-    """What messages call a task whose worker has died, perhaps because of a network."""
-    networks = ", ".join(task.networks)
-    return f"{task.title} ({networks})" if networks else task.title
+    return in_processes(work, tasks, count, title, limit_s, notice, worker_environment(engine))

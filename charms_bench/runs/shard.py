@@ -18,9 +18,8 @@ import polars as pl
 from pydantic import BaseModel
 
 from charms_bench.engine import EngineName
-from charms_bench.engine.columns import DRIVER_KEYS
 from charms_bench.engine.exact_maths import use_exact_maths
-from charms_bench.engine.recording import Recording
+from charms_bench.engine.rollouts import others_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, Policy
@@ -29,12 +28,14 @@ from charms_bench.plugins.held_agents import HeldModel, HeldPolicy, hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.plugins.traffic import Traffic
+from charms_bench.recording.columns import DRIVER_KEYS
+from charms_bench.recording.recording import Recording
 from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.world.scene import SceneSettings
 
 ShardFiles = Mapping[str, bytes]
-"""The Parquet files of a shard by kind of rows, one for each kind in `engine.columns.SCHEMAS`."""
+"""The Parquet files of a shard, one for each kind of rows in `recording.columns.SCHEMAS`."""
 
 
 @dataclass(frozen=True)
@@ -237,10 +238,11 @@ def _identity(spec_json: str, network: Path | None) -> Mapping[str, str]:
     name = AgentSpec.model_validate_json(spec_json).name
     if is_network(name):
         return weights
-    others = agent.rollouts_with if isinstance(agent, Policy) else ""
-    foreseen = (
-        {"others_code_sha256": origin_of(find(AGENTS, others))["code_sha256"]} if others else {}
-    )
+    foreseen = {}
+    if isinstance(agent, Policy) and agent.rollouts_with:
+        others_of(agent)  # is not a planner too
+        others = _identity(AgentSpec(name=agent.rollouts_with).model_dump_json(), None)
+        foreseen = {f"others_{field}": value for field, value in others.items()}
     return weights | foreseen | origin_of(find(AGENTS, name))
 
 

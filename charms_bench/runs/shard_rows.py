@@ -14,8 +14,8 @@ from typing import cast
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.columns import DRIVER_KEYS, LENGTHS, SCHEMAS
 from charms_bench.errors import RunFolderError
+from charms_bench.recording.columns import DRIVER_KEYS, LENGTHS, SCHEMAS
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import DECISIONS_LIMIT
@@ -49,11 +49,7 @@ _PARTS = {
 
 
 def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
-    """Returns the rows of one kind of a shard, read from the content of the Parquet file `path`.
-
-    Raises:
-        RunFolderError: It is not such a file, or has other rows.
-    """
+    """The rows of a kind of a shard in the Parquet file `path`; raises a `RunFolderError`."""
     schema = SCHEMAS[kind]
     try:
         # Later versions may add columns.
@@ -80,11 +76,7 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
 
 
 def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
-    """Checks that rows which have just been made are of a shard's episodes; see also `rows_in`.
-
-    Raises:
-        RunFolderError: They are of other episodes.
-    """
+    """Raises a `RunFolderError` if rows that have just been made are not of a shard's episodes."""
     last = shard.first_seed + shard.episodes - 1
     seeds = pl.read_parquet(BytesIO(data), columns=["episode"])["episode"]
     if not seeds.is_between(shard.first_seed, last).all():
@@ -94,13 +86,9 @@ def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
 
 
 def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) -> str:
-    """Returns what is wrong with the rows of one kind; empty if nothing is.
+    """Returns what is wrong with the rows of one of `SCHEMAS`; empty if nothing is.
 
-    Args:
-        kind: One of `engine.columns.SCHEMAS`.
-        rows: The rows, with the columns of that schema.
-        first_seed: The seed of the shard's first episode.
-        episodes: The number of its episodes; the next episodes have the next seeds.
+    The rows have that schema's columns, and the episodes have successive seeds.
     """
     last = first_seed + episodes - 1
     if not rows["episode"].is_between(first_seed, last).all():
@@ -151,9 +139,7 @@ def problem_of_egos(drivers: pl.DataFrame, ego: str | None) -> str:
 def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
     """Returns what is wrong between the kinds of rows of a shard; empty if nothing is.
 
-    Args:
-        rows: The rows of every kind, in which `problem_of` finds nothing.
-        ego: The agent of the ego, as driver rows name it; None for any.
+    `problem_of` finds nothing in the rows. `ego` is its agent in driver rows; None is any.
     """
     if what := problem_of_steps(rows["episodes"], rows["steps"]):
         return what
@@ -164,12 +150,7 @@ def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) ->
 
 
 def problem_of_steps(episodes: pl.DataFrame, steps: pl.DataFrame) -> str:
-    """Returns where step rows are not those of their episode rows; empty if nowhere.
-
-    Args:
-        episodes: Their columns `episode` and `steps` are read.
-        steps: In the order of their episodes and steps.
-    """
+    """Returns where step rows, in order, are not those of their episode rows; empty if nowhere."""
     seeds, first, rows = np.unique(steps["episode"], return_index=True, return_counts=True)
     last = steps["step"].to_numpy()[first + rows - 1]
     found = dict(zip(seeds.tolist(), zip(rows.tolist(), last.tolist(), strict=True), strict=True))

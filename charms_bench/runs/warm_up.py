@@ -7,13 +7,13 @@ import numpy as np
 
 from charms_bench.engine.collisions import note_collisions
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.engine.recording import Recording, note_step
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.stepping import advance
 from charms_bench.foundation.compiled import is_kept
 from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.recording.recording import Recording
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
@@ -62,15 +62,11 @@ PARTS: dict[str, Callable[[], object]] = {
 
 def is_warm() -> bool:
     """Whether an earlier run has compiled the engine for this installation and this processor."""
-    return is_kept(advance) and is_kept(note_step)
+    return is_kept(advance) and is_kept(note_collisions)
 
 
 def compile_parts(tell: Callable[[str, int], None]) -> None:
-    """Compiles what every run needs.
-
-    Args:
-        tell: Called with each part of `PARTS` that is compiled, and 1.
-    """
+    """Compiles what every run needs; calls `tell` with each part of `PARTS` that is done, and 1."""
     count = min(os.cpu_count() or 1, 2)
     for part, _ in in_processes(_compile, PARTS, count, environment=worker_environment("batched")):
         tell(part, 1)

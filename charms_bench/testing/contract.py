@@ -173,7 +173,10 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
         expected = f"expected at most {ACCELERATION_LIMIT_MPS2:g} m/s² either way"
         if wrong.size:
             raise AssertionError(f"acceleration {wrong[0]}; {expected}")
-        _check_integers("lane", lane, scene.constants.lanes)
+        lanes = scene.constants.lanes
+        _require(np.issubdtype(lane.dtype, np.integer), f"lanes are {lane.dtype}")
+        for value in (lane.min(), lane.max()):
+            _require(0 <= value < lanes, f"lane {value}; expected 0 to {lanes - 1}")
 
 
 def model_drives_each_scene_independently(model: DriverModel) -> None:
@@ -249,12 +252,6 @@ def _require(is_kept: object, problem: str) -> None:
     """Raises the error of a broken rule; Python drops `assert` when it optimises."""
     if not is_kept:
         raise AssertionError(problem)
-
-
-def _check_integers(what: str, values: NDArray[Any], count: int) -> None:
-    _require(np.issubdtype(values.dtype, np.integer), f"{what}s are {values.dtype}")
-    for value in (values.min(), values.max()):
-        _require(0 <= value < count, f"{what} {value}; expected 0 to {count - 1}")
 
 
 def _kept(check: Callable[..., Any], *arguments: Any) -> Any:

@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import made_traffic
 from charms_bench.metrics.missing_lanes import missing_lanes
 from charms_bench.plugins.registry import make_agent
+from charms_bench.recording.recording import Recording
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
 EPISODES = 50
 
 
-def remark_on(name: str, traffic: str = "idm_mobil") -> str:
-    """A remark on the decisions of an agent as the ego in a traffic, without its subject.
+def remark_on(name: str) -> str:
+    """A remark on the decisions of an agent as the ego among IDM+MOBIL, without its subject.
 
     It is empty if there is nothing to remark; see `metrics.missing_lanes`.
 
@@ -21,7 +21,7 @@ def remark_on(name: str, traffic: str = "idm_mobil") -> str:
         CharmsBenchError: The agent cannot drive.
     """
     settings = SceneSettings()
-    around, drivers = made_traffic(traffic)
+    around, drivers = made_traffic("idm_mobil")
     drivers[name] = make_agent(name)
     simulation = Simulation(settings, EPISODES, name, around, drivers)
     simulation.reset(EVALUATION_SEEDS + np.arange(EPISODES, dtype=np.uint64))

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
+from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Ints, Scene, Vehicles
 
 ActionMasks = NDArray[np.int8]
@@ -28,8 +29,8 @@ def action_masks(scene: Scene, vehicles: Vehicles) -> ActionMasks:
 @compiled_of_scenes
 def _close(scene: Scene, rows: Ints, places: Ints, masks: ActionMasks) -> None:
     """Writes 0 for the lane changes of M vehicles to lanes that do not exist."""
-    last = scene.constants.lanes - 1
     for m in range(rows.size):
-        lane, target = scene.lane[rows[m], places[m]], scene.target_lane[rows[m], places[m]]
-        masks[m, LANE_LEFT] = lane > 0 or target > 0
-        masks[m, LANE_RIGHT] = lane < last or target < last
+        own = side_lanes(scene.constants, scene.lane[rows[m], places[m]])
+        wanted = side_lanes(scene.constants, scene.target_lane[rows[m], places[m]])
+        masks[m, LANE_LEFT] = own[0] >= 0 or wanted[0] >= 0
+        masks[m, LANE_RIGHT] = own[1] >= 0 or wanted[1] >= 0

@@ -5,7 +5,10 @@ Each is written once: compiled code calls it with numbers, other code with array
 
 from typing import Any
 
+import numpy as np
 from numba.extending import register_jitable
+
+from charms_bench.foundation.compiled import inlined
 
 
 @register_jitable
@@ -34,3 +37,12 @@ def following_distance(x: Any, ahead_x: Any, overhang: Any, ahead_overhang: Any)
     between their bumpers, because highway-env's jam distance contains one such length.
     """
     return ahead_x - x - (overhang + ahead_overhang)
+
+
+@inlined
+def overlap(distance: float, speed: float, size: float) -> tuple[float, float]:
+    """When a distance that changes with a speed is at most a size either way: from and to."""
+    if speed == 0.0:
+        return (-np.inf, np.inf) if abs(distance) <= size else (np.inf, -np.inf)
+    one, other = (-size - distance) / speed, (size - distance) / speed
+    return min(one, other), max(one, other)

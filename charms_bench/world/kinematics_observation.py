@@ -182,7 +182,8 @@ def _fill(
     for m in range(rows.size):
         b, i = rows[m], places[m]
         back_m = np.inf if sees_behind else 2 * scene.length[b, i]
-        for k in range(_find_nearest(scene.x[b], scene.y[b], i, back_m, nearest, distances)):
+        positions = scene.x[b], scene.y[b], scene.entry[b]
+        for k in range(_find_nearest(*positions, i, back_m, nearest, distances)):
             for column in range(len(columns)):
                 feature, low, high = int(columns[column, 0]), columns[column, 2], columns[column, 3]
                 value = _feature(feature, b, nearest[k], scene)
@@ -196,12 +197,12 @@ def _fill(
 
 @compiled
 def _find_nearest(
-    x: Floats, y: Floats, i: int, back_m: float, nearest: Ints, distances: Floats
+    x: Floats, y: Floats, entry: Ints, i: int, back_m: float, nearest: Ints, distances: Floats
 ) -> int:
     """Writes the places of the vehicles in the rows of vehicle i's observation, and counts them.
 
     The first is the vehicle itself, then follow the nearest along the road; of two at the same
-    distance, the one spawned first comes first [`Road.close_objects_to`].
+    distance, the first to enter comes first [`Road.close_objects_to`].
     """
     nearest[0] = i
     count = 1
@@ -212,7 +213,10 @@ def _find_nearest(
         if not -back_m < ahead:
             continue
         k = count
-        while k > 1 and abs(ahead) < distances[k - 1]:
+        while k > 1 and (
+            abs(ahead) < distances[k - 1]
+            or (abs(ahead) == distances[k - 1] and entry[j] < entry[nearest[k - 1]])
+        ):
             k -= 1
         if k == nearest.size:
             continue

@@ -34,6 +34,7 @@ from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 
 
@@ -157,15 +158,14 @@ def observation_described(text: str) -> Neighbours | Kinematics:
 @compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
     """Writes the observations `neighbours` of M vehicles."""
-    x, lanes = scene.x, scene.constants.lanes
-    lane, leaders, followers = scene.lane, scene.leaders, scene.followers
+    x, leaders, followers = scene.x, scene.leaders, scene.followers
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_own_row(b, i, scene, observations[m])
         observations[m, EGO, 1] = 1.0
-        for side in range(3):
-            on = lane[b, i] + side - 1
-            if not 0 <= on < lanes:
+        left, right = side_lanes(scene.constants, scene.lane[b, i])
+        for side, on in enumerate((left, scene.lane[b, i], right)):
+            if on < 0:
                 continue
             for behind in range(2):
                 j = followers[b, i, on] if behind else leaders[b, i, on]

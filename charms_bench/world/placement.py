@@ -11,6 +11,7 @@ from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.profile import Constants
+from charms_bench.world.road import position
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
@@ -199,7 +200,7 @@ class _Placing:
         for j in range(i):
             least = (made.length[:, i] + made.length[:, j]) / 2
             is_level = np.abs(made.x[:, i] - made.x[:, j]) < least
-            apart = np.abs(made.lane[:, i] - made.lane[:, j]) * self._c.lane_width
+            apart = np.abs(self._y_of(made.lane[:, i]) - self._y_of(made.lane[:, j]))
             overlaps = is_level & (apart < (made.width[:, i] + made.width[:, j]) / 2)
             what = f"overlaps '{names[j]}': {{:g}} m between their centres; expected at least "
             self._check((*at, field), overlaps, f"{what}{least[overlaps.argmax()]:g} m",
@@ -232,7 +233,11 @@ class _Placing:
         self._check((*at, "at_s"), begins < ready - 1e-9, "{:g} s is before the movement before "
                     "it has ended; expected a later time", begins)  # fmt: skip
         made.moves_at[:, i, k], made.duration[:, i, k] = begins, duration
-        made.moves_to[:, i, k], made.moves_by[:, i, k] = lane, (lane - start) * c.lane_width
+        made.moves_to[:, i, k] = lane
+        made.moves_by[:, i, k] = self._y_of(lane) - self._y_of(start)
+
+    def _y_of(self, lane: NDArray[np.int64]) -> Floats:
+        return np.asarray(position(self._c, lane, 0.0, 0.0)[1])
 
     def _lane(self, at: Location, formula: Formula) -> NDArray[np.int64]:
         last = self._c.lanes - 1

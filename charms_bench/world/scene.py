@@ -1,7 +1,10 @@
 """The state of B scenes of N vehicles, as arrays.
 
 Lane 0 is the leftmost and its centre is y = 0; y grows to the right, x along the road, and a
-heading is positive towards the right. Vehicles keep the order in which they were spawned.
+heading is positive towards the right.
+
+N is a capacity: a vehicle has a place, and there can be empty places (`Scene.present`). Its number,
+which no other vehicle of the episode has, does not depend on its place (`Scene.entry`).
 """
 
 from functools import cached_property, lru_cache
@@ -35,6 +38,8 @@ Observations = NDArray[np.float32]
 """(M, rows, columns): the observations of M vehicles."""
 EVALUATION_SEEDS = 1_000_000_000
 """Seeds of evaluation episodes lie below this number; those of training episodes do not."""
+VACANT_X_M = -1e7
+"""Where the vehicles of empty places stand, each 1 km further: on no lane, and near nobody."""
 DECISIONS_LIMIT = 20_000
 """The most decisions of an episode: almost two hours at the usual 3 Hz."""
 
@@ -211,6 +216,14 @@ class SceneSettings(FrozenModel):
 class _Fields(NamedTuple):
     """The fields of a `Scene`."""
 
+    present: Bools
+    """[B, N] whether there is a vehicle at the place. At an empty place, other values mean nothing;
+    they describe a vehicle that stands far before the road (`VACANT_X_M`)."""
+    entry: Ints
+    """[B, N] the vehicle's number in the order in which vehicles entered the scene, from 0.
+
+    Vehicles of one agent act in this order; it decides which of two that are level is the leader,
+    and which of two collisions comes first."""
     x: Floats
     """[B, N] centre along the road, m."""
     y: Floats
@@ -305,6 +318,7 @@ class Scene(_Fields):
             for dtype, names in _PER_VEHICLE.items()
             for name in names.split()
         }
+        per_vehicle["present"][:] = True
         per_vehicle["direction_x"][:] = 1.0
         per_vehicle["length"][:] = settings.profile.vehicle_length_m
         per_vehicle["width"][:] = settings.profile.vehicle_width_m
@@ -314,7 +328,8 @@ class Scene(_Fields):
             memory=np.zeros((*shape, memory)),
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
-            order=places,
+            entry=places,
+            order=places.copy(),
             rank=places.copy(),
             leaders=nobody,
             followers=nobody.copy(),
@@ -367,7 +382,7 @@ _PER_VEHICLE: dict[type, str] = {
     np.float64: "x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s temperament impact_x impact_y",
     np.int64: "lane target_lane",
-    np.bool_: "crashed impact",
+    np.bool_: "present crashed impact",
 }
 """The arrays [B, N] of a `Scene` by the type of their values."""
 WRITABLE = ("timer_s", "memory")

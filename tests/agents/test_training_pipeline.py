@@ -21,8 +21,8 @@ pytest.importorskip("torch", reason="needs the extra 'train'")
 onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training import pipeline
-from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted
+from charms_agents.training.stage_progress import Tell
 
 from charms_bench.errors import InputError, RunFolderError
 from charms_bench.plugins.onnx_policy import OnnxPolicy

@@ -4,7 +4,7 @@ from io import StringIO
 
 import pytest
 from charms_agents.training.curve import Epoch, Point
-from charms_agents.training.progress import progress
+from charms_agents.training.stage_progress import progress
 from rich.console import Console
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.traffic import Mixture, OneAgent
+from charms_bench.recording.recording import Recording
 from charms_bench.world.actions import ActionKind, controls_of
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Floats, Observations, SceneSettings

@@ -20,8 +20,8 @@ def spawned(
     engine: EngineName, scene: SceneSettings, seeds: np.ndarray, draws: np.ndarray | None = None
 ) -> Scene:
     made = make_engine(engine, scene, seeds.size, MODELS)
-    rows, traffic = np.arange(seeds.size), np.ones((seeds.size, scene.traffic_vehicles), dtype=int)
-    made.reset(rows, seeds, traffic, draws)
+    rows, agents = np.arange(seeds.size), np.minimum(np.arange(scene.vehicles), 1)
+    made.reset(rows, seeds, np.tile(agents, (seeds.size, 1)), draws)
     return made.scene
 
 

@@ -14,8 +14,10 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.actions import Actions
+from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
 
 SETTINGS = SceneSettings(duration_s=6.0, traffic_vehicles=8)
@@ -229,3 +231,76 @@ def test_a_planner_keeps_the_ego_on_the_road_without_a_crash() -> None:
     made = simulation(make_agent("mpc"))
     driven(made, steps=18)
     assert made.truncated.all()
+
+
+def test_rollouts_leave_every_vehicle_its_size_whoever_plans() -> None:
+    types = [{"name": "truck", "share": 0.5, "length_m": 16.0}, {"name": "car", "share": 0.5}]
+    fields = {"vehicle_types": types, "ego_type": "truck", "traffic_vehicles": 8}
+    agents = {"ego": make_agent("idm_mobil"), "planner": Planner()}
+    settings = SceneSettings.model_validate(fields)
+    made = Simulation(settings, 12, "ego", OneAgent("planner"), agents)
+    made.reset(SEEDS)
+    rows, places = np.arange(12), (made.scene.ego + 1) % 9
+    futures = Futures(made, Planner())
+    futures.of((rows, places))(PLANS[:1])
+    foreseen = futures._simulation.scene
+    np.testing.assert_array_equal(foreseen.ego[:12], places)
+    np.testing.assert_array_equal(foreseen.length[:12], made.scene.length)
+
+
+def test_in_rollouts_of_a_scenario_sizes_stay_and_no_motion_is_prescribed() -> None:
+    scenario = Scenario.model_validate(
+        {
+            "ego": {"lane": 0, "speed_mps": 25.0},
+            "vehicles": [
+                {
+                    "name": "lorry",
+                    "lane": 0,
+                    "ahead_of": "ego",
+                    "gap_m": 30.0,
+                    "speed_mps": 25.0,
+                    "length_m": 12.0,
+                    "actions": [{"at_s": 0.0, "acceleration_mps2": -6.0}],
+                }
+            ],
+        }
+    )
+    settings = SETTINGS.of_scenario(scenario)
+    traffic = TrafficSpec(scenario=scenario).make()
+    made = Simulation(settings, 1, "ego", traffic, {"ego": Planner()})
+    made.reset(np.array([0], dtype=np.uint64))
+    futures = Futures(made, Planner())
+    futures.of(made.ego_vehicles)(np.full((1, 4), IDLE))
+    foreseen = futures._simulation.scene
+    assert foreseen.length[0, 1] == made.scene.length[0, 1] == 12.0
+    assert foreseen.speed[0, 1] > 22.0  # by IDM on a free lane, not by the scenario's braking
+
+
+def test_a_planner_cannot_look_ahead_with_a_planner() -> None:
+    class Endless(Policy):
+        rollouts_with = "mpc"
+
+        def decide(self, observations: Observations, *given: Any) -> Actions:
+            return np.full(len(observations), IDLE)
+
+    with pytest.raises(InputError, match="agent 'ego': its attribute `rollouts_with` is 'mpc', a"):
+        simulation(Endless())
+
+
+@pytest.mark.parametrize("width", [-1, "2", 10**9])
+def test_a_driver_models_width_of_memory_is_checked(width: Any) -> None:
+    class Wrong(Hesitant):
+        memory_width = width
+
+    with pytest.raises(InputError, match="agent 'ego': its attribute `memory_width` is"):
+        simulation(Wrong())
+
+
+def test_a_driver_model_that_leaves_nan_in_its_memory_is_named() -> None:
+    class Undefined(Hesitant):
+        def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+            scene.memory[vehicles] = np.nan
+            return super().drive(scene, vehicles)
+
+    with pytest.raises(AgentError, match="agent 'ego', episode 900000000, step 0: drive left mem"):
+        driven(simulation(Undefined()), steps=1)

@@ -17,12 +17,13 @@ MODELS = {
     "stackelberg": {0: Stackelberg(), 1: IdmMobil()},
     "commands": {1: IdmMobil()},
 }
-"""The driver models by agent; agent 0 drives the ego and the last one the traffic."""
+"""The driver models by agent; here, 0 drives the ego and the last one the traffic."""
 
 
 def reset(engine: Engine, settings: SceneSettings, ego: str, seeds: list[int]) -> None:
-    traffic = np.full((len(seeds), settings.traffic_vehicles), max(MODELS[ego]))
-    engine.reset(np.arange(len(seeds)), np.array(seeds, dtype=np.uint64), traffic)
+    agents = np.full((len(seeds), settings.vehicles), max(MODELS[ego]))
+    agents[:, 0] = 0
+    engine.reset(np.arange(len(seeds)), np.array(seeds, dtype=np.uint64), agents)
 
 
 @pytest.mark.parametrize("held", [False, True])

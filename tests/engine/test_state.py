@@ -2,36 +2,23 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from interrupted import Whims, moments
 
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import SceneState
 from charms_bench.errors import InputError
-from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture
-from charms_bench.world.actions import IDLE, LANE_RIGHT, Actions
-from charms_bench.world.scene import Observations, SceneSettings
+from charms_bench.world.actions import IDLE, LANE_RIGHT
+from charms_bench.world.scene import SceneSettings
 
 SMALL = SceneSettings(duration_s=4.0, traffic_vehicles=7, density=3.0)
 MIXTURE = {"idm_mobil": 0.4, "outside_model": 0.2, "whims": 0.4}
 TOOL = Path(__file__).parents[2] / "tools" / "check_states.py"
-
-
-class Whims(Policy):
-    """Acts as if at random, so that vehicles collide, but depends on the observation alone."""
-
-    def __init__(self, decision_hz: float = 15.0) -> None:
-        self.decision_hz = decision_hz
-
-    def decide(self, observations: Observations) -> Actions:
-        sums = np.abs(observations.astype(np.float64)).sum(axis=(1, 2))
-        return (sums * 1e4).astype(np.int64) % 5
 
 
 def simulation(
@@ -50,15 +37,6 @@ def started(scenes: int = 3, **arguments: object) -> Simulation:
     made = simulation(scenes, **arguments)  # type: ignore[arg-type]
     made.reset(np.arange(scenes, dtype=np.uint64))
     return made
-
-
-def moments(running: Simulation) -> Iterator[SceneState]:
-    while running.scene.active.any():
-        if running.phase == running.settings.steps_per_decision:
-            running.finish_step()
-        else:
-            running.advance()
-        yield running.state()
 
 
 @pytest.mark.parametrize("engine", ENGINES)

@@ -13,11 +13,11 @@ from scipy import stats
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.draws import draws_of
 from charms_bench.engine.simulation import Simulation
-from charms_bench.engine.state import OF_SCENE
+from charms_bench.engine.state import ARRAYS
 from charms_bench.errors import InputError
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Scene, SceneSettings
 
 CAR = {"name": "car", "share": 0.75, "desired_speed_mps": [26, 33]}
 TRUCK = {
@@ -141,7 +141,7 @@ def test_a_state_continues_with_its_types_in_either_engine(engine: EngineName) -
         np.testing.assert_array_equal(getattr(continued.scene, name), getattr(made.scene, name))
     made.step()
     continued.step()
-    for name in OF_SCENE:
+    for name in {*ARRAYS} & {*Scene._fields}:
         one, other = (getattr(each.state(), name) for each in (made, continued))
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9, err_msg=name)
 

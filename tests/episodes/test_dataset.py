@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 from command_line import charms_bench as called
@@ -43,6 +44,29 @@ def test_recordings_of_the_first_episodes_are_written(
     assert recordings == ["900000000_tracks.csv", "900000001_tracks.csv"]
     assert pl.read_csv(folder / "drivers.csv").height == 2 * 6
     assert called("data", folder).returncode == 0
+
+
+def test_parquet_files_have_the_states_of_all_vehicles(run: charms_bench.Run) -> None:
+    options = ("--format", "parquet", "--ego", "Keep right", "--episodes", 2)
+    made = called("dataset", run.path, *options)
+    assert made.returncode == 0, made.stderr
+    folder = run.path / "datasets" / "keep-right-in-idm_mobil-parquet"
+    files = sorted(folder.iterdir())
+    assert [path.name for path in files] == ["900000000.parquet", "900000001.parquet"]
+    states = pl.read_parquet(files)
+    assert states["vehicle"].n_unique() == 6
+    at_decisions = (
+        states.filter("ego")
+        .group_by("episode", maintain_order=True)
+        .agg(
+            pl.col("x", "lane").gather_every(5, offset=5)  # 15 steps and 3 decisions per second
+        )
+    )
+    (cell,) = (cell for cell in run.cells if cell.agent == "Keep right")
+    steps = cell.steps.filter(pl.col("episode") < 900000002)
+    rows = steps.group_by("episode", maintain_order=True).agg("x", "lane")
+    np.testing.assert_array_equal(at_decisions["x"].explode().cast(pl.Float32), rows["x"].explode())
+    assert at_decisions.select("episode", "lane").equals(rows.select("episode", "lane"))
 
 
 def test_an_existing_folder_is_never_touched(run: charms_bench.Run, tmp_path: Path) -> None:

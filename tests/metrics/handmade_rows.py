@@ -4,9 +4,8 @@ from typing import Any
 
 import polars as pl
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.metrics import Metric, sums_by_episode
-from charms_bench.metrics.samples import driving_after
+from charms_bench.metrics import PAPER, Metric, MetricSet, standard, sums_by_episode
+from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.world.scene import SceneSettings
 
 Rows = list[dict[str, Any]]
@@ -22,8 +21,6 @@ QUIET_STEP = {
     "lane": 1,
     "vehicles_near": 1,
 }
-DRIVING = driving_after(0.0)
-"""All steps before a collision."""
 QUIET_EPISODE = {
     "ending": "time",
     "distance_m": 500.0,
@@ -51,3 +48,18 @@ def measure(metric: Metric, *episodes: Episode, settings: SceneSettings = SCENE)
     """The value of a metric over episodes."""
     (sums,) = sums_by_episode([metric], *frames(*episodes), settings)
     return float(metric.value(sums.sum(axis=0)))
+
+
+def of_paper(name: str) -> Metric:
+    """A metric of the set `paper`."""
+    return _named(name, PAPER)
+
+
+def of_standard(name: str, warm_up_s: float = 0.0, **thresholds: float) -> Metric:
+    """A metric of the set `standard`, over all steps after a warm-up and before a collision."""
+    return _named(name, standard(warm_up_s, **thresholds))
+
+
+def _named(name: str, metric_set: MetricSet) -> Metric:
+    (found,) = (metric for metric in metric_set.metrics if metric.name == name)
+    return found

@@ -11,11 +11,11 @@ import numpy as np
 import polars as pl
 import pytest
 from handmade_conduct import conduct
-from handmade_rows import DRIVING, frames
+from handmade_rows import frames, of_standard
 
 from charms_bench.metrics import sums_by_episode
 from charms_bench.metrics.rows import join_rows
-from charms_bench.metrics.time_to_collision import TTC_THRESHOLD_S, time_exposed, time_integrated
+from charms_bench.metrics.time_to_collision import TTC_THRESHOLD_S
 from charms_bench.world.scene import SceneSettings
 
 pytest.importorskip("commonroad_crime", reason="run by tox -e crime")
@@ -183,7 +183,7 @@ def test_exposed_and_integrated_ttc_are_those_of_commonroad_crime(
     approach: tuple[float, float, float],
 ) -> None:
     episodes, steps = ours(*approach)
-    metrics = [kind(DRIVING, TTC_THRESHOLD_S) for kind in (time_exposed, time_integrated)]
+    metrics = [of_standard(name, ttc_s=TTC_THRESHOLD_S) for name in ("tet", "tit")]
     values = [
         float(metric.value(sums[0]))
         for metric, sums in zip(

@@ -5,10 +5,10 @@ import polars as pl
 import pytest
 from handmade_rows import SCENE, frames
 
-from charms_bench.engine import encroachment, lane_changes
-from charms_bench.engine.columns import DRIVER_SCHEMA
 from charms_bench.metrics import METRIC_SETS, Metric, sums_by_episode
 from charms_bench.metrics.rows import LANE_CHANGE_WINDOW_S
+from charms_bench.recording import encroachment, lane_changes
+from charms_bench.recording.columns import DRIVER_SCHEMA
 
 METRICS = {metric.name: metric for metric in METRIC_SETS[-1].metrics}
 

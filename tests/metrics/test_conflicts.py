@@ -4,16 +4,13 @@ import math
 from typing import Any
 
 import pytest
-from handmade_rows import DRIVING, measure
-
-from charms_bench.metrics.conflicts import (
-    conflict_beginnings,
-    conflict_episodes,
-    conflicts_per_1000km,
-)
-from charms_bench.metrics.samples import driving_after
+from handmade_rows import measure, of_standard
 
 NEAR_S, FAR_S = 1.2, 2.0
+BEGINNINGS = [
+    of_standard(f"conflicts_by_{whom}", conflict_ttc_s=1.5)
+    for whom in ("ego", "another", "closing_in")
+]
 
 
 def step(ttc_s: float, leader: int = 4, lane: int = 1) -> dict[str, Any]:
@@ -32,13 +29,15 @@ FAR, NEAR = step(FAR_S), step(NEAR_S)
 
 def beginnings(*steps: dict[str, Any]) -> tuple[float, ...]:
     """The shares by the ego, by another vehicle and by closing in."""
-    return tuple(measure(each, ({}, list(steps))) for each in conflict_beginnings(DRIVING, 1.5))
+    return tuple(measure(each, ({}, list(steps))) for each in BEGINNINGS)
 
 
 def rate(*steps: dict[str, Any], warm_up_s: float = 0.0) -> float:
     """Conflicts per 1,000 km, with 100 m between two decisions."""
     rows = [{**row, "x": 100.0 * k} for k, row in enumerate(steps)]
-    return measure(conflicts_per_1000km(driving_after(warm_up_s), 1.5), ({}, rows))
+    return measure(
+        of_standard("conflicts_per_1000km", warm_up_s=warm_up_s, conflict_ttc_s=1.5), ({}, rows)
+    )
 
 
 def test_a_conflict_lasts_while_the_ttc_to_one_leader_is_below_the_threshold() -> None:
@@ -56,7 +55,9 @@ def test_a_conflict_of_the_warm_up_is_not_counted_later() -> None:
 
 def test_an_episode_has_a_conflict_or_has_none() -> None:
     episodes = ({}, [FAR, NEAR, NEAR]), ({}, [FAR, FAR]), ({"ending": "rear_end"}, [FAR, NEAR])
-    assert measure(conflict_episodes(DRIVING, 1.5), *episodes) == pytest.approx(1 / 3)
+    assert measure(
+        of_standard("conflict_episodes", conflict_ttc_s=1.5), *episodes
+    ) == pytest.approx(1 / 3)
 
 
 def test_the_egos_lane_change_to_behind_a_leader_begins_a_conflict() -> None:
@@ -88,7 +89,7 @@ def test_a_leader_of_the_first_decision_is_nobodys_doing() -> None:
     assert beginnings(NEAR, NEAR) == (0.0, 0.0, 1.0)
     before = ({}, [FAR, step(FAR_S, leader=7)])
     after = ({}, [step(NEAR_S, leader=7)])  # a lane change of the episode before does not count
-    shares = [measure(each, before, after) for each in conflict_beginnings(DRIVING, 1.5)]
+    shares = [measure(each, before, after) for each in BEGINNINGS]
     assert shares == [0.0, 0.0, 1.0]
 
 

@@ -8,9 +8,9 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS, PAPER
+from charms_bench.recording.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.report.comparison import by_pair, compare, to_dicts
 from charms_bench.report.table import Table
 from charms_bench.report.terminal import grid

@@ -8,8 +8,8 @@ import pytest
 from command_line import charms_bench
 
 from charms_bench import open_run
-from charms_bench.engine.columns import DRIVER_SCHEMA
 from charms_bench.metrics.conduct import OF_DRIVERS
+from charms_bench.recording.columns import DRIVER_SCHEMA
 from charms_bench.report.drivers_table import from_frame, part_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite

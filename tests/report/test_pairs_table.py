@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 from command_line import charms_bench
 
-from charms_bench.engine.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.errors import SuiteError
+from charms_bench.recording.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
 from charms_bench.report.run_files import measure, write_run
 from charms_bench.runs.cells import CellRows

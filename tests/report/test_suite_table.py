@@ -7,8 +7,8 @@ import pytest
 from ego_table import SUITE
 from rich.console import Console
 
-from charms_bench.engine.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.metrics import PAPER, STANDARD
+from charms_bench.recording.columns import EPISODE_SCHEMA, NO_DRIVERS, STEP_SCHEMA
 from charms_bench.report.markdown import document
 from charms_bench.report.run_files import write_table
 from charms_bench.report.stored import stored_tables

@@ -73,7 +73,7 @@ def test_the_modules_that_decide_rows_are_those_of_a_simulation() -> None:
         "charms_bench.engine.stepping",
         "charms_bench.engine.batched",
         "charms_bench.engine.highway_env",
-        "charms_bench.engine.recording",
+        "charms_bench.recording.recording",
         "charms_bench.engine.exact_maths",
         "charms_bench.plugins.onnx_policy",
         "charms_bench.runs.shard",

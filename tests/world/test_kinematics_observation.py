@@ -25,8 +25,8 @@ def engine_after(seconds: int, seed: int, profile: str, **settings: Any) -> High
     """highway-env's road after an ego has driven as it liked."""
     given = SceneSettings(profile=PROFILES[profile], **settings)
     engine = HighwayEnvEngine(given, 1, {1: IdmMobil()})
-    traffic = np.ones((1, given.traffic_vehicles), dtype=np.int64)
-    engine.reset(np.array([0]), np.array([seed], dtype=np.uint64), traffic)
+    agents = np.minimum(np.arange(given.vehicles), 1)[None]
+    engine.reset(np.array([0]), np.array([seed], dtype=np.uint64), agents)
     rng = np.random.default_rng(seed)
     for _ in range(seconds):
         engine.command((np.array([0]), engine.scene.ego), rng.integers(len(ACTIONS), size=1))

@@ -20,7 +20,12 @@ import polars as pl
 from pydantic import Field
 
 from charms_agents.human.drivers import drivers, moments
-from charms_agents.human.labels import Labels, lateral_intents, longitudinal_intents, soft_labels
+from charms_agents.human.soft_labels import (
+    Labels,
+    lateral_intents,
+    longitudinal_intents,
+    soft_labels,
+)
 from charms_bench.errors import DataError
 from charms_bench.foundation.fields import FrozenModel, NonNegative
 from charms_bench.foundation.files import read_limited, write_bytes
@@ -91,14 +96,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class SampleStore:
-    """The samples of a folder of recordings, in a Parquet file `samples-FINGERPRINT.parquet`.
-
-    Args:
-        recordings: The folder of recordings.
-        cache: The folder of the Parquet file.
-        settings: How samples are taken.
-        observation: What the drivers observe.
-    """
+    """The samples of a folder of recordings, in `cache/samples-FINGERPRINT.parquet`."""
 
     recordings: Path
     cache: Path
@@ -149,11 +147,7 @@ class SampleStore:
 def fingerprint(
     trios: Sequence[Trio], settings: SampleSettings, observation: Neighbours = neighbours
 ) -> str:
-    """SHA-256 of everything that the samples depend on.
-
-    Raises:
-        DataError: A file cannot be read.
-    """
+    """SHA-256 of everything that the samples depend on; raises a `DataError`."""
     told = f"{version('charms-bench')} {_REVISION} {settings.model_dump_json()}"
     if observation != neighbours:
         told += f" {observation.name}"
@@ -172,11 +166,7 @@ def fingerprint(
 def collect(
     folder: Path, settings: SampleSettings | None = None, observation: Neighbours = neighbours
 ) -> Samples:
-    """The samples of a folder of recordings; only one recording is in memory at a time.
-
-    Raises:
-        DataError: The recordings cannot be used, or every decision in them is rejected.
-    """
+    """The samples of a folder of recordings, of which one is in memory; raises a `DataError`."""
     sampler = CharmsSampler(settings)
     for recording in read_folder(folder):
         sampler.add(recording, *situations(recording, sampler.settings.decision_hz, observation))
@@ -184,11 +174,7 @@ def collect(
 
 
 class CharmsSampler:
-    """Takes samples from recordings, one recording after another.
-
-    Args:
-        settings: By default, what `charms-bench data` reports on.
-    """
+    """Takes samples from recordings, one after another; by default as `charms-bench data` does."""
 
     def __init__(self, settings: SampleSettings | None = None) -> None:
         self.settings = settings or SampleSettings()
@@ -241,11 +227,7 @@ class CharmsSampler:
         return decisions.with_columns(label=pl.when(accepted).then(label))
 
     def samples(self, decisions: pl.DataFrame) -> Samples:
-        """The samples among the decisions that `decisions` returned.
-
-        Raises:
-            DataError: Every decision is rejected.
-        """
+        """The samples among what `decisions` returned; raises a `DataError` if there are none."""
         chosen = decisions.filter("sampled")
         if chosen.is_empty():
             counts = decisions["rejected"].drop_nulls().value_counts(sort=True).rows()
@@ -260,11 +242,7 @@ class CharmsSampler:
         )
 
     def learnable(self) -> Learnable:
-        """What `charms-bench data` reports.
-
-        Raises:
-            DataError: Every decision is rejected.
-        """
+        """What `charms-bench data` reports; raises a `DataError` if every decision is rejected."""
         decisions = self.decisions()
         samples = self.samples(decisions)
         accepted = decisions.filter(pl.col("rejected").is_null())

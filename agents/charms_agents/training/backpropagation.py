@@ -13,16 +13,13 @@ from torch.nn import Linear, Sequential
 def squared_error(
     network: Sequential, observations: Tensor, actions: Tensor, wanted: Tensor
 ) -> float:
-    """Sets the gradients of the mean squared error of the values of the actions taken.
+    """The mean squared error of the values of the actions taken; sets its gradients.
 
     Args:
         network: Linear layers with ReLUs between them; `grad` of its parameters is overwritten.
         observations: (M, inputs).
         actions: (M, 1) the actions taken.
         wanted: (M,) the values that they should have.
-
-    Returns:
-        The mean squared error.
     """
     layers = [layer for layer in network if isinstance(layer, Linear)]
     inputs = [observations]

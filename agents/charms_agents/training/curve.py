@@ -3,11 +3,12 @@
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from charms_bench.engine.endings import OFF_ROAD, TIME
-from charms_bench.foundation.files import write_atomically
+from charms_bench.foundation.files import write_bytes
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,6 @@ class Point:
     """What is known of the episodes that ended since the previous point; None without episodes."""
 
     steps: int
-    """Steps so far."""
     episodes: int
     return_mean: float | None
     """Mean over episodes of the sum of rewards."""
@@ -86,11 +86,8 @@ def point_of(
 
 def write_csv(path: Path, kind: type[Point | Epoch], curve: Sequence[Point | Epoch]) -> None:
     """Writes one row per point, with the fields of `kind` as columns."""
-
-    def write(partial: Path) -> None:
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, fieldnames=[field.name for field in fields(kind)])
-            rows.writeheader()
-            rows.writerows(asdict(point) for point in curve)
-
-    write_atomically(path, write)
+    file = StringIO()
+    rows = csv.DictWriter(file, fieldnames=[field.name for field in fields(kind)])
+    rows.writeheader()
+    rows.writerows(asdict(point) for point in curve)
+    write_bytes(path, file.getvalue().encode())

@@ -30,7 +30,6 @@ class DoubleDQN:
 
     Args:
         episodes: B environments; their observations are flattened.
-        h: The hyperparameters.
         seed: Seed of the initial weights, of exploration and of replay.
         total: Number of steps of the training, which the schedules follow.
     """

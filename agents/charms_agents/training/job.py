@@ -17,8 +17,6 @@ from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.settings import (
-    EPISODES_OF_A_SEED,
-    FIRST_TRAINING_SEED,
     Stage,
     Supervised,
     TrainingSuite,
@@ -29,7 +27,6 @@ from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
-from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
 
 _OPTIONS = {
@@ -53,20 +50,14 @@ class Job:
     """A stage that is ready to be trained, and its folder."""
 
     output: Path
-    """The run folder."""
     seed_folder: str
     """The folder of the stage's seed in the run folder; empty if the suite has one seed."""
     name: str
+    suite: TrainingSuite
     style: str
-    """The style of the network in words."""
     total: int
     """Number of steps or epochs to learn."""
-    observation: Neighbours
-    """What the network observes."""
     decision_hz: float
-    """The network's decisions per second."""
-    checkpoint_s: float
-    """Seconds between two checkpoints."""
     inputs: dict[str, Any]
     """Everything that decides the resulting network, ready for JSON."""
     make_learner: Callable[[], Reinforcement | Fit]
@@ -79,7 +70,6 @@ class Job:
 
     @property
     def title(self) -> str:
-        """See `title_of`."""
         return title_of(self.seed_folder, self.name)
 
     @property
@@ -110,7 +100,7 @@ def reinforcement_job(
 ) -> Job:
     """The job of the suite's stage `name`, whose traffic `drivers` drive, in a run folder."""
     stage = suite.stages[name]
-    first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
+    first_seed = suite.first_episode_seed
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
     options = stage.model_dump(mode="json", include=_OPTIONS, exclude_defaults=True)
@@ -134,11 +124,10 @@ def reinforcement_job(
         output,
         seed_folder,
         name,
+        suite,
         style=f"{stage.weights}, {stage.svo}",
         total=stage.steps,
-        observation=suite.observed,
         decision_hz=Policy.decision_hz,
-        checkpoint_s=suite.checkpoint_s,
         inputs=inputs,
         make_learner=partial(Reinforcement, suite, stage, drivers, first_seed),
     )
@@ -168,9 +157,7 @@ def human_job(
 ) -> Job:
     """The job of the suite's stage `name`, which learns from samples of human driving.
 
-    Args:
-        start: The network that is fine-tuned; None for imitation.
-        drivers: The traffic in which that network was trained; none for imitation.
+    It fine-tunes the network `start`, which was trained among `drivers`; None is imitation.
     """
     assert suite.human is not None
     stage = suite.human.stages[name]
@@ -186,8 +173,7 @@ def human_job(
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
         standardised = suite.hyperparameters_of(tuned).standardised
         if settings.rehearsal:
-            scene, traffic = tuned.scene, suite.traffic_of(tuned)
-            first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
+            scene, first_seed = tuned.scene, suite.first_episode_seed
             rehearsed["rehearsed"] = {
                 "scene": scene.model_dump(mode="json"),
                 "traffic": _traffic_inputs(tuned, drivers),
@@ -198,7 +184,7 @@ def human_job(
             drive = partial(
                 own_driving,
                 scene=scene,
-                traffic=traffic,
+                traffic=suite.traffic_of(tuned),
                 drivers=drivers,
                 first_seed=first_seed,
                 observation=suite.observed,
@@ -221,11 +207,10 @@ def human_job(
         output,
         seed_folder,
         name,
+        suite,
         style=style,
         total=settings.epochs,
-        observation=suite.observed,
         decision_hz=samples.settings.decision_hz,
-        checkpoint_s=suite.checkpoint_s,
         inputs=inputs,
         make_learner=partial(
             _fit, start, layers, samples, settings, suite.seed, standardised, drive

@@ -35,11 +35,7 @@ STEPS = 4
 
 
 def read_network(path: Path) -> Sequential:
-    """Reads the network of an ONNX file that `export` wrote.
-
-    Raises:
-        ModelError: The file cannot be read, or holds a different kind of network.
-    """
+    """The network of a file that `export` wrote; raises a `ModelError` for any other file."""
     try:
         graph = onnx.load(path, load_external_data=False).graph
     except OSError as error:
@@ -70,11 +66,9 @@ def export(
     Args:
         network: Linear layers with ReLU or tanh between them; for continuous actions, a tanh
             follows the last layer.
-        path: The file.
         facts: Further metadata, beside the observation and the actions.
         observations: (M, rows, columns) on which the file's actions are compared with the
             network's. If the file is masked, their last row is the action mask.
-        observation: The observation of the network.
         masked: Whether the file has a second input, the action mask, and never chooses a masked
             action.
         lstm: The network's inputs are the outputs of this LSTM, and the file has its states. The

@@ -31,11 +31,9 @@ def own_driving(
 
     Args:
         network: Takes plain observations.
-        scene: The scene of the episodes.
-        traffic: Assigns a driver to each of the other vehicles.
+        traffic: Assigns one of `drivers` to each of the other vehicles.
         drivers: All agents that `traffic` names, by name.
         first_seed: Seed of the first episode; each further episode adds 1.
-        observation: What the network observes.
     """
     simulation = Simulation(scene, EPISODES, None, traffic, drivers)
     simulation.reset(np.arange(first_seed, first_seed + EPISODES, dtype=np.uint64))
@@ -54,13 +52,10 @@ def drive(
     explore: Callable[[NDArray[np.int64]], NDArray[np.int64]] = lambda best: best,
     observation: Neighbours = neighbours,
 ) -> Iterator[Observations]:
-    """Drives the egos of a simulation to the end of all episodes.
+    """Drives the egos of a simulation, which have no agent, to the end of all episodes.
 
-    Args:
-        network: Takes plain observations.
-        simulation: Its egos must have no agent.
-        explore: Turns the network's actions (K,) of one decision into those that are taken.
-        observation: What the network observes.
+    The network takes plain observations, and `explore` turns its actions (K,) of one decision into
+    those that are taken.
 
     Yields:
         After each step, the observations (K, 7, 5) of the K egos that decided.

@@ -15,10 +15,10 @@ from rich.console import Console
 
 from charms_agents.human.samples import SampleStore
 from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
-from charms_agents.training.progress import progress
 from charms_agents.training.schedule import run_stages
 from charms_agents.training.settings import TrainingSuite, load_training
 from charms_agents.training.stage import Interrupted
+from charms_agents.training.stage_progress import progress
 from charms_agents.training.summary import write_curves, write_summary
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
@@ -39,17 +39,11 @@ def run(
 ) -> None:
     """Trains the stages of a suite that are not finished, each from its last checkpoint.
 
-    Args:
-        suite_file: The training suite.
-        output: The run folder. Each stage has a folder in it, whose name contains a hash of the
-            stage's inputs; `networks` has the networks, manifests and curves of all stages by
-            name; `curves.csv`, `curves.png`, `stages.csv` and `columns.json` cover all stages. If
-            the suite has several seeds, the stages and networks of each are in its own folder.
-        workers: Most stages to train at a time; by default, the number of cores.
-        only: The stage to train, with the stages that it needs; by default, all stages.
-        recordings: Folder of human driving; by default, the folder that the suite names.
-        seed: The seed of every stage, instead of the suite's.
-        steps: The environment steps of every stage that has some, instead of the suite's.
+    Each stage has a folder in `output`, whose name contains a hash of the stage's inputs;
+    `networks` has the networks, manifests and curves of all stages by name; `curves.csv`,
+    `curves.png`, `stages.csv` and `columns.json` cover all stages. If the suite has several seeds,
+    the stages and networks of each are in its own folder. See `charms_bench.train` for the other
+    arguments.
 
     Raises:
         KeyboardInterrupt: The training was interrupted; `output` holds checkpoints.

@@ -20,14 +20,7 @@ from charms_bench.world.scene import Observations
 
 
 class Reinforcement:
-    """Learns a stage's network by Double DQN.
-
-    Args:
-        suite: The suite.
-        stage: The stage.
-        drivers: The agents that drive the traffic, by name.
-        first_seed: Seed of the first episode; each further episode adds 1.
-    """
+    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds."""
 
     point = Point
 
@@ -50,14 +43,12 @@ class Reinforcement:
 
     @property
     def done(self) -> int:
-        """Steps so far."""
         return self._agent.steps
 
     @property
     def network(self) -> Sequential:
         """The network that is kept if the training ends now."""
-        kept = self._keeper.network if self._keeper else None
-        return kept or self._agent.network
+        return (self._keeper and self._keeper.network) or self._agent.network
 
     @property
     def observations(self) -> Observations:

@@ -59,9 +59,7 @@ class Prepared(NamedTuple):
     consistent: Bools
     """(B,) whether the action equals the previous one."""
     lane: Ints
-    """(B,) lane of the ego."""
     target_lane: Ints
-    """(B,) target lane of the ego."""
     followers: Ints
     """(B, L) the follower of the ego on each lane; -1 without one."""
     expected: Floats
@@ -79,9 +77,7 @@ class StyleReward:
     Args:
         weights: a, b and c.
         angle_rad: phi, for example from `SVO_ANGLES_RAD`.
-        safety_horizon_s: See `safety`.
-        safe_headway_m: See `safety`.
-        safe_in_both_lanes: See `safety`.
+        safety_horizon_s, safe_headway_m, safe_in_both_lanes: See `safety`.
         lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
             `lane_change_reward` with the opposite sign.
         failure: The reward of the decision in which the ego crashes or leaves the road.

@@ -32,12 +32,10 @@ _OF_TENSORS = re.compile(
 )
 """The names that the pickle of a `state_dict` may refer to."""
 _MEMBER = b"PK\x01\x02"
-"""The first bytes of a member's entry in a zip."""
 KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
 """The activations that can be exported, by their torch name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 _BOUNDS = ("low", "high")
-"""The keys of a space's bounds in `data`."""
 
 Tensors = dict[str, torch.Tensor]
 
@@ -161,10 +159,7 @@ def tensors_of(weights: bytes) -> Tensors:
 
 
 def _check_pickle(info: ZipInfo, archive: ZipFile) -> None:
-    """Refuses a pickle that refers to anything but tensors.
-
-    torch would not make other objects either, but it would make a bytearray of any size.
-    """
+    """Refuses a pickle of anything but tensors; torch would make a bytearray of any size."""
     if info.file_size > PICKLE_LIMIT_BYTES:
         what = f"{WEIGHTS}: {info.filename[:40]}"
         raise Refusal(f"{what} is larger than {PICKLE_LIMIT_BYTES:,} bytes")

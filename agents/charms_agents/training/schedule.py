@@ -8,8 +8,8 @@ from graphlib import TopologicalSorter
 from operator import attrgetter
 
 from charms_agents.training.job import Job
-from charms_agents.training.progress import Tell
 from charms_agents.training.stage import Interrupted, train_stage
+from charms_agents.training.stage_progress import Tell
 from charms_bench.errors import WorkerError
 from charms_bench.foundation.workers import Pool, stop_requested
 from charms_bench.foundation.workers import tell as tell_parent
@@ -28,7 +28,7 @@ def run_stages(
     say: Callable[[str], None],
     stop: Callable[[], bool],
 ) -> dict[str, Job]:
-    """Trains the stages that are not finished.
+    """Trains the stages that are not finished; returns all jobs, by stage.
 
     Stages are trained in worker processes, or in this process if only one can be trained at a
     time.
@@ -36,14 +36,10 @@ def run_stages(
     Args:
         needs: All stages, and the stages that each of them needs.
         make_job: Makes the job of a stage, from the jobs of all stages that are finished.
-        suite_sha256: For the manifests.
         workers: Most stages to train at a time.
         tell: Told of the progress of each stage.
         say: Told when a stage is finished.
         stop: Whether to write checkpoints and stop.
-
-    Returns:
-        All jobs, by stage.
 
     Raises:
         Interrupted: `stop` returned True.
@@ -78,8 +74,8 @@ def run_stages(
         return finished
 
     work = partial(_train_in_worker, suite_sha256)
-    told = partial(_pass_on, tell)
-    with Pool(work, workers, attrgetter("title"), notice=say, told=told) as pool:
+    title = attrgetter("title")
+    with Pool(work, workers, title, notice=say, told=lambda words: tell(*words)) as pool:
         try:
             while sorter.is_active():
                 pool.add(ready())
@@ -107,10 +103,6 @@ def _width(needs: Needs) -> int:
         width = max(width, len(ready))
         sorter.done(*ready)
     return width
-
-
-def _pass_on(tell: Tell, told: tuple[str, int, int, str]) -> None:
-    tell(*told)
 
 
 def _train_in_worker(suite_sha256: str, job: Job) -> None:

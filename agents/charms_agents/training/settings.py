@@ -157,7 +157,7 @@ class Supervised(FrozenModel):
     """Share of all epochs, at the end, over which the learning rate falls to 0; 0 in the paper."""
 
     def learning_rate_at(self, epoch: int) -> float:
-        """The learning rate of an epoch, counted from 1."""
+        """The learning rate of an epoch; epochs are counted from 1."""
         remaining = 1 - (epoch - 1) / self.epochs
         return self.learning_rate * min(1.0, remaining / (self.learning_rate_decay or remaining))
 
@@ -265,6 +265,11 @@ class TrainingSuite(FrozenModel):
     def observed(self) -> Neighbours:
         """The observation of the name `observation`."""
         return paper_neighbours if self.observation == "paper_neighbours" else neighbours
+
+    @property
+    def first_episode_seed(self) -> int:
+        """Seed of the first training episode of each stage."""
+        return FIRST_TRAINING_SEED + self.seed * EPISODES_OF_A_SEED
 
     @property
     def by_seed(self) -> dict[str, "TrainingSuite"]:

@@ -17,8 +17,8 @@ from torch.utils.tensorboard import SummaryWriter
 from charms_agents.training.curve import write_csv
 from charms_agents.training.job import Job
 from charms_agents.training.network_file import export
-from charms_agents.training.progress import Tell
 from charms_agents.training.reinforcement import Reinforcement
+from charms_agents.training.stage_progress import Tell
 from charms_agents.training.supervised import Fit
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import write_atomically, write_bytes
@@ -35,16 +35,11 @@ class Interrupted(Exception):
 def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool]) -> None:
     """Trains a stage from its last checkpoint, and writes its network, curve and manifest.
 
-    Args:
-        job: The stage.
-        suite_sha256: For the manifest.
-        tell: Told of the progress.
-        stop: Whether to write a checkpoint and stop.
+    `tell` is told of the progress; `stop` says whether to write a checkpoint and stop.
 
     Raises:
         Interrupted: `stop` returned True; the folder holds a checkpoint.
         RunFolderError: The folder cannot be read or written, or its checkpoint does not fit.
-        CharmsBenchError: The samples or the network to start from cannot be used.
     """
     for partial in job.folder.glob(".*.partial"):
         partial.unlink(missing_ok=True)  # from a training that was killed while it wrote
@@ -53,7 +48,7 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
     life = _Life(job, learner, tell, stop)
     life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
-    checked = export(learner.network, network, facts, learner.observations, job.observation)
+    checked = export(learner.network, network, facts, learner.observations, job.suite.observed)
     manifest = {
         **job.inputs,
         "key": job.key,
@@ -69,9 +64,8 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
         },
         "machine": {"system": platform.system(), "processor": platform.machine()},
     }
-    text = json.dumps(manifest, indent=2) + "\n"
     # Written last: from now on, the stage is finished.
-    write_bytes(job.file(".json"), text.encode())
+    write_bytes(job.file(".json"), f"{json.dumps(manifest, indent=2)}\n".encode())
 
 
 @dataclass
@@ -90,7 +84,6 @@ class _Life:
     cpu_s: float = 0.0
     """Processor time that the stage took until the last checkpoint, over all its runs."""
     reported: int = 0
-    """Number of points that were logged."""
 
     def run(self) -> None:
         """Learns to the end."""
@@ -111,7 +104,7 @@ class _Life:
         if self.stop():
             self._save()
             raise Interrupted
-        if time.monotonic() - self.saved_at >= self.job.checkpoint_s:
+        if time.monotonic() - self.saved_at >= self.job.suite.checkpoint_s:
             self._save()
 
     def _report(self) -> None:

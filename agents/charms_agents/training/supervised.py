@@ -39,7 +39,6 @@ class Fit:
     Args:
         network: The network to start from, which takes plain observations; it is not changed.
         samples: The samples; held-out ones are only measured.
-        settings: How the network learns.
         seed: Decides the order of the samples.
         standardised: Whether the weights that learn, and are pulled back to their start, are those
             of the equal network for standardised observations.
@@ -81,7 +80,6 @@ class Fit:
 
     @property
     def done(self) -> int:
-        """Epochs so far."""
         return self.curve[-1].epoch
 
     def learn(self, pause: Callable[[], None] = lambda: None) -> None:

@@ -10,10 +10,10 @@ from torch.nn import Sequential
 from charms_agents.training.network import Arrays, Layers, layers_of, network_of
 from charms_agents.training.own_driving import drive
 from charms_agents.training.settings import FIRST_VALIDATION_SEED, Validation
-from charms_bench.engine.recording import Recording
 from charms_bench.engine.simulation import Simulation
 from charms_bench.metrics import PAPER, STANDARD, sums_by_episode
 from charms_bench.plugins.registry import make_agent
+from charms_bench.recording.recording import Recording
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import SceneSettings
 
@@ -33,14 +33,7 @@ class Validated:
 
 
 class Keeper:
-    """Keeps the best of the networks that it is shown.
-
-    Args:
-        rule: The episodes, and what the best network is.
-        scene: The scene of the episodes.
-        total: Number of steps of the training.
-        observation: What the networks observe.
-    """
+    """Keeps the best of the networks that it is shown in a training of `total` steps."""
 
     def __init__(
         self,

@@ -15,12 +15,7 @@ SIDE_BY_SIDE = 3
 
 
 def draw_matrices(matrices: Sequence[Table], first: int = 0) -> Figure:
-    """The matrices of a suite, egos down and traffics across.
-
-    Args:
-        matrices: Some of `suite_table.matrices`, in their order.
-        first: The place of the first one among them, which chooses its colours.
-    """
+    """Some of `suite_table.matrices`, whose first has the place `first`, which chooses colours."""
     egos = [row.labels[0] for row in matrices[0].rows]
     traffics = [column.name for column in matrices[0].columns]
     width, height = 1.6 + 0.75 * len(traffics), 1.8 + 0.45 * len(egos)

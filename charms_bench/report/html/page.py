@@ -2,8 +2,9 @@
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from markupsafe import Markup
@@ -29,8 +30,21 @@ def check_page(path: Path) -> None:
         raise InputError(f"{path}: expected a name that ends in .html")
 
 
-def render(sections: Sequence[Section], **content: Any) -> str:
-    """The page with these sections and further content; names are text, whatever they look like."""
+def render(
+    sections: Sequence[Section],
+    title: str,
+    replays: Sequence[dict[str, Any]],
+    *,
+    beside: Mapping[str, Any] = MappingProxyType({}),
+    named: int = 0,
+    has_ghosts: bool = False,
+    provenance: Sequence[dict[str, Any]] = (),
+) -> str:
+    """The page; names are text, whatever they look like.
+
+    Replays are from `for_page`, the first `named` of them asked for; those `beside`, by name, are
+    for the player only. A report has the provenance of each run; other pages have none.
+    """
     tables = [table for section in sections for table in (*section.tables, *section.more)]
     ids = definition_ids(column for table in tables for column in table.columns)
     definitions: dict[str, Column] = {}
@@ -43,8 +57,14 @@ def render(sections: Sequence[Section], **content: Any) -> str:
     hashes = " ".join(f"'sha256-{digest}'" for digest in digests)
     template = environment().get_template("page.html")
     return template.render(
-        content,
         sections=sections,
+        title=title,
+        replays=replays,
+        packed={each["id"]: each["packed"] for each in replays} | dict(beside),
+        named=named,
+        is_report=bool(provenance),
+        has_ghosts=has_ghosts,
+        provenance=provenance,
         version=__version__,
         cursor_from=LEFT,
         cursor_to=RIGHT,

@@ -6,12 +6,15 @@ from typing import Any
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute, write_bytes
+from charms_bench.report.html.chosen import asked, choose, choose_beside, futures
 from charms_bench.report.html.episode import beside, for_page
-from charms_bench.report.html.episodes import asked, choose, choose_beside, futures
 from charms_bench.report.html.page import check_page, render
-from charms_bench.report.html.sections import evaluation_section, training_section
+from charms_bench.report.html.sections import (
+    evaluation_section,
+    training_section,
+    what_if_section,
+)
 from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
-from charms_bench.report.html.what_if import what_if_section
 
 
 def write_report(
@@ -22,18 +25,15 @@ def write_report(
     suite_folder: Path,
     what_if: str | None = None,
 ) -> dict[str, Any]:
-    """Writes the report of some run folders.
+    """Writes the report of some run folders, in their order; returns what it contains, for JSON.
 
     Args:
-        paths: The run folders, in the order of the report.
+        paths: The run folders.
         output: The HTML file.
         top: How many of the most critical episodes of all runs to replay.
         episodes: More episodes, as RUN:EPISODE[:EGO[:TRAFFIC]].
         suite_folder: Where relative paths of networks and recordings in suites start.
         what_if: Another future of each of these `episodes`, as STEP:AGENT[:VEHICLE].
-
-    Returns:
-        What the file contains, for JSON.
 
     Raises:
         CharmsBenchError: A folder or an episode cannot be used, or the file cannot be written.
@@ -51,9 +51,9 @@ def write_report(
         for_page(name, each, others[name].other if name in others else None)
         for name, _, each in chosen
     ]
-    packed = {each["id"]: each.pop("packed") for each in shown}
-    for other in (more := choose_beside(runs, chosen, suite_folder)):
-        packed[other.name] = beside(other.replay)
+    more = choose_beside(runs, chosen, suite_folder)
+    others_packed = {other.name: beside(other.replay) for other in more}
+    packed = {each["id"]: each["packed"] for each in shown} | others_packed
     for name, (index, _, seed), each in (*chosen, *more):
         traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
         packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
@@ -66,11 +66,10 @@ def write_report(
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(
         sections,
-        title=sections[0].title if len(sources) == 1 else "Driving behaviour, measured",
-        replays=shown,
-        packed=packed,
+        sections[0].title if len(sources) == 1 else "Driving behaviour, measured",
+        shown,
+        beside=others_packed,
         named=len(named),
-        is_report=True,
         has_ghosts=bool(others),
         provenance=[_provenance(source) for source in sources],
     ).encode(errors="replace")  # the name of a folder need not be UTF-8

@@ -7,6 +7,7 @@ from pathlib import Path
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from charms_bench.episodes.what_if import WhatIf
 from charms_bench.people.reference import read_references
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -18,9 +19,10 @@ from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeof
 from charms_bench.report.html.sources import Evaluation, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
-from charms_bench.report.sentences import finding
+from charms_bench.report.sentences import finding, place
 from charms_bench.report.suite_table import matrices, one_per_metric, printed
 from charms_bench.report.table import Table
+from charms_bench.report.what_if_table import what_if_table
 from charms_bench.runs.suite import Suite
 
 NARROW_INCHES = (4.2, 4.6)
@@ -87,7 +89,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
         facts=(
-            f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), _place(suite))}",
+            f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), place(suite))}",
             f"{suite.episodes:,} episodes each, seeds {suite.seed:,} to {last:,}",
             _scenes(suite),
             f"{scene.duration_s:g} s per episode",
@@ -104,15 +106,9 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
 def _scenes(suite: Suite) -> str:
     """What the scenes of a suite look like."""
     scene = suite.scene
-    if _place(suite) == "scenario":
+    if place(suite) == "scenario":
         return f"{scene.lanes} lanes, vehicles placed by scenarios"
     return f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}"
-
-
-def _place(suite: Suite) -> str:
-    """What the traffics of a suite are."""
-    of_scenarios = all(entry.traffic.scenario for entry in suite.traffics)
-    return "scenario" if of_scenarios else "traffic model"
 
 
 def _counted(count: int, what: str) -> str:
@@ -137,6 +133,14 @@ def training_section(source: TrainingFolder) -> Section:
     )
 
 
+def what_if_section(found: WhatIf, name: str) -> Section:
+    """The section of two futures; links call it `name`."""
+    recorded, table = found.recorded, what_if_table(found)
+    happened, instead = found.sentences()
+    facts = [recorded.cell.title, f"recorded: {happened}", f"what if: {instead}"]
+    return Section(name, table.title, facts, [table], [])
+
+
 def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
     suite, key = source.run.suite, source.key
     table, pairs = source.tables.metrics, source.tables.pairs
@@ -147,7 +151,7 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
             "narrower than its disc is hidden by it."
         )
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
-    caption = f"Egos down, {_place(suite)}s across. Darker fields have higher values."
+    caption = f"Egos down, {place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
         figure = draw_matrices([replace(matrix, title="")], first=k)
         found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
@@ -159,8 +163,7 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
         figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
         picture = _picture(f"{key}-tradeoff", title, caption, figure, wide=True)
         small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
-        label = f"{title}. {caption}"
-        narrow = in_page(small, f"{key}-tradeoff-narrow", label)
+        narrow = in_page(small, f"{key}-tradeoff-narrow", f"{title}. {caption}")
         found.append(replace(picture, narrow=narrow))
     if pairs is not None and table.places(*PLACED):
         title = "Styles apart: where each stands"
@@ -184,8 +187,8 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
     for quantity, title in TITLE.items():
         for k, (name, counts) in enumerate(recorded(quantity, references).items()):
             figure = draw_quantity(quantity, following, {name: counts})
-            place, shown = f"{key}-{quantity}-{k}", f"{title}: {name}"
-            found.append(_picture(place, shown, caption, figure))
+            name, shown = f"{key}-{quantity}-{k}", f"{title}: {name}"
+            found.append(_picture(name, shown, caption, figure))
     return found
 
 

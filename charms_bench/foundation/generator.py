@@ -1,0 +1,140 @@
+"""NumPy's default random generator in compiled code; its state is an array, so it can be saved.
+
+`numpy.random.default_rng(seed)` takes 12 µs, as long as 160 vehicles' simulation steps. This is the
+same generator (O'Neill 2014, PCG XSL RR 128/64), seeded in the same way
+(`numpy.random.SeedSequence`), and each function draws what the method of `numpy.random.Generator`
+with its name draws.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.foundation.compiled import compiled, inlined
+
+Words = NDArray[np.uint64]
+State = NDArray[np.uint64]
+"""(6,) high and low word of the state, the same of its increment, the half of a word that the next
+integer takes, and whether there is one."""
+
+_LOW = np.uint64(0xFFFFFFFF)
+_1, _16, _32 = np.uint64(1), np.uint64(16), np.uint64(32)
+_58, _63, _64 = np.uint64(58), np.uint64(63), np.uint64(64)
+# SeedSequence's constants
+_INIT_A, _MULTIPLIER_A = np.uint64(0x43B0D7E5), np.uint64(0x931E8875)
+_INIT_B, _MULTIPLIER_B = np.uint64(0x8B51F9DD), np.uint64(0x58F38DED)
+_MIX_LEFT, _MIX_RIGHT = np.uint64(0xCA01F9DD), np.uint64(0x4973F715)
+# PCG64's multiplier
+_HIGH_FACTOR, _LOW_FACTOR = np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645)
+
+
+@compiled
+def seeded(seeds: Words) -> State:
+    """The states (R, 6) of `numpy.random.default_rng(seed)` for each of the seeds (R,)."""
+    states = np.zeros((seeds.size, 6), dtype=np.uint64)
+    key = np.empty(4, dtype=np.uint64)
+    for r in range(seeds.size):
+        _expand(seeds[r], key)
+        # The increment is odd; the state is two steps from 0, with the key added in between.
+        high_step, low_step = (key[2] << _1) | (key[3] >> _63), (key[3] << _1) | _1
+        high, low = _add(high_step, low_step, key[0], key[1])
+        states[r, 0], states[r, 1] = _advance(high, low, high_step, low_step)
+        states[r, 2], states[r, 3] = high_step, low_step
+    return states
+
+
+@compiled
+def word(state: State) -> np.uint64:
+    """The next 64 random bits."""
+    state[0], state[1] = high, low = _advance(state[0], state[1], state[2], state[3])
+    mixed, turn = high ^ low, high >> _58
+    return (mixed >> turn) | (mixed << ((_64 - turn) & _63))
+
+
+@compiled
+def random(state: State) -> float:
+    """A number in [0, 1)."""
+    return float(word(state) >> np.uint64(11)) * 2.0**-53
+
+
+@compiled
+def uniform(state: State, low: float, high: float) -> float:
+    """A number in [low, high)."""
+    return low + (high - low) * random(state)
+
+
+@compiled
+def share_of_integers(state: State, count: int) -> float:
+    """A number in [0, 1) whose product with `count`, below 2**32, has `integers` as integer part.
+
+    It is the accepted half word over 2**32 (Lemire 2019), so the product is exact.
+    """
+    if count == 1:
+        return 0.0
+    threshold = np.uint64(2**32 - count) % np.uint64(count)
+    while True:
+        if state[5]:
+            half, state[5] = state[4], np.uint64(0)
+        else:
+            both = word(state)
+            half, state[4], state[5] = both & _LOW, both >> _32, _1
+        if half * np.uint64(count) & _LOW >= threshold:
+            return float(half) * 2.0**-32
+
+
+@compiled
+def integers(state: State, low: int, high: int) -> int:
+    """An integer from `low` to `high` - 1; also `choice` from as many options."""
+    return low + int(share_of_integers(state, high - low) * (high - low))
+
+
+@compiled
+def _expand(seed: np.uint64, key: Words) -> None:
+    """Fills `key` with four words from a seed [`SeedSequence.generate_state`]."""
+    pool = np.zeros(4, dtype=np.uint64)
+    pool[0], pool[1] = seed & _LOW, seed >> _32
+    constant = _INIT_A
+    for i in range(4):
+        pool[i], constant = _hash(pool[i], constant, _MULTIPLIER_A)
+    for source in range(4):
+        for target in range(4):
+            if source != target:
+                hashed, constant = _hash(pool[source], constant, _MULTIPLIER_A)
+                mixed = (_MIX_LEFT * pool[target] - _MIX_RIGHT * hashed) & _LOW
+                pool[target] = mixed ^ (mixed >> _16)
+    constant = _INIT_B
+    for i in range(4):
+        low, constant = _hash(pool[2 * i % 4], constant, _MULTIPLIER_B)
+        high, constant = _hash(pool[(2 * i + 1) % 4], constant, _MULTIPLIER_B)
+        key[i] = low | (high << _32)
+
+
+@inlined
+def _hash(
+    value: np.uint64, constant: np.uint64, multiplier: np.uint64
+) -> tuple[np.uint64, np.uint64]:
+    """A hash of a value of 32 bits, and the constant of the next one."""
+    following = (constant * multiplier) & _LOW
+    value = ((value ^ constant) * following) & _LOW
+    return value ^ (value >> _16), following
+
+
+@inlined
+def _advance(
+    high: np.uint64, low: np.uint64, high_step: np.uint64, low_step: np.uint64
+) -> tuple[np.uint64, np.uint64]:
+    """The state times the multiplier plus the increment, modulo 2**128."""
+    a, b, c, d = low & _LOW, low >> _32, _LOW_FACTOR & _LOW, _LOW_FACTOR >> _32
+    middle = ((a * c) >> _32) + ((a * d) & _LOW) + b * c
+    carried = b * d + ((a * d) >> _32) + (middle >> _32)
+    product_high = carried + high * _LOW_FACTOR + low * _HIGH_FACTOR
+    return _add(product_high, low * _LOW_FACTOR, high_step, low_step)
+
+
+@inlined
+def _add(
+    high: np.uint64, low: np.uint64, other_high: np.uint64, other_low: np.uint64
+) -> tuple[np.uint64, np.uint64]:
+    """The sum of two numbers of 128 bits, modulo 2**128."""
+    total = low + other_low
+    carry = _1 if total < low else np.uint64(0)
+    return high + other_high + carry, total

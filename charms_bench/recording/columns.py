@@ -1,0 +1,231 @@
+"""The columns of recorded rows, declared once.
+
+The recorder, the files of a run folder and the page on run folders follow this declaration. Later
+versions add columns; they never rename a column or change its type or meaning.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of recorded rows."""
+
+    meaning: str
+    unit: str = ""
+    """Empty for a count, another number without a unit, an index or a word."""
+    dtype: pl.DataType = pl.Int32()  # noqa: RUF009  # immutable
+
+
+_SEED = Column("Seed of the episode.", dtype=pl.UInt64())
+
+STEP: Mapping[str, Column] = {
+    "episode": _SEED,
+    "step": Column("Number of ego decisions made so far; the first row has 1."),
+    "x": Column("Position of the ego's centre along the road.", "m", pl.Float32()),
+    "y": Column("Position across the road, to the right of lane 0's centre.", "m", pl.Float32()),
+    "heading": Column("Heading of the ego, positive to the right.", "rad", pl.Float32()),
+    "speed": Column("Speed of the ego.", "m/s", pl.Float32()),
+    "acceleration": Column(
+        "Acceleration commanded in the last simulation step.", "m/s²", pl.Float32()
+    ),
+    "steering": Column(
+        "Steering angle commanded in the last simulation step.", "rad", pl.Float32()
+    ),
+    "length": Column("Length of the ego.", "m", pl.Float64()),
+    "lane": Column("Lane nearest to the ego; 0 is the leftmost.", dtype=pl.Int8()),
+    "target_lane": Column(
+        "Lane that the ego steers to; with continuous actions, `lane`.", dtype=pl.Int8()
+    ),
+    "action": Column(
+        "Index of the last meta-action in `ACTIONS`; null under a driver model and with "
+        "continuous actions.",
+        dtype=pl.Int8(),
+    ),
+    "leader": Column(
+        "Leader on the ego's lane, by its place in the order of spawning.", dtype=pl.Int16()
+    ),
+    "leader_distance": Column("Distance to that leader, centre to centre.", "m", pl.Float32()),
+    "leader_length": Column("Length of that leader.", "m", pl.Float64()),
+    "leader_speed": Column("Speed of that leader.", "m/s", pl.Float32()),
+    "follower": Column(
+        "Follower on the ego's lane, by its place in the order of spawning.", dtype=pl.Int16()
+    ),
+    "follower_distance": Column("Distance to that follower, centre to centre.", "m", pl.Float32()),
+    "follower_length": Column("Length of that follower.", "m", pl.Float64()),
+    "follower_speed": Column("Speed of that follower.", "m/s", pl.Float32()),
+    "follower_acceleration": Column(
+        "Acceleration commanded by that follower; null if the follower has crashed.",
+        "m/s²",
+        pl.Float32(),
+    ),
+    "new_follower_acceleration": Column(
+        "In the first row on another lane: the lowest acceleration commanded by `follower`, the "
+        "new follower, at the decisions within 2 s, until it or the ego crashes; otherwise null.",
+        "m/s²",
+        pl.Float32(),
+    ),
+    "vehicles_near": Column(
+        "Vehicles within 30 m and one lane of the ego, the ego included.", dtype=pl.Int16()
+    ),
+    "planar_ttc": Column(
+        "Least time until the rectangles of the ego and of another vehicle touch, if all keep "
+        "their velocities and headings; null above 10 s.",
+        "s",
+        pl.Float32(),
+    ),
+}
+"""One row per decision of the ego, with the state after it."""
+
+EPISODE: Mapping[str, Column] = {
+    "episode": _SEED,
+    "ending": Column(
+        "How the episode ended: `time`, `rear_end`, `side` or `off_road`.", dtype=pl.String()
+    ),
+    "struck": Column(
+        "In a rear-end collision, whether the follower struck the ego; false if the ego struck "
+        "its leader, and null for every other ending.",
+        dtype=pl.Boolean(),
+    ),
+    "at_fault": Column(
+        "Whether the ego is at fault for its crash (`recording.fault`); null if it did not crash.",
+        dtype=pl.Boolean(),
+    ),
+    "steps": Column("Decisions of the ego."),
+    "duration_s": Column("Simulated time.", "s", pl.Float64()),
+    "distance_m": Column("Distance driven by the ego along the road.", "m", pl.Float64()),
+    "traffic_vehicles": Column("Vehicles in the traffic."),
+    "traffic_crashed": Column("Vehicles of the traffic that collided or left the road."),
+    "traffic_distance_m": Column(
+        "Distance driven by all vehicles of the traffic together.", "m", pl.Float64()
+    ),
+}
+"""One row per episode."""
+
+COUNT: Mapping[str, Column] = {
+    "episode": _SEED,
+    "quantity": Column(
+        "`speed` of a vehicle that follows a leader, or `dhw`, the distance headway at the start "
+        "of a lane change.",
+        dtype=pl.String(),
+    ),
+    "bin": Column(
+        "Lower edge of the bin; the last bin, 99, has no upper edge.",
+        "0.5 m/s or 0.5 m",
+        pl.Int16(),
+    ),
+    "count": Column("Vehicles counted in that bin, at all decisions together."),
+}
+"""One row per episode, quantity and bin with a count above 0."""
+
+DRIVER: Mapping[str, Column] = {
+    "episode": _SEED,
+    "agent": Column(
+        "Agent that drives the vehicles; for a network given by path, its copy in `networks`.",
+        dtype=pl.String(),
+    ),
+    "is_ego": Column(
+        "Whether this is the ego's row; otherwise the row is one of the traffic.",
+        dtype=pl.Boolean(),
+    ),
+    "vehicles": Column("Vehicles that the agent drives."),
+    "crashed": Column("Vehicles that collided or left the road."),
+    "at_fault": Column("Vehicles that crashed and were at fault (`recording.fault`)."),
+    "rear_end_striking": Column("Vehicles that crashed into the rear of another vehicle."),
+    "rear_end_struck": Column("Vehicles that were hit from behind."),
+    "side": Column("Vehicles that crashed in a side collision."),
+    "distance_m": Column("Distance driven before the vehicles crashed.", "m", pl.Float64()),
+    "time_s": Column("Time driven before the vehicles crashed.", "s", pl.Float64()),
+    "harsh_s": Column("Time with more than 2.5 m/s², accelerating or braking.", "s", pl.Float64()),
+    "lane_changes": Column("Changes of the nearest lane."),
+    "abandoned": Column("Lane changes given up before the new lane was the nearest lane."),
+    "gaps_lost": Column("Lane changes given up because another vehicle took the gap."),
+    "gaps_taken": Column("Gaps taken from a vehicle that then gave up its lane change."),
+    "hard_braking_by": Column("Lane changes that made the new follower brake by more than 2 m/s²."),
+    "hard_braking_to": Column(
+        "Times that a vehicle braked by more than 2 m/s² after another's lane change."
+    ),
+    "conflicts_by": Column("Conflicts (TTC below 1.5 s) that the vehicles caused."),
+    "conflicts_to": Column("Conflicts that another vehicle caused."),
+    "near_misses_by": Column(
+        "Near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) that the "
+        "vehicles caused."
+    ),
+    "near_misses_to": Column("Near misses that another vehicle caused."),
+    "pet_by": Column("Encroachments of at most 5 s in which the vehicles cut in."),
+    "pet_by_sum_s": Column(
+        "Sum of the post-encroachment times (PET) in `pet_by`.", "s", pl.Float64()
+    ),
+    "pet_below_2s_by": Column("Encroachments in `pet_by` with a PET below 2 s."),
+    "pet_to": Column("Encroachments of at most 5 s in which another vehicle cut in."),
+    "pet_to_sum_s": Column("Sum of the post-encroachment times in `pet_to`.", "s", pl.Float64()),
+    "pet_below_2s_to": Column("Encroachments in `pet_to` with a PET below 2 s."),
+    "rss_by_s": Column(
+        "Time too close to a vehicle ahead by RSS, along and across the road.", "s", pl.Float64()
+    ),
+    "rss_to_s": Column("Time in which a vehicle behind was too close by RSS.", "s", pl.Float64()),
+}
+"""One row per episode and agent, and one more for the ego: sums over the agent's vehicles.
+
+A vehicle counts until it collides or leaves the road. Its thresholds were applied during the
+simulation, so other thresholds need a new simulation.
+"""
+
+
+def _schema(columns: Mapping[str, Column]) -> pl.Schema:
+    return pl.Schema({name: column.dtype for name, column in columns.items()})
+
+
+STEP_SCHEMA, EPISODE_SCHEMA, COUNT_SCHEMA, DRIVER_SCHEMA = map(
+    _schema, (STEP, EPISODE, COUNT, DRIVER)
+)
+SCHEMAS = {
+    "steps": STEP_SCHEMA,
+    "counts": COUNT_SCHEMA,
+    "drivers": DRIVER_SCHEMA,
+    "episodes": EPISODE_SCHEMA,
+}
+"""The kinds of rows that a shard has."""
+LENGTHS = ("length", "leader_length", "follower_length")
+"""The columns that step rows of earlier versions lack: all vehicles had the profile's length."""
+NO_DRIVERS = DRIVER_SCHEMA.to_frame()
+"""No driver rows."""
+DRIVER_KEYS = ("episode", "agent", "is_ego")
+DRIVER_SUMS = tuple(name for name in DRIVER if name not in DRIVER_KEYS)
+
+
+def with_lengths(steps: pl.DataFrame, standard_m: float) -> pl.DataFrame:
+    """Step rows in which a vehicle without a recorded length has the profile's."""
+    own, leader, follower = (pl.col(name).fill_null(standard_m) for name in LENGTHS)
+    return steps.with_columns(
+        own,
+        pl.when(pl.col("leader_distance").is_not_null()).then(leader).alias("leader_length"),
+        pl.when(pl.col("follower_distance").is_not_null()).then(follower).alias("follower_length"),
+    )
+
+
+def _record(schema: pl.Schema, names: Iterable[str]) -> np.dtype[np.void]:
+    types = [(name, pl.Series(dtype=schema[name]).to_numpy().dtype) for name in names]
+    return np.dtype(types, align=True)
+
+
+STEP_RECORD = _record(STEP_SCHEMA, STEP)
+"""A step row in memory."""
+DRIVER_RECORD = _record(DRIVER_SCHEMA, DRIVER_SUMS)
+"""The sums of a vehicle in memory."""
+
+
+def table(columns: Mapping[str, Any], schema: pl.Schema) -> pl.DataFrame:
+    """Returns recorded columns as rows of a schema.
+
+    Raises:
+        ValueError: The names are not those of the declaration, in its order.
+    """
+    if [*columns] != schema.names():
+        raise ValueError(f"recorded columns {[*columns]}; declared columns {schema.names()}")
+    return pl.DataFrame(columns).cast(schema)

@@ -1,0 +1,137 @@
+"""Sums of what each driver does to others and what others do to it, over an episode.
+
+They are taken at every decision interval, of every vehicle until it collides or leaves the road.
+`rss`, `conflict_onsets`, `encroachment` and `lane_changes` define the events.
+"""
+
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from charms_bench.engine.collisions import SIDE_COLLISION, STRIKING, STRUCK
+from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import compiled, index, inlined
+from charms_bench.recording.columns import (
+    DRIVER_KEYS,
+    DRIVER_RECORD,
+    DRIVER_SCHEMA,
+    DRIVER_SUMS,
+    table,
+)
+from charms_bench.recording.conflict_onsets import note_conflicts
+from charms_bench.recording.encroachment import note_encroachments
+from charms_bench.recording.lane_changes import imposed_decisions, note_lane_changes
+from charms_bench.recording.primitives import NOBODY, Frames
+from charms_bench.recording.rss import note_rss
+from charms_bench.world.scene import Bools, Ints
+from charms_bench.world.thresholds import HARSH_MPS2
+
+STATE = np.dtype(
+    [
+        ("place", np.float64),
+        ("cut_in", np.int32),
+        ("cutter", np.int16),
+        ("near", np.int16),
+        ("leader_began", np.bool_),
+        ("in_conflict", np.bool_),
+    ],
+    align=True,
+)
+"""Whom a vehicle has met at earlier decisions; -1 stands for no vehicle.
+
+near: The leader with which it has a near miss; `leader_began` and `in_conflict` describe that.
+cutter: The vehicle that cut in at the decision `cut_in`; the follower reaches its rear at `place`.
+"""
+
+
+class DriverSums:
+    """The sums of all drivers of a simulation's scenes."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        shape = simulation.scene.x.shape
+        self._simulation = simulation
+        self._interval_s = 1.0 / simulation.settings.decision_hz
+        # The ego's driver has column 0, and an agent the one after its index.
+        self._drivers = simulation.engine.drivers + 1
+        self._drivers[simulation.ego_vehicles] = 0
+        self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
+        for driver in range(self._sums.shape[1]):
+            own = (self._drivers == driver) & simulation.scene.present
+            self._sums["vehicles"][:, driver] = own.sum(axis=1)
+        self._state = np.zeros(shape, dtype=STATE)
+        self._state["near"] = self._state["cutter"] = NOBODY
+        window = imposed_decisions(self._interval_s)
+        self._new_followers = np.full((*shape, window), NOBODY, dtype=np.int16)
+
+    def add(self, frames: Frames, at_fault: Bools) -> None:
+        """Adds the decision intervals that end in some frames.
+
+        `at_fault` [B, N] is whether the vehicles that have collided were at fault.
+        """
+        note_drivers(
+            *frames,
+            at_fault,
+            self._interval_s,
+            self._drivers,
+            self._state,
+            self._new_followers,
+            self._sums,
+        )
+
+    def table(self) -> pl.DataFrame:
+        """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""
+        scene, driver = np.nonzero(self._sums["vehicles"])
+        names = np.array((self._simulation.ego_agent, *self._simulation.agents))
+        sums = self._sums[scene, driver]
+        columns = {
+            "episode": self._simulation.seeds[scene],
+            "agent": names[driver],
+            "is_ego": driver == 0,
+            **{name: sums[name] for name in DRIVER_SUMS},
+        }
+        return table(columns, DRIVER_SCHEMA).sort(DRIVER_KEYS)
+
+
+@compiled
+def note_drivers(
+    moments: Any,
+    vehicles: Any,
+    at_fault: Bools,
+    interval_s: float,
+    drivers: Ints,
+    state: Any,
+    new_followers: Ints,
+    sums: Any,
+) -> None:
+    """Adds the decision intervals that end in some frames to `sums` [B, D]."""
+    for moment in moments:
+        b, decision = index(moment.scene), moment.decision
+        now, before = vehicles[moment.now], vehicles[moment.before]
+        driver, met, summed = drivers[b], state[b], sums[b]
+        note_driving(now, before, at_fault[b], interval_s, driver, summed)
+        note_encroachments(now, before, decision, interval_s, driver, met, summed)
+        note_lane_changes(now, before, decision, driver, new_followers[b], summed)
+        note_conflicts(now, decision, interval_s, moment.ends, driver, met, summed)
+        note_rss(now, interval_s, driver, summed)
+
+
+@inlined
+def note_driving(
+    now: Any, before: Any, at_fault: Bools, interval_s: float, driver: Ints, sums: Any
+) -> None:
+    """Adds distance and time, and the crashes of a decision interval."""
+    for i in range(now.size):
+        own, was, mine = now[i], before[i], sums[driver[i]]
+        if was.lost:
+            continue
+        if own.lost:
+            mine.crashed += 1
+            mine.at_fault += at_fault[i] or not own.crashed
+            mine.rear_end_striking += own.crashed and own.collision == STRIKING
+            mine.rear_end_struck += own.crashed and own.collision == STRUCK
+            mine.side += own.crashed and own.collision == SIDE_COLLISION
+            continue
+        mine.distance_m += own.x - was.x
+        mine.time_s += interval_s
+        mine.harsh_s += interval_s * (abs(own.acceleration) > HARSH_MPS2)

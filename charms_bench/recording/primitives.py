@@ -1,0 +1,135 @@
+"""What is kept of every vehicle: frames, from which all rows are computed.
+
+A frame is one scene at one moment. There is one at every decision. Where vehicles collide between
+two decisions, there is one more: fault depends on how they met, and one simulation step later the
+wrecks have moved on. The ego and all other vehicles are kept alike.
+
+A shard can have 20,000 decisions or 2,001 vehicles. So rows are computed from a frame when it has
+been taken, and then only the last decision of each scene is kept.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.engine.collisions import NO_COLLISION
+from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import compiled_of_scenes, index
+from charms_bench.world.road import is_on_lane, side_lanes
+from charms_bench.world.scene import Bools, Ints, Scene
+
+LONG_AGO = -1_000_000
+NOBODY = -1
+MOMENT = np.dtype(
+    [*((name, np.int64) for name in ("scene", "now", "before", "decision")), ("ends", np.bool_)],
+    align=True,
+)
+"""When a frame was taken.
+
+now, before: The vehicles in this frame and at the decision before, or at the start.
+decision: The decision interval that the frame ends or is in, counted from 1.
+ends: Whether the episode has ended.
+"""
+_FIELDS: dict[type, str] = {
+    np.float64: "x y heading direction_x direction_y speed acceleration steering length width",
+    np.int32: "lane_since target_since",
+    np.int16: "left_leader leader right_leader left_follower follower right_follower",
+    np.int8: "lane target_lane action collision",
+    np.bool_: "crashed is_on_road lost",
+}
+VEHICLE = np.dtype(
+    [(name, kind) for kind, names in _FIELDS.items() for name in names.split()], align=True
+)
+"""A vehicle in a frame; fields without a comment are those of `Scene` and `Simulation`.
+
+lane_since, target_since: The decisions at which the nearest lane and the target lane last changed.
+leader, follower: On the nearest lane, or `NOBODY`; the others are on the lanes beside it.
+action: -1 stands for none.
+is_on_road: Whether the centre is on the nearest lane.
+lost: Whether the vehicle has crashed or left the road, in this frame or at a decision before it.
+"""
+
+
+class Frames(NamedTuple):
+    """The frames of some scenes, as `MOMENT` (S,) and `VEHICLE` (2 B, N)."""
+
+    moments: Any
+    vehicles: Any
+
+
+class Primitives:
+    """Takes frames of a simulation with B scenes, which begin now."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        scenes, vehicles = simulation.scene.x.shape
+        self._simulation = simulation
+        self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
+        self._last = np.arange(scenes)
+        self._collided = simulation.scene.crashed.copy()
+        self.at_decision(self._last.copy())
+        self._vehicles["lane_since"] = LONG_AGO
+        self._vehicles["target_since"] = 0
+        self._vehicles["lost"] = False
+        self._vehicles["lost"][self._last] = ~simulation.scene.present
+
+    def last(self, name: str) -> Any:
+        """[B, N] a field of the vehicles at the last decision, or at the start."""
+        return self._vehicles[name][self._last]
+
+    def at_decision(self, scenes: Ints) -> Frames:
+        """The frames of the scenes (S,) at the decision that has just been reached."""
+        frames = self.take(scenes, 0)
+        self._last[scenes] = frames.moments["now"]
+        return frames
+
+    def at_collision(self) -> Frames:
+        """The frames of the scenes in which vehicles have just collided."""
+        collided = self._simulation.collision != NO_COLLISION
+        scenes = np.nonzero((collided & ~self._collided).any(axis=1))[0]
+        self._collided |= collided
+        return self.take(scenes, 1)
+
+    def take(self, scenes: Ints, ahead: int) -> Frames:
+        """The frames of the scenes (S,), whose decision is the last one or some `ahead`."""
+        made = self._simulation
+        moments = np.zeros(scenes.size, dtype=MOMENT)
+        moments["scene"], moments["before"] = scenes, self._last[scenes]
+        moments["now"] = (moments["before"] + self._last.size) % (2 * self._last.size)
+        moments["decision"] = made.steps[scenes] + ahead
+        moments["ends"] = ~made.scene.active[scenes]
+        frames = Frames(moments, self._vehicles)
+        take(made.scene, *frames, made.collision, made.action, made.has_action)
+        return frames
+
+
+@compiled_of_scenes
+def take(
+    scene: Scene, moments: Any, vehicles: Any, collision: Ints, action: Ints, has_action: Bools
+) -> None:
+    """Fills in the vehicles of some frames."""
+    c, leaders, followers = scene.constants, scene.leaders, scene.followers
+    for moment in moments:
+        b, decision = index(moment.scene), moment.decision
+        now, before = vehicles[moment.now], vehicles[moment.before]
+        for i in range(now.size):
+            own, was, lane = now[i], before[i], scene.lane[b, i]
+            own.x, own.y, own.heading = scene.x[b, i], scene.y[b, i], scene.heading[b, i]
+            own.direction_x, own.direction_y = scene.direction_x[b, i], scene.direction_y[b, i]
+            own.speed, own.acceleration = scene.speed[b, i], scene.acceleration[b, i]
+            own.steering = scene.steering[b, i]
+            own.length, own.width = scene.length[b, i], scene.width[b, i]
+            own.lane, own.target_lane = lane, scene.target_lane[b, i]
+            own.leader, own.follower = leaders[b, i, lane], followers[b, i, lane]
+            own.left_leader = own.left_follower = own.right_leader = own.right_follower = -1
+            left, right = side_lanes(c, lane)
+            if left >= 0:
+                own.left_leader, own.left_follower = leaders[b, i, left], followers[b, i, left]
+            if right >= 0:
+                own.right_leader, own.right_follower = leaders[b, i, right], followers[b, i, right]
+            own.action = action[b, i] if has_action[b, i] else -1
+            own.crashed, own.collision = scene.crashed[b, i], collision[b, i]
+            own.is_on_road = is_on_lane(c, lane, own.x, own.y, 0.0)
+            own.lost = was.lost or own.crashed or not own.is_on_road
+            own.lane_since = was.lane_since if lane == was.lane else decision
+            has_same_target = own.target_lane == was.target_lane
+            own.target_since = was.target_since if has_same_target else decision

@@ -1,0 +1,91 @@
+"""The rows of the ego's steps. A value that does not exist, such as a missing leader's, is null."""
+
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.foundation.compiled import compiled, index
+from charms_bench.recording.columns import STEP_RECORD, STEP_SCHEMA, table
+from charms_bench.recording.lane_changes import imposed_decisions
+from charms_bench.recording.planar_ttc import planar_ttc
+from charms_bench.recording.primitives import Frames
+from charms_bench.world.scene import Ints
+
+INTERACTION_RANGE_M = 30.0
+INDICES = ("action", "leader", "follower")
+"""The columns in which -1 stands for none in memory; a number that does not exist is NaN."""
+
+
+class StepRows:
+    """The rows of the egos of a simulation."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        shape = (simulation.seeds.size, simulation.settings.decisions)
+        self._simulation = simulation
+        self._rows = np.zeros(shape, dtype=STEP_RECORD)
+        for name, kind in STEP_SCHEMA.items():
+            self._rows[name] = np.nan if kind.is_float() else 0
+        self._window = imposed_decisions(1 / simulation.settings.decision_hz)
+
+    def add(self, frames: Frames) -> None:
+        """Adds the steps that end in some frames."""
+        made = self._simulation
+        note_steps(*frames, made.scene.ego, made.seeds, self._window, self._rows)
+
+    def table(self) -> pl.DataFrame:
+        """Returns the rows (`columns.STEP`), sorted by episode and step."""
+        recorded = self._rows["step"] > 0
+        columns = {name: self._rows[name][recorded] for name in STEP_SCHEMA}
+        exists = pl.selectors.float().fill_nan(None), pl.col(INDICES).replace(-1, None)
+        return table(columns, STEP_SCHEMA).with_columns(*exists).sort("episode", "step")
+
+
+@compiled
+def note_steps(
+    moments: Any,
+    vehicles: Any,
+    egos: Ints,
+    seeds: NDArray[np.uint64],
+    window: int,
+    rows: Any,
+) -> None:
+    """Fills `rows` [B, T] with the steps that end in some frames.
+
+    The braking of a new follower belongs to the row of the lane change, and is noted in `window`
+    decisions.
+    """
+    for moment in moments:
+        b, step = index(moment.scene), moment.decision
+        now, ego = vehicles[moment.now], egos[b]
+        own, row = now[ego], rows[b, step - 1]
+        row.episode = seeds[b]
+        row.step = step
+        row.x, row.y, row.heading = own.x, own.y, own.heading
+        row.speed, row.acceleration, row.steering = own.speed, own.acceleration, own.steering
+        row.length, row.lane, row.target_lane = own.length, own.lane, own.target_lane
+        row.action, row.leader, row.follower = own.action, own.leader, own.follower
+        if own.leader >= 0:
+            leader = now[own.leader]
+            row.leader_distance = leader.x - own.x
+            row.leader_length, row.leader_speed = leader.length, leader.speed
+        if own.follower >= 0:
+            follower = now[own.follower]
+            row.follower_distance = own.x - follower.x
+            row.follower_length, row.follower_speed = follower.length, follower.speed
+            row.follower_acceleration = np.nan if follower.crashed else follower.acceleration
+        for t in range(max(step - window, 1), 0 if own.crashed else step):
+            changed, follower = rows[b, t], now[rows[b, t].follower]
+            has_changed = changed.lane != rows[b, t - 1].lane
+            if has_changed and changed.follower >= 0 and not follower.crashed:
+                least = np.fmin(changed.new_follower_acceleration, follower.acceleration)
+                changed.new_follower_acceleration = least
+        time_s = planar_ttc(now, ego)
+        row.planar_ttc = time_s if np.isfinite(time_s) else np.nan
+        near = 0
+        for i in range(now.size):
+            is_near = abs(now[i].x - own.x) <= INTERACTION_RANGE_M
+            near += is_near & (abs(now[i].lane - own.lane) <= 1)
+        row.vehicles_near = near

@@ -1,0 +1,35 @@
+"""What a driver meant, and CHARMS eq. 9 and 10."""
+
+import numpy as np
+from charms_agents.human.soft_labels import lateral_intents, longitudinal_intents, soft_labels
+
+
+def test_a_weak_acceleration_means_nothing() -> None:
+    acceleration = np.array([0.19, 0.21, -0.19, -0.21])
+    assert longitudinal_intents(acceleration).tolist() == [0, 1, 0, -1]
+
+
+def test_a_drift_is_meant_when_it_leads_away_from_the_centre() -> None:
+    lateral_speed = np.array([0.08, 0.06, 0.08, -0.08, -0.08])
+    offset = np.array([0.5, 0.5, -0.5, -0.5, 0.5])
+    assert lateral_intents(lateral_speed, offset).tolist() == [1, 0, 0, -1, 0]
+
+
+def test_two_intents_share_the_probability_by_their_magnitudes() -> None:
+    # Means of the magnitudes are 0.5 m/s2 and 0.1 m/s: three times the one, once the other.
+    acceleration, lateral_speed = np.array([-1.5, 0.0, 0.0]), np.array([0.1, -0.1, 0.1])
+    longitudinal, lateral = np.array([-1, 0, 0], np.int8), np.array([1, -1, 0], np.int8)
+    labels = soft_labels(longitudinal, lateral, acceleration, lateral_speed)
+    # LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER
+    assert labels.tolist() == [[0, 0, 0.25, 0, 0.75], [1, 0, 0, 0, 0], [0, 1, 0, 0, 0]]
+
+
+def test_one_intent_is_one_action_and_none_is_idle() -> None:
+    labels = soft_labels(
+        np.array([1, -1, 0, 0, 0], np.int8),
+        np.array([0, 0, 1, -1, 0], np.int8),
+        np.array([0.3, -0.3, 0.0, 0.0, 0.0]),
+        np.array([0.0, 0.0, 0.1, -0.1, 0.0]),
+    )
+    assert labels.argmax(axis=1).tolist() == [3, 4, 2, 0, 1]
+    assert (labels.sum(axis=1) == 1).all()
