@@ -42,7 +42,8 @@ def write_recording(replay: Replay, folder: Path) -> None:
         "recordingMeta": _recording_meta(replay),
     }
     for kind, table in files.items():
-        table.write_csv(folder / f"{replay.episode:02}_{kind}.csv")
+        # polars cannot write to every name that a folder can have.
+        (folder / f"{replay.episode:02}_{kind}.csv").write_bytes(table.write_csv().encode())
 
 
 def drivers(replay: Replay) -> pl.DataFrame:
