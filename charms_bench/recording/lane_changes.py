@@ -49,14 +49,14 @@ def note_lane_changes(
     window = new_followers.shape[1]
     latest = decision % window
     for i in range(now.size):
-        own, was, watched = now[i], before[i], new_followers[i]
+        own, was = now[i], before[i]
         if own.lost:
             continue
         mine, wanted = sums[driver[i]], was.target_lane
-        watched[latest] = NOBODY
+        new_followers[i, latest] = NOBODY
         if own.lane != was.lane:
             mine.lane_changes += 1
-            watched[latest] = own.follower
+            new_followers[i, latest] = own.follower
         elif is_given_up(was.lane, wanted, own.lane, own.target_lane):
             mine.abandoned += 1
             if decision - was.target_since >= ATTEMPT_DECISIONS:
@@ -66,11 +66,11 @@ def note_lane_changes(
                     sums[driver[taker]].gaps_taken += 1
         if decision < own.lane_since + window:
             for k in range(window):
-                j = watched[k]
+                j = new_followers[i, k]
                 if j >= 0 and not now[j].crashed and now[j].acceleration < -HARD_BRAKING_MPS2:
                     mine.hard_braking_by += 1
                     sums[driver[j]].hard_braking_to += 1
-                    watched[k] = NOBODY
+                    new_followers[i, k] = NOBODY
 
 
 @compiled

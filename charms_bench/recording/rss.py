@@ -61,20 +61,19 @@ def note_rss(now: Any, interval_s: float, driver: Ints, sums: Any) -> None:
         forward, aside = own.speed * own.direction_x, own.speed * own.direction_y
         is_too_close = False
         for found in (own.left_leader, own.leader, own.right_leader):
-            j = index(max(found, 0))
+            if found < 0:
+                continue
+            j = index(found)
             other = now[j]
-            gap = gap_to(own.x, other.x, own.length, other.length)
+            # Across the road first: nearly all vehicles on adjacent lanes are far enough aside.
             to_the_right = 1.0 if other.y > own.y else -1.0
             aside_m = side_gap(own.y, other.y, own.width, other.width)
             approach = -to_the_right * other.speed * other.direction_y
-            # No branches: what is true of a pair cannot be predicted, which costs more.
-            is_dangerous = (
-                (found >= 0)
-                & (gap < safe_distance(forward, other.speed * other.direction_x))
-                & (aside_m < safe_side_distance(to_the_right * aside, approach))
-            )
-            is_too_close |= is_dangerous
-            is_pressed[j] |= is_dangerous
+            if aside_m >= safe_side_distance(to_the_right * aside, approach):
+                continue
+            gap = gap_to(own.x, other.x, own.length, other.length)
+            if gap < safe_distance(forward, other.speed * other.direction_x):
+                is_too_close = is_pressed[j] = True
         sums[driver[i]].rss_by_s += interval_s * is_too_close
     for i in range(now.size):
         sums[driver[i]].rss_to_s += interval_s * (is_pressed[i] & (not now[i].lost))
