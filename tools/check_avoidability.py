@@ -17,7 +17,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.episodes.recorded_cell import RecordedCell, find_cell
 from charms_bench.episodes.replay import Replay, replay
-from charms_bench.runs.finished import open_finished
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Bools, Ints
 

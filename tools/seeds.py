@@ -20,7 +20,7 @@ from charms_bench.report.figures.drawing import SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
-from charms_bench.runs.finished import open_finished
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.folder import RunFolder
 from charms_bench.statistics.intervals import CONFIDENCE, Bounds
 from charms_bench.world.scene import Floats

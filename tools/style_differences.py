@@ -18,7 +18,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.pairs_table import guess_summary
 from charms_bench.report.table import Column, Row, Table
-from charms_bench.runs.finished import open_finished
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.statistics.intervals import resample
 from charms_bench.world.scene import Floats
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from charms_agents.training.sb3_zip import export_zip
+from charms_agents.training.sb3_export import export_zip
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
     FIRST_TRAINING_SEED,

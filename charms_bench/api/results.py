@@ -15,7 +15,7 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.lock import locked
 from charms_bench.runs.suite import Suite
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, make_engine
-from charms_bench.engine.collisions import (
+from charms_bench.engine.collision_kinds import (
     NO_COLLISION,
     SIDE_COLLISION,
     are_noted,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from charms_bench.engine.collisions import COLLISIONS
+from charms_bench.engine.collision_kinds import COLLISIONS
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem

@@ -9,7 +9,7 @@ per vehicle: passing an array costs an atomic reference count, which takes longe
 Kernels are private to the harness; `tests/naive.py` holds plain versions of them.
 """
 
-from charms_bench.engine.contacts import collide
+from charms_bench.engine.collision_detection import collide
 from charms_bench.engine.motion import move, room_to_turn
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION
+from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME, are_off_road
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
 from charms_bench.errors import InputError
+from charms_bench.world.gaps import time_to_collision
 
 if TYPE_CHECKING:
     from charms_bench.envs.window import Window
@@ -114,4 +115,4 @@ def _to_leader(simulation: Simulation, row: int, ego: int) -> tuple[float, float
     if not found[0] or scene.crashed[row, ego] or gap <= 0:
         return np.nan, np.nan
     closing = scene.speed[row, ego] - scene.speed[row, leader[0]]
-    return gap, gap / closing if closing > 0 else np.nan
+    return gap, float(time_to_collision(gap, closing))

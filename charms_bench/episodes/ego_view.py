@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.envs.highway_reward import highway_reward
 from charms_bench.episodes.replay import Replay
-from charms_bench.world.gaps import gap_to
+from charms_bench.world.gaps import gap_to, time_to_collision
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -45,14 +45,12 @@ def ego_view(replay: Replay) -> EgoView:
 
     gap_ahead = gap(to_leader, leader)
     closing = replay.speed[:, ego] - replay.speed[frames, leader]
-    ttc = np.full(gap_ahead.shape, np.nan)
-    np.divide(gap_ahead, closing, out=ttc, where=closing > 0)
     return EgoView(
         leader=leader,
         follower=follower,
         gap_ahead=gap_ahead,
         gap_behind=gap(to_follower, follower),
-        ttc=ttc,
+        ttc=time_to_collision(gap_ahead, closing),
         reward=_rewards(replay),
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.collisions import vehicle_hit
+from charms_bench.engine.collision_kinds import vehicle_hit
 from charms_bench.episodes.criticality import Kind, criticality
 from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay

@@ -13,6 +13,7 @@ import polars.selectors as cs
 
 from charms_bench.metrics.conduct import conduct_of
 from charms_bench.metrics.metric import Metric
+from charms_bench.metrics.time_to_collision import time_to_collision
 from charms_bench.recording.columns import NO_DRIVERS, with_lengths
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -111,10 +112,10 @@ def _following() -> dict[str, pl.Expr]:
     required = pl.when(closing > 0).then(closing**2 / (2 * gap)).otherwise(0.0)
     return {
         "gap_m": gap,
-        "ttc_s": pl.when(closing > 0).then(gap / closing),
+        "ttc_s": time_to_collision(gap, closing),
         "drac_mps2": pl.when(gap.is_not_null()).then(required),
         "time_headway_s": pl.when(gap.is_not_null() & (speed > 0)).then(fronts / speed),
-        "rear_ttc_s": pl.when(rear_closing > 0).then(rear_gap / rear_closing),
+        "rear_ttc_s": time_to_collision(rear_gap, rear_closing),
     }
 
 

@@ -18,6 +18,11 @@ TTC = pl.col("ttc_s")
 REAR_TTC = pl.col("rear_ttc_s")
 
 
+def time_to_collision(gap_m: pl.Expr, closing_mps: pl.Expr) -> pl.Expr:
+    """The time until a gap is closed at constant speeds, s; null unless it is closing."""
+    return pl.when(closing_mps > 0).then(gap_m / closing_mps)
+
+
 def of_time_to_collision(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
     """The smallest TTC, the times with a TTC below a threshold, TET and TIT."""
     ttc = driving.only(TTC)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.collisions import SIDE_COLLISION, STRIKING, STRUCK
+from charms_bench.engine.collision_kinds import SIDE_COLLISION, STRIKING, STRUCK
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.recording.columns import (

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.engine.collisions import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
+from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.recording.primitives import Frames

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from charms_bench.engine.collisions import NO_COLLISION
+from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled_of_scenes, index
 from charms_bench.world.road import is_on_lane, side_lanes

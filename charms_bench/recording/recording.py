@@ -7,7 +7,7 @@ declares the columns.
 import numpy as np
 import polars as pl
 
-from charms_bench.engine.collisions import STRUCK
+from charms_bench.engine.collision_kinds import STRUCK
 from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
 from charms_bench.recording.columns import EPISODE_SCHEMA, table

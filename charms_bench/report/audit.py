@@ -18,7 +18,7 @@ from charms_bench.report.suite_table import KEYS, LONG, matrices
 from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.audit_finding import VERDICTS, Finding, Verdict
 from charms_bench.runs.code_hashes import module_blobs, row_modules
-from charms_bench.runs.finished import open_finished
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.metric_sets import asked_by, metric_sets
 from charms_bench.runs.suite import Suite
 

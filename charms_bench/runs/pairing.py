@@ -6,7 +6,7 @@ from typing import Any
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.specs import by_content
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.manifest import differing_fields
 
 Pair = tuple[CellRows, CellRows]

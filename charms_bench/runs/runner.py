@@ -15,7 +15,7 @@ from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.cells import CellRows
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.shard import (
     CellTask,

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from charms_bench.engine.collisions import note_collisions
+from charms_bench.engine.collision_kinds import note_collisions
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.stepping import advance

@@ -39,6 +39,12 @@ def following_distance(x: Any, ahead_x: Any, overhang: Any, ahead_overhang: Any)
     return ahead_x - x - (overhang + ahead_overhang)
 
 
+def time_to_collision(gap: Any, closing: Any) -> Any:
+    """The time until a gap is closed at constant speeds, s; NaN unless it is closing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(closing > 0, np.divide(gap, closing), np.nan)
+
+
 @inlined
 def overlap(distance: float, speed: float, size: float) -> tuple[float, float]:
     """When a distance that changes with a speed is at most a size either way: from and to."""

@@ -15,7 +15,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 import gymnasium
-from charms_agents.training.sb3_zip import export_zip
+from charms_agents.training.sb3_export import export_zip
 from command_line import charms_bench
 from handmade_weights import dqn_weights, ppo_weights, recurrent_weights
 

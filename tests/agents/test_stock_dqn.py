@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
-from charms_agents.training.sb3_zip import export_zip
+from charms_agents.training.sb3_export import export_zip
 
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.endings import RUNNING, TIME

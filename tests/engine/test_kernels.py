@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import scene_of, scenes
 
-from charms_bench.engine.contacts import collide
+from charms_bench.engine.collision_detection import collide
 from charms_bench.engine.motion import follow_no_lane, move, room_to_turn
 from charms_bench.engine.neighbours import locate
 from charms_bench.foundation.compiled import wrap_to_pi

@@ -108,7 +108,7 @@ def started_among_idm_drivers(states: States) -> Simulation:
 
 def network_of(checkpoint: str, folder: Path, decision_hz: float = 3.0) -> OnnxPolicy:
     pytest.importorskip("torch", reason="needs the extra 'train'")
-    from charms_agents.training.sb3_zip import export_zip
+    from charms_agents.training.sb3_export import export_zip
 
     path = folder / f"{checkpoint}.onnx"
     (zipped,) = RELEASED.rglob(f"{checkpoint}.zip")

@@ -18,7 +18,7 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.report.avoidability_table import avoidability_table, rescuers_table
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import ACTIONS

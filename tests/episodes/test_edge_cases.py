@@ -10,7 +10,7 @@ from command_line import charms_bench
 
 from charms_bench.episodes.edge_cases import edge_cases
 from charms_bench.episodes.recorded_cell import find_cells
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 

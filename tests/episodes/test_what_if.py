@@ -15,7 +15,7 @@ from charms_bench.episodes.what_if import WhatIf, future_of, what_if
 from charms_bench.errors import InputError, RegistryError, RunFolderError
 from charms_bench.report.html.single import write_what_if
 from charms_bench.report.what_if_table import what_if_table
-from charms_bench.runs.finished import FinishedRun
+from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 

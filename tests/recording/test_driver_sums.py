@@ -12,7 +12,7 @@ from scenes import scene_of
 
 from charms_bench import ACTIONS, Mixture, Policy
 from charms_bench.engine import EngineName
-from charms_bench.engine.collisions import COLLISIONS, are_noted, note_collisions
+from charms_bench.engine.collision_kinds import COLLISIONS, are_noted, note_collisions
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.recording.columns import DRIVER_SCHEMA, DRIVER_SUMS

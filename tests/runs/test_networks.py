@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 
 import charms_bench as bench
 from charms_bench.errors import InputError
-from charms_bench.runs.finished import open_finished
+from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import ShardFiles, simulate

@@ -10,7 +10,7 @@ from command_line import charms_bench
 from charms_bench.errors import InputError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.metrics.labels import label_of, set_label_of
-from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite

@@ -9,7 +9,7 @@ from charms_bench.foundation.files import absolute
 from charms_bench.foundation.names import unused
 from charms_bench.report.stored import RunTables, holds, stored_tables
 from charms_bench.report.training_tables import CURVES, Training, stored_training
-from charms_bench.runs.finished import FinishedRun, open_finished
+from charms_bench.runs.finished_run import FinishedRun, open_finished
 from charms_bench.runs.folder import MANIFEST
 
 

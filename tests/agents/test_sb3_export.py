@@ -19,9 +19,9 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 import gymnasium
-from charms_agents.training import sb3_zip
+from charms_agents.training import sb3_export
 from charms_agents.training.network_file import read_network
-from charms_agents.training.sb3_zip import export_zip
+from charms_agents.training.sb3_export import export_zip
 from handmade_weights import dqn_weights, ppo_weights
 from typer.testing import CliRunner
 
@@ -213,7 +213,7 @@ def test_an_actors_file_has_its_continuous_actions(
     assert done["sizes"] == [35, *hidden, 2]
     exported = OnnxPolicy(tmp_path / "out.onnx")
     assert exported.actions == "continuous"
-    seen = sb3_zip._seen(neighbours, 9)
+    seen = sb3_export._seen(neighbours, 9)
     expected, _ = model.predict(seen, deterministic=True)
     np.testing.assert_allclose(exported.decide(seen), expected, rtol=0, atol=1e-5)
     assert np.ptp(expected, axis=0).min() > 0.1
@@ -402,7 +402,7 @@ def test_a_file_that_would_act_differently_is_not_written(
 
 
 def test_the_checked_observations_are_those_of_moving_scenes() -> None:
-    seen = sb3_zip._seen(neighbours, 0)
+    seen = sb3_export._seen(neighbours, 0)
     assert seen.shape == (16 * 21, 7, 5)
     assert (seen[:, 0, 0] == 1).all()
     assert len(np.unique(seen[:, 1:, 0].sum(axis=1))) > 3
