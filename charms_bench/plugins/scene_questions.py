@@ -26,7 +26,7 @@ class SceneQuestion:
     name: str
     """What was asked, for messages."""
     scene: Scene
-    """A copy of the scenes, which must not be changed."""
+    """A copy of the scenes; a driver model that is asked writes to it."""
     vehicles: Vehicles
     """M vehicles."""
     said: Answers
@@ -35,10 +35,11 @@ class SceneQuestion:
     def part(self, rows: Ints) -> "SceneQuestion":
         """A copy of the question about the scenes `rows` (R,) in this order."""
         arrays = {name: getattr(self.scene, name)[rows] for name in _ARRAYS}
-        parts = [np.nonzero(self.vehicles[0] == row)[0] for row in rows]
-        index = np.concatenate(parts)
-        shown = np.repeat(np.arange(rows.size), [part.size for part in parts])
-        vehicles = shown.astype(self.vehicles[0].dtype), self.vehicles[1][index]
+        place = np.full(len(self.scene.active), -1)
+        place[rows] = np.arange(rows.size)
+        shown = place[self.vehicles[0]]
+        index = np.argsort(shown, kind="stable")[np.count_nonzero(shown < 0) :]
+        vehicles = shown[index].astype(self.vehicles[0].dtype), self.vehicles[1][index]
         said = [answer[index] for answer in self.said]
         return SceneQuestion(self.name, self.scene._replace(**arrays), vehicles, said)
 
@@ -52,8 +53,8 @@ class SceneQuestion:
         return self.part(rows[halved(rows.size, times)])
 
     def check(self, ask: Ask, how: str) -> None:
-        """Asks again; raises a `BrokenWordError` that says `how` if an answer differs."""
-        again = ask(copied(self.scene).read_only(), tuple(map(np.copy, self.vehicles)))
+        """Asks again, once; raises a `BrokenWordError` that says `how` if an answer differs."""
+        again = ask(self.scene.read_only(), tuple(map(np.copy, self.vehicles)))
         for then, now in zip(self.said, again, strict=True):
             if now.shape != then.shape:
                 raise BrokenWordError(f"{self.name} returned shape {now.shape} when {how}")
