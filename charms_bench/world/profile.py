@@ -6,9 +6,14 @@ field. The names in brackets are highway-env's.
 """
 
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
 
@@ -65,7 +70,10 @@ class Profile(FrozenModel):
     lane_command_from: Literal["current_lane", "target_lane"]
     """The lane that LANE_LEFT and LANE_RIGHT refer to."""
     target_speed_step_mps: Positive = 5.0
-    """FASTER and SLOWER change the target speed by this, unless `target_speeds_mps` is given."""
+    """FASTER and SLOWER change the target speed by this, unless one of the next two is given."""
+    target_speed_steps_mps: tuple[Positive, ...] = Field(default=(), strict=False, max_length=100)
+    """Changes that grow while a vehicle repeats FASTER or SLOWER: the first by which it changes its
+    target speed, then the second, and so on to the last. Any other meta-action begins anew."""
     target_speed_min_mps: Finite
     target_speed_max_mps: Positive
     target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
@@ -100,9 +108,19 @@ class Profile(FrozenModel):
             raise ValueError("idm_mobil.exponent_low exceeds idm_mobil.exponent_high")
         if len(self.target_speeds_mps) == 1:
             raise ValueError("target_speeds_mps needs none or at least two speeds")
+        if len(self.target_speed_steps_mps) == 1:
+            raise ValueError("target_speed_steps_mps needs none or at least two steps")
         if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
             raise ValueError("target_speeds_mps are not in increasing order")
+        if self.target_speeds_mps and self.target_speed_steps_mps:
+            raise ValueError("expected target_speeds_mps or target_speed_steps_mps, not both")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_steps(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were such steps, if there are none: a suite keeps its fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        return {k: value for k, value in fields.items() if value or k != "target_speed_steps_mps"}
 
 
 class IdmMobilParameters(NamedTuple):

@@ -251,6 +251,9 @@ class _Fields(NamedTuple):
     target_lane: Ints
     """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change. With
     continuous actions, it is `lane`."""
+    repeats: Ints
+    """[B, N] how often FASTER, or SLOWER if it is negative, was the vehicle's last meta-action in a
+    row; counted up to the number of `Profile.target_speed_steps_mps`."""
     crashed: Bools
     """[B, N] whether the vehicle has collided."""
     timer_s: Floats
@@ -381,7 +384,7 @@ class Scene(_Fields):
 _PER_VEHICLE: dict[type, str] = {
     np.float64: "x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s temperament impact_x impact_y",
-    np.int64: "lane target_lane",
+    np.int64: "lane target_lane repeats",
     np.bool_: "present crashed impact",
 }
 """The arrays [B, N] of a `Scene` by the type of their values."""
