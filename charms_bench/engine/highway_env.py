@@ -383,6 +383,13 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         lengths = self.LENGTH, (other or self).LENGTH
         return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
 
+    def step(self: Any, dt: float) -> None:
+        """[`Vehicle.step`] without reversing."""
+        vehicle_class.step(self, dt)
+        if self.speed < 0.0:
+            self.action["acceleration"] -= self.speed / dt
+            self.speed = 0.0
+
     values = {
         "LENGTH": standard_length,
         "WIDTH": profile.vehicle_width_m,
@@ -402,6 +409,8 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
     held["lane_distance_to"] = lane_distance_to
+    if not profile.can_reverse:
+        held["step"] = step
     return type(vehicle_class.__name__, (vehicle_class,), held)
 
 

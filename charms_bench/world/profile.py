@@ -1,8 +1,8 @@
 """A profile: the constants of the road, the vehicles and their controllers.
 
-Two are built in: `charms`, the constants of the CHARMS paper and its release, and
-`highway-env`, the values highway-env 1.12 ships with. A suite names one and may override any
-field. The names in brackets are highway-env's.
+Three are built in: `charms`, the constants of the CHARMS paper and its release, `highway-env`, the
+values highway-env 1.12 ships with, and `naturalistic`, in which vehicles also queue and stop. A
+suite names one and may override any field. The names in brackets are highway-env's.
 """
 
 from itertools import pairwise
@@ -59,6 +59,9 @@ class Profile(FrozenModel):
     """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
     speed_max_mps: Positive
     """A faster vehicle is braked towards this speed [MAX_SPEED]."""
+    can_reverse: bool = True
+    """Whether a vehicle that brakes passes through 0 to negative speeds, as in highway-env; if not,
+    it stops, and its acceleration in that simulation step is the one that stops it."""
     tau_acceleration_s: Positive
     """Time constant of the speed controller [TAU_ACC]."""
     tau_heading_s: Positive
@@ -117,10 +120,14 @@ class Profile(FrozenModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_steps(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were such steps, if there are none: a suite keeps its fingerprint."""
+    def _without_new_fields(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were these fields, if none is used: a suite keeps its fingerprint."""
         fields: dict[str, Any] = dump(self)
-        return {k: value for k, value in fields.items() if value or k != "target_speed_steps_mps"}
+        if not self.target_speed_steps_mps:
+            del fields["target_speed_steps_mps"]
+        if self.can_reverse:
+            del fields["can_reverse"]
+        return fields
 
 
 class IdmMobilParameters(NamedTuple):
@@ -153,6 +160,7 @@ class Constants(NamedTuple):
     """Whether other sizes can occur; loops that read sizes only then are faster without."""
     speed_min: float
     speed_max: float
+    can_reverse: bool
     tau_acceleration: float
     tau_heading: float
     tau_lateral: float
@@ -201,4 +209,33 @@ HIGHWAY_ENV = Profile(
 )
 """The values highway-env 1.12's `highway-v0` ships with."""
 
-PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV)}
+NATURALISTIC = Profile(
+    name="naturalistic",
+    speed_limit_mps=36.0,
+    speed_min_mps=0.0,
+    speed_max_mps=36.0,
+    can_reverse=False,
+    tau_acceleration_s=0.8,
+    tau_heading_s=0.5,
+    tau_lateral_s=2.0,
+    lane_command_from="target_lane",
+    target_speed_steps_mps=(0.25, 0.5, 1.0, 2.0),
+    target_speed_min_mps=0.0,
+    target_speed_max_mps=36.0,
+    ego_speed_mps=28.0,
+    ego_control_rate="simulation",
+    offroad_terminal=True,
+    sums_time=False,
+    idm_mobil=IdmMobilConstants(
+        acceleration_mps2=1.4,
+        deceleration_mps2=2.0,
+        jam_distance_m=7.0,
+        time_headway_s=1.2,
+        acceleration_limit_mps2=8.0,
+        politeness=0.2,
+    ),
+)
+"""Vehicles that queue, stop and start, at up to 130 km/h. IDM's accelerations and jam distance, 2 m
+between bumpers, are those of Kesting et al. (2010, Enhanced IDM, table 1)."""
+
+PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV, NATURALISTIC)}
