@@ -15,8 +15,9 @@ class CommandRule(NamedTuple):
     """How meta-actions change target speeds and lanes; SI units."""
 
     speeds: Floats
-    """The target speeds between which FASTER and SLOWER choose; empty if they add `step`."""
-    step: float
+    """The target speeds between which FASTER and SLOWER choose; empty if they add `steps`."""
+    steps: Floats
+    """What the first FASTER or SLOWER in a row adds, then the second, and so on; at least one."""
     lowest: float
     highest: float
     from_target_lane: bool
@@ -27,7 +28,7 @@ def command_rule(profile: Profile) -> CommandRule:
     """How a profile's vehicles carry out meta-actions."""
     return CommandRule(
         speeds=np.array(profile.target_speeds_mps, dtype=np.float64),
-        step=profile.target_speed_step_mps,
+        steps=np.array(profile.target_speed_steps_mps or [profile.target_speed_step_mps]),
         lowest=profile.target_speed_min_mps,
         highest=profile.target_speed_max_mps,
         from_target_lane=profile.lane_command_from == "target_lane",
@@ -40,12 +41,16 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
     c, target_speed, target_lane = scene.constants, scene.target_speed, scene.target_lane
     for m in range(rows.size):
         b, i, action = rows[m], places[m], actions[m]
+        step = 0
+        if rule.steps.size > 1:
+            count_repeats(scene, b, i, action, rule.steps.size)
+            step = abs(scene.repeats[b, i]) - 1
         if action in (FASTER, SLOWER):
             change = 1 if action == FASTER else -1
             if rule.speeds.size:
                 wanted = nearest_target_speed(scene.speed[b, i], change, rule.speeds)
             else:
-                wanted = target_speed[b, i] + change * rule.step
+                wanted = target_speed[b, i] + change * rule.steps[step]
                 wanted = clip(wanted, rule.lowest, rule.highest)
             target_speed[b, i] = wanted
         elif action in (LANE_LEFT, LANE_RIGHT):
@@ -55,6 +60,18 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
             lane = beside if beside >= 0 else lane
             if is_reachable(c, lane, scene.x[b, i], scene.y[b, i]):
                 target_lane[b, i] = lane
+
+
+@compiled
+def count_repeats(scene: Scene, b: int, i: int, action: int, most: int) -> None:
+    """Counts how often a vehicle's speed command has been given in a row, up to a number."""
+    repeats = scene.repeats[b, i]
+    if action == FASTER:
+        scene.repeats[b, i] = min(max(repeats, 0) + 1, most)
+    elif action == SLOWER:
+        scene.repeats[b, i] = max(min(repeats, 0) - 1, -most)
+    else:
+        scene.repeats[b, i] = 0
 
 
 @compiled

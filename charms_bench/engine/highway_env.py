@@ -123,6 +123,7 @@ class HighwayEnvEngine:
             vehicle.act(ACTIONS[action])
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
+            self.scene.repeats[row, place] = getattr(vehicle, "repeats", 0)
 
     def advance(self, hold_egos: bool = False) -> None:
         active = np.nonzero(self.scene.active)[0]
@@ -206,6 +207,8 @@ class HighwayEnvEngine:
             vehicle.impact = np.array([scene.impact_x[at], scene.impact_y[at]])
         if hasattr(vehicle, "timer"):
             vehicle.timer = float(scene.timer_s[at])
+        if hasattr(vehicle, "repeats"):
+            vehicle.repeats = int(scene.repeats[at])
         self._set_temperament(vehicle, scene.temperament[at])
         return vehicle
 
@@ -292,8 +295,18 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
     target_speed: float
     LOWEST_TARGET = HIGHEST_TARGET = 0.0
     FROM_CURRENT_LANE = True
+    STEPS: tuple[float, ...] = ()
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.repeats = 0
 
     def act(self, action: str | None = None) -> None:
+        if action is not None and self.STEPS:
+            sign = {"FASTER": 1, "SLOWER": -1}.get(action, 0)
+            again = abs(self.repeats) if sign * self.repeats > 0 else 0
+            self.repeats = sign * min(again + 1, len(self.STEPS))
+            self.DELTA_SPEED = self.STEPS[abs(self.repeats) - 1]
         if action in ("LANE_LEFT", "LANE_RIGHT") and self.FROM_CURRENT_LANE:
             start = self.target_lane_index
             self.target_lane_index = self.lane_index
@@ -370,6 +383,13 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         lengths = self.LENGTH, (other or self).LENGTH
         return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
 
+    def step(self: Any, dt: float) -> None:
+        """[`Vehicle.step`] without reversing."""
+        vehicle_class.step(self, dt)
+        if self.speed < 0.0:
+            self.action["acceleration"] -= self.speed / dt
+            self.speed = 0.0
+
     values = {
         "LENGTH": standard_length,
         "WIDTH": profile.vehicle_width_m,
@@ -380,6 +400,7 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         "KP_LATERAL": 1 / profile.tau_lateral_s,
         "MAX_STEERING_ANGLE": profile.steering_limit_rad,
         "DELTA_SPEED": profile.target_speed_step_mps,
+        "STEPS": profile.target_speed_steps_mps,
         "LOWEST_TARGET": profile.target_speed_min_mps,
         "HIGHEST_TARGET": profile.target_speed_max_mps,
         "FROM_CURRENT_LANE": profile.lane_command_from == "current_lane",
@@ -388,6 +409,8 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
     }
     held = {name: value for name, value in values.items() if hasattr(vehicle_class, name)}
     held["lane_distance_to"] = lane_distance_to
+    if not profile.can_reverse:
+        held["step"] = step
     return type(vehicle_class.__name__, (vehicle_class,), held)
 
 

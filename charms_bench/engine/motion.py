@@ -165,6 +165,10 @@ def move(
         x[i] += speed[i] * c.dt
     for i in range(x.size):
         speed[i] += acceleration[i] * c.dt
+    for i in range(0 if c.can_reverse else x.size):
+        if speed[i] < 0.0:
+            acceleration[i] -= speed[i] / c.dt
+            speed[i] = 0.0
     for i in range(x.size):
         steering[i] = 0.0
     steer(turning, turns, c)

@@ -12,6 +12,7 @@ import numpy as np
 from charms_bench.engine.type_draws import draw_types
 from charms_bench.world.placement import driver_parameters
 from charms_bench.world.scene import Ints
+from charms_bench.world.vehicle_types import OF_VEHICLES, VehicleType, drawn_from
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
@@ -24,28 +25,32 @@ _STREAM = 3
 def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     """Sets the parameters of the drivers in the scenes `rows` (R,).
 
-    They are independent, and uniform in the ranges that the vehicle's type gives or else their
-    model declares. In a scenario, nothing is left to chance: they are the middles of the ranges, or
-    what the scenario gives.
+    By default, they are independent, and uniform in the ranges that their model declares; the type
+    of a vehicle can give other distributions. In a scenario, nothing is left to chance: they are
+    the middles of the ranges, or what the scenario gives.
     """
     if not simulation.ranges:
         return
-    settings, seeds, entry = simulation.settings, simulation.seeds[rows], simulation.scene.entry
-    kinds, _ = draw_types(settings, seeds, entry[rows], simulation.scene.ego[rows])
-    given = [*(each.driver_parameters for each in settings.vehicle_types), {}]
+    settings, seeds, scene = simulation.settings, simulation.seeds[rows], simulation.scene
+    entry, drivers = scene.entry[rows], simulation.engine.drivers[rows]
+    is_ego = np.arange(settings.vehicles) == scene.ego[rows][:, None]
+    kinds, of_vehicles = draw_types(settings, seeds, entry, is_ego)
+    types = (*settings.vehicle_types, VehicleType(name="profile", share=1.0))
     for agent, ranges in simulation.ranges.items():
-        name = simulation.agents[agent].encode()
-        of_kinds = np.array([[own.get(k, each) for k, each in ranges.items()] for own in given])
-        for row, kind in zip(rows, kinds, strict=True):
-            shares = np.full((settings.vehicles, len(ranges)), 0.5)
-            if settings.scenario is None:
-                # Each model has its own random stream: other drivers do not change the draws.
-                rng = np.random.default_rng([int(simulation.seeds[row]), _STREAM, crc32(name)])
-                shares = rng.random((entry[row].max() + 1, len(ranges)))[entry[row]]
-            own = simulation.engine.drivers[row] == agent
-            low, high = np.moveaxis(of_kinds[kind[own]], -1, 0)
-            drawn = low + (high - low) * shares[own]
-            simulation.scene.parameters[row, own, : len(ranges)] = drawn
+        own_stream = crc32(simulation.agents[agent].encode())
+        shares = np.full((*entry.shape, len(ranges)), 0.5)
+        for r, seed in enumerate(seeds if settings.scenario is None else ()):
+            # Each model has its own random stream: other drivers do not change the draws.
+            rng = np.random.default_rng([int(seed), _STREAM, own_stream])
+            shares[r] = rng.random((entry[r].max() + 1, len(ranges)))[entry[r]]
+        for k, each in enumerate(types):
+            found, places = np.nonzero((drivers == agent) & (kinds == k))
+            independent = np.hstack([of_vehicles[found, places], shares[found, places]])
+            of_type = each.correlated((*OF_VEHICLES, *ranges), independent)
+            for n, (name, default) in enumerate(ranges.items()):
+                value = each.driver_parameters.get(name, default)
+                drawn = drawn_from(value, of_type[:, len(OF_VEHICLES) + n])
+                scene.parameters[rows[found], places, n] = drawn
         _set_given(simulation, rows, agent, ranges)
 
 

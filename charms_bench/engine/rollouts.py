@@ -147,6 +147,7 @@ class Futures:
         rows, places = vehicles
         unique, which = np.unique(rows, return_inverse=True)
         state = state_of(self._made, unique).take(which)
+        repeats = state.repeats  # those of the planner's own vehicle decide what its plans do
         everyone = np.ones(state.drivers.shape, dtype=np.bool_)
         state = state.driven_by(self._planner.rollouts_with, everyone).seated(places, "")
         index = [self._simulation.agents.index(name) if name in self._simulation.agents else 0
@@ -159,6 +160,7 @@ class Futures:
                 **state.arrays(),
                 "drivers": np.array(index)[state.drivers],
                 "ego": places,
+                "repeats": repeats,
                 "ending": np.zeros(rows.size, dtype=np.int64),
                 "active": np.ones(rows.size, dtype=np.bool_),
                 "temperament": np.full(state.x.shape, TEMPERAMENT),

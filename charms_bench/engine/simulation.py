@@ -181,6 +181,7 @@ class Simulation:
         self.engine.reset(rows, seeds, drivers, draws)
         set_parameters(self, rows)
         self.scene.memory[rows] = 0.0
+        self.scene.repeats[rows] = 0
         self.steps[rows] = 0
         self.ending[rows] = RUNNING
         self.phase = 0

@@ -60,6 +60,7 @@ class SceneState:
     width: Floats
     target_speed: Floats
     target_lane: Ints
+    repeats: Ints
     crashed: Bools
     timer_s: Floats
     temperament: Floats
@@ -125,12 +126,12 @@ class SceneState:
         target speed.
         """
         agents = self.agents if agent in self.agents else (*self.agents, agent)
-        names = ("drivers", "action", "has_action", "target_speed", "memory")
+        names = ("drivers", "action", "has_action", "target_speed", "memory", "repeats")
         arrays = {name: getattr(self, name).copy() for name in names}
-        drivers, action, has_action, target_speed, memory = arrays.values()
+        drivers, action, has_action, target_speed, memory, repeats = arrays.values()
         changed = chosen & (drivers != agents.index(agent))
         drivers[changed], action[changed], has_action[changed] = agents.index(agent), 0, False
-        memory[changed] = 0.0
+        memory[changed], repeats[changed] = 0.0, 0
         # As `ControlledVehicle.__init__`: a vehicle without a target speed keeps its speed.
         speed = self.speed[changed]
         target_speed[changed] = np.where(target_speed[changed], target_speed[changed], speed)

@@ -23,16 +23,16 @@ from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import SceneSettings
 
-FORMAT, VERSION = "charms-bench scene state", 4
+FORMAT, VERSION = "charms-bench scene state", 5
 LIMIT_BYTES = 2**28
 ENTRIES = 100_000
 """Bound of the number of vehicles that have entered a scene."""
 _LARGEST = 1e9
 """Bound of what a driver model may write to its timer: with it, nothing overflows."""
-_INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "entry", "target_lane")
+_INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "entry")
 _BOOLEANS = ("active", "has_action", "present", "crashed", "impact")
 _TYPES = (
-    (_INTEGERS, "i", "integers"),
+    ((*_INTEGERS, "target_lane", "repeats"), "i", "integers"),
     (_BOOLEANS, "b", "true or false"),
     (ARRAYS, "fi", "numbers"),
 )
@@ -165,6 +165,7 @@ def check_state(state: SceneState) -> None:
         InputError: A shape is wrong or a number out of range; the message names the field.
     """
     settings, scenes = state.settings, state.seeds.size
+    repeats = len(settings.profile.target_speed_steps_mps)
     for name, array in state.arrays().items():
         of_vehicles = (settings.vehicles, *(array.shape[2:3] if name == "memory" else ()))
         shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
@@ -182,6 +183,7 @@ def check_state(state: SceneState) -> None:
         "collision": (0, len(COLLISIONS) - 1),
         "entry": (0, ENTRIES),
         "target_lane": (0, settings.lanes - 1),
+        "repeats": (-repeats, repeats),
         "temperament": (0.0, 1.0),
         "memory": (-np.inf, np.inf),
         "length": (min(lengths), max(lengths)),

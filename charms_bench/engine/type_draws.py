@@ -7,33 +7,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings
+from charms_bench.world.vehicle_types import OF_VEHICLES, drawn_from
 
 _STREAM = 4
 """The random stream of a seed that draws types; see `engine.parameters` for another."""
 
 
 def draw_types(
-    settings: SceneSettings, seeds: NDArray[np.uint64], entry: Ints, egos: Ints
+    settings: SceneSettings, seeds: NDArray[np.uint64], entry: Ints, is_ego: NDArray[np.bool_]
 ) -> tuple[Ints, Floats]:
-    """Draws the types (R, N) of the vehicles of R scenes, and where their desired speeds lie.
+    """Draws the types (R, M) of M vehicles in each of R scenes, and the places in their ranges.
 
     A type is an index into `vehicle_types`; the index after the last stands for the profile's
-    vehicle, which vehicles are that enter later. The second array has numbers in [0, 1), from the
-    lowest desired speed to the highest. `entry` (R, N) are those of the scene.
+    vehicle, which vehicles are that enter later. The second array (R, M, 3) has independent numbers
+    in [0, 1) for the quantities `OF_VEHICLES`. `entry` (R, M) are those of the scene.
     """
-    types, shape = settings.vehicle_types, (seeds.size, settings.vehicles)
-    kinds, shares = np.full(shape, len(types)), np.zeros(shape)
+    types, vehicles = settings.vehicle_types, settings.vehicles
+    kinds, shares = np.full(entry.shape, len(types)), np.zeros((*entry.shape, len(OF_VEHICLES)))
     if not types:
         return kinds, shares
     ends = np.cumsum([each.share for each in types])[:-1]
     for r, seed in enumerate(seeds):
         rng = np.random.default_rng([int(seed), _STREAM])
-        drawn = np.searchsorted(ends, rng.random(settings.vehicles), side="right")
-        at_start = entry[r] < settings.vehicles
+        drawn = np.searchsorted(ends, rng.random(vehicles), side="right")
+        at_start = entry[r] < vehicles
         kinds[r, at_start] = drawn[entry[r, at_start]]
-        shares[r, at_start] = rng.random(settings.vehicles)[entry[r, at_start]]
+        for k in range(len(OF_VEHICLES)):
+            shares[r, at_start, k] = rng.random(vehicles)[entry[r, at_start]]
     names = [*(each.name for each in types), None]
-    kinds[np.arange(seeds.size), egos] = names.index(settings.ego_type)
+    kinds[is_ego] = names.index(settings.ego_type)
     return kinds, shares
 
 
@@ -45,11 +47,19 @@ def set_types(
     Returns:
         Their desired speeds (R, N), m/s; NaN for a vehicle that wants the speed at which it starts.
     """
+    desired = np.full((rows.size, settings.vehicles), np.nan)
     if not settings.vehicle_types:
-        return np.full((rows.size, settings.vehicles), np.nan)
-    kinds, shares = draw_types(settings, seeds, scene.entry[rows], scene.ego[rows])
-    sizes = np.array(settings.sizes_m)[kinds]
-    scene.length[rows], scene.width[rows] = sizes[..., 0], sizes[..., 1]
-    speeds = [*(each.desired_speed_mps for each in settings.vehicle_types), None]
-    low, high = np.moveaxis(np.array([each or (np.nan, np.nan) for each in speeds])[kinds], -1, 0)
-    return np.asarray(low + (high - low) * shares)
+        return desired
+    is_ego = np.arange(settings.vehicles) == scene.ego[rows][:, None]
+    kinds, shares = draw_types(settings, seeds, scene.entry[rows], is_ego)
+    length = np.full(kinds.shape, settings.profile.vehicle_length_m)
+    width = np.full(kinds.shape, settings.profile.vehicle_width_m)
+    for k, each in enumerate(settings.vehicle_types):
+        own = kinds == k
+        found = each.correlated(OF_VEHICLES, shares[own])
+        values = (each.desired_speed_mps, each.length_m, each.width_m)
+        for n, (array, value) in enumerate(zip((desired, length, width), values, strict=True)):
+            if value is not None:
+                array[own] = drawn_from(value, found[:, n])
+    scene.length[rows], scene.width[rows] = length, width
+    return desired

@@ -59,12 +59,19 @@ def _quantile(parameter: Parameter, share: Floats) -> Floats:
     low, high = parameter.range
     if parameter.normal is None:
         return _rounded(low + share * (high - low))
+    return _rounded(truncated_normal(share, parameter.normal, parameter.range))
+
+
+def truncated_normal(
+    share: Floats, normal: tuple[float, float], bounds: tuple[float, float]
+) -> Floats:
+    """The quantiles of a normal distribution, of a mean and a deviation, truncated to bounds."""
     from scipy.special import ndtr, ndtri
 
-    mean, deviation = parameter.normal
+    (mean, deviation), (low, high) = normal, bounds
     first, last = ndtr((low - mean) / deviation), ndtr((high - mean) / deviation)
     drawn = mean + deviation * ndtri(first + share * (last - first))
-    return _rounded(np.clip(drawn, low, high))
+    return np.asarray(np.clip(drawn, low, high))
 
 
 def _rounded(values: Floats) -> Floats:

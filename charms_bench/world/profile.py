@@ -1,14 +1,19 @@
 """A profile: the constants of the road, the vehicles and their controllers.
 
-Two are built in: `charms`, the constants of the CHARMS paper and its release, and
-`highway-env`, the values highway-env 1.12 ships with. A suite names one and may override any
-field. The names in brackets are highway-env's.
+Three are built in: `charms`, the constants of the CHARMS paper and its release, `highway-env`, the
+values highway-env 1.12 ships with, and `naturalistic`, in which vehicles also queue and stop. A
+suite names one and may override any field. The names in brackets are highway-env's.
 """
 
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
 
@@ -54,6 +59,9 @@ class Profile(FrozenModel):
     """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
     speed_max_mps: Positive
     """A faster vehicle is braked towards this speed [MAX_SPEED]."""
+    can_reverse: bool = True
+    """Whether a vehicle that brakes passes through 0 to negative speeds, as in highway-env; if not,
+    it stops, and its acceleration in that simulation step is the one that stops it."""
     tau_acceleration_s: Positive
     """Time constant of the speed controller [TAU_ACC]."""
     tau_heading_s: Positive
@@ -65,7 +73,10 @@ class Profile(FrozenModel):
     lane_command_from: Literal["current_lane", "target_lane"]
     """The lane that LANE_LEFT and LANE_RIGHT refer to."""
     target_speed_step_mps: Positive = 5.0
-    """FASTER and SLOWER change the target speed by this, unless `target_speeds_mps` is given."""
+    """FASTER and SLOWER change the target speed by this, unless one of the next two is given."""
+    target_speed_steps_mps: tuple[Positive, ...] = Field(default=(), strict=False, max_length=100)
+    """Changes that grow while a vehicle repeats FASTER or SLOWER: the first by which it changes its
+    target speed, then the second, and so on to the last. Any other meta-action begins anew."""
     target_speed_min_mps: Finite
     target_speed_max_mps: Positive
     target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
@@ -100,9 +111,23 @@ class Profile(FrozenModel):
             raise ValueError("idm_mobil.exponent_low exceeds idm_mobil.exponent_high")
         if len(self.target_speeds_mps) == 1:
             raise ValueError("target_speeds_mps needs none or at least two speeds")
+        if len(self.target_speed_steps_mps) == 1:
+            raise ValueError("target_speed_steps_mps needs none or at least two steps")
         if any(faster <= slower for slower, faster in pairwise(self.target_speeds_mps)):
             raise ValueError("target_speeds_mps are not in increasing order")
+        if self.target_speeds_mps and self.target_speed_steps_mps:
+            raise ValueError("expected target_speeds_mps or target_speed_steps_mps, not both")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_new_fields(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were these fields, if none is used: a suite keeps its fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        if not self.target_speed_steps_mps:
+            del fields["target_speed_steps_mps"]
+        if self.can_reverse:
+            del fields["can_reverse"]
+        return fields
 
 
 class IdmMobilParameters(NamedTuple):
@@ -135,6 +160,7 @@ class Constants(NamedTuple):
     """Whether other sizes can occur; loops that read sizes only then are faster without."""
     speed_min: float
     speed_max: float
+    can_reverse: bool
     tau_acceleration: float
     tau_heading: float
     tau_lateral: float
@@ -183,4 +209,33 @@ HIGHWAY_ENV = Profile(
 )
 """The values highway-env 1.12's `highway-v0` ships with."""
 
-PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV)}
+NATURALISTIC = Profile(
+    name="naturalistic",
+    speed_limit_mps=36.0,
+    speed_min_mps=0.0,
+    speed_max_mps=36.0,
+    can_reverse=False,
+    tau_acceleration_s=0.8,
+    tau_heading_s=0.5,
+    tau_lateral_s=2.0,
+    lane_command_from="target_lane",
+    target_speed_steps_mps=(0.25, 0.5, 1.0, 2.0),
+    target_speed_min_mps=0.0,
+    target_speed_max_mps=36.0,
+    ego_speed_mps=28.0,
+    ego_control_rate="simulation",
+    offroad_terminal=True,
+    sums_time=False,
+    idm_mobil=IdmMobilConstants(
+        acceleration_mps2=1.4,
+        deceleration_mps2=2.0,
+        jam_distance_m=7.0,
+        time_headway_s=1.2,
+        acceleration_limit_mps2=8.0,
+        politeness=0.2,
+    ),
+)
+"""Vehicles that queue, stop and start, at up to 130 km/h. IDM's accelerations and jam distance, 2 m
+between bumpers, are those of Kesting et al. (2010, Enhanced IDM, table 1)."""
+
+PROFILES = {profile.name: profile for profile in (CHARMS, HIGHWAY_ENV, NATURALISTIC)}

@@ -27,7 +27,7 @@ from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.road import Straight
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType
+from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.signedinteger[Any]]
@@ -121,7 +121,7 @@ class SceneSettings(FrozenModel):
             raise ValueError(f"ego_type: no vehicle type called '{self.ego_type}'. {known}")
         slowest, fastest = self.profile.speed_min_mps, self.profile.speed_max_mps
         for k, each in enumerate(self.vehicle_types):
-            low, high = each.desired_speed_mps or (slowest, fastest)
+            low, high = range_of(each.desired_speed_mps or (slowest, fastest))
             if low < slowest or high > fastest:
                 raise ValueError(
                     f"vehicle_types[{k}].desired_speed_mps: {low:g} to {high:g} is outside the "
@@ -165,12 +165,16 @@ class SceneSettings(FrozenModel):
 
     @property
     def sizes_m(self) -> list[tuple[float, float]]:
-        """Length and width of each vehicle type, then of the profile's vehicle.
+        """The least and the largest length and width of each vehicle type, then the profile's.
 
         If a scenario gives sizes, the bounds of these follow.
         """
         length, width = self.profile.vehicle_length_m, self.profile.vehicle_width_m
-        own = [(each.length_m or length, each.width_m or width) for each in self.vehicle_types]
+        own: list[tuple[float, float]] = []
+        for each in self.vehicle_types:
+            own += zip(
+                range_of(each.length_m or length), range_of(each.width_m or width), strict=True
+            )
         bounds = zip(LENGTHS_M, WIDTHS_M, strict=True)
         has_bounds = self.scenario is not None and self.scenario.has_sizes
         return [*own, (length, width), *(bounds if has_bounds else ())]
@@ -204,6 +208,7 @@ class SceneSettings(FrozenModel):
             mixed_sizes=len(self.sizes_m) > 1,
             speed_min=profile.speed_min_mps,
             speed_max=profile.speed_max_mps,
+            can_reverse=profile.can_reverse,
             tau_acceleration=profile.tau_acceleration_s,
             tau_heading=profile.tau_heading_s,
             tau_lateral=profile.tau_lateral_s,
@@ -251,6 +256,9 @@ class _Fields(NamedTuple):
     target_lane: Ints
     """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change. With
     continuous actions, it is `lane`."""
+    repeats: Ints
+    """[B, N] how often FASTER, or SLOWER if it is negative, was the vehicle's last meta-action in a
+    row; counted up to the number of `Profile.target_speed_steps_mps`."""
     crashed: Bools
     """[B, N] whether the vehicle has collided."""
     timer_s: Floats
@@ -381,7 +389,7 @@ class Scene(_Fields):
 _PER_VEHICLE: dict[type, str] = {
     np.float64: "x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s temperament impact_x impact_y",
-    np.int64: "lane target_lane",
+    np.int64: "lane target_lane repeats",
     np.bool_: "present crashed impact",
 }
 """The arrays [B, N] of a `Scene` by the type of their values."""

@@ -62,7 +62,7 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
         (lambda text: "", "is not a complete state file"),
         (lambda text: "[" * 100_000, "is not a complete state file"),
         (lambda text: "[1]", "is not a state file; expected the format 'charms-bench scene state'"),
-        (edited(lambda f: f.update(version=2)), "version: found 2, expected 4"),
+        (edited(lambda f: f.update(version=2)), "version: found 2, expected 5"),
         (edited(lambda f: f.pop("speed")), "speed: is missing"),
         (edited(lambda f: f.update(colour=1)), "colour: unknown field"),
         (edited(lambda f: f["settings"].update(lanes=1)), r"settings\.lanes: .*found 1"),

@@ -201,3 +201,93 @@ def test_a_scenario_may_give_sizes() -> None:
         assert made.scene.x[:, 1].tolist() == [127.5, 132.5]
         made.restore(made.state().take([1, 0]))
         assert made.scene.length[:, 1].tolist() == [20.0, 10.0]
+
+
+TALL = {
+    "name": "tall",
+    "share": 1.0,
+    "length_m": {"normal": [12.0, 2.0], "range": [8.0, 16.0]},
+    "width_m": {"normal": [2.4, 0.1], "range": [2.2, 2.6]},
+    "desired_speed_mps": [20, 30],
+    "driver_parameters": {
+        "time_headway_s": {"lognormal": [1.2, 0.3], "range": [0.6, 2.0]},
+        "politeness": [0.0, 0.5],
+    },
+    "correlations": [
+        ["length_m", "width_m", 0.6],
+        ["desired_speed_mps", "length_m", -0.4],
+        ["desired_speed_mps", "time_headway_s", -0.3],
+        ["time_headway_s", "politeness", 0.4],
+    ],
+}
+
+
+def test_quantities_of_a_type_have_their_distributions_and_correlations() -> None:
+    made = started(settings_of(TALL, profile="naturalistic"), seeds=300)
+    traffic = is_traffic(made)
+    parameters = made.scene.parameters[traffic]
+    found = {
+        "length_m": made.scene.length[traffic],
+        "width_m": made.scene.width[traffic],
+        "desired_speed_mps": made.scene.target_speed[traffic],
+        "time_headway_s": parameters[:, 3],
+        "politeness": parameters[:, 4],
+        "imposed_braking_mps2": parameters[:, 6],
+    }
+    expected = {
+        "length_m": stats.truncnorm(-2, 2, loc=12, scale=2),
+        "width_m": stats.truncnorm(-2, 2, loc=2.4, scale=0.1),
+        "desired_speed_mps": stats.uniform(20, 10),
+        "politeness": stats.uniform(0, 0.5),
+        "imposed_braking_mps2": stats.uniform(1, 3),
+    }
+    for name, distribution in expected.items():
+        assert stats.kstest(found[name], distribution.cdf).pvalue > 1e-3, name
+    bounds = np.log(np.array([0.6, 2.0]) / 1.2) / 0.3
+    headway = np.log(found["time_headway_s"] / 1.2) / 0.3
+    assert stats.kstest(headway, stats.truncnorm(*bounds).cdf).pvalue > 1e-3
+    given = {frozenset(pair[:2]): pair[2] for pair in TALL["correlations"]}  # type: ignore[attr-defined]
+    for one in found:
+        for other in found:
+            # Of a Gaussian copula, Spearman's correlation follows from that of the normal scores.
+            expected_rho = 6 / np.pi * np.arcsin(given.get(frozenset({one, other}), 0.0) / 2)
+            rho = stats.spearmanr(found[one], found[other]).statistic
+            assert one == other or abs(rho - expected_rho) < 0.05, (one, other)
+
+
+def test_a_state_restores_correlated_parameters() -> None:
+    settings = settings_of(TALL, profile="naturalistic")
+    made, other = (started(settings, ego="varied") for _ in range(2))
+    other.reset(np.array([8, 9], dtype=np.uint64))
+    other.restore(made.state())
+    np.testing.assert_array_equal(other.scene.parameters, made.scene.parameters)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"length_m": {"range": [8, 16]}}, "expected either normal or lognormal"),
+        ({"length_m": {"normal": [12, 2], "range": [8, 40]}}, "length_m: 8 to 40; expected 1 to"),
+        ({"length_m": {"normal": [20, 2], "range": [8, 16]}}, "range: the center 20 is outside"),
+        ({"width_m": {"lognormal": [2, 1], "range": [0, 3]}}, "lognormal distribution is above 0"),
+        ({"desired_speed_mps": {"normal": [9, 9], "range": [0, 20]}}, "expected speeds above 0"),
+        ({"correlations": [["length_m", "age", 0.5]]}, "the type draws no 'age'"),
+        ({"correlations": [["length_m", "length_m", 1]]}, "'length_m' twice"),
+        ({"correlations": [["length_m", "width_m", 1.5]]}, "less than or equal to 1"),
+        (
+            {
+                "correlations": [
+                    ["length_m", "width_m", 0.9],
+                    ["length_m", "politeness", 0.9],
+                    ["width_m", "politeness", -0.9],
+                ]
+            },
+            "no distribution has these",
+        ),
+    ],
+)
+def test_a_distribution_that_does_not_exist_is_refused(
+    changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValidationError, match=message):
+        settings_of({**TALL, **changes})
