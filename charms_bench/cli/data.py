@@ -14,6 +14,7 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     TrafficLabel,
     app,
+    err,
     interruptible,
     print_json,
     print_records,
@@ -31,7 +32,7 @@ def data(
     """Summarise recordings of human driving."""
     from charms_bench.foundation.files import absolute
     from charms_bench.people.highd import find_trios
-    from charms_bench.people.survey import survey
+    from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
@@ -51,6 +52,14 @@ def data(
         print_json({**facts, "samplers": {name: asdict(each) for name, each in learnable.items()}})
         return
     _print_facts(facts)
+    if abs(facts["offset_mean_m"] or 0.0) > OFF_CENTRE_M:
+        side = "right" if facts["offset_mean_m"] > 0 else "left"
+        say(
+            f"\nwarning: drivers are {abs(facts['offset_mean_m']):.2f} m to the {side} of their "
+            f"lanes' centres on average, which people are not; correct the lane markings, "
+            f"or drifts and lane changes are labelled wrongly",
+            err(),
+        )
     for name, each in learnable.items():
         _print_learnable(name, each)
     if figure is not None:

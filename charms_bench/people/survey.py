@@ -12,6 +12,8 @@ from charms_bench.people.highd import LANE_WIDTH_M, Recording, find_trios, read_
 from charms_bench.people.situations import situations
 from charms_bench.world.scene import Observations
 
+OFF_CENTRE_M = 0.25
+"""If drivers are further than this from their lanes' centres on average, the markings are wrong."""
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 

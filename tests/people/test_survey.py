@@ -1,6 +1,7 @@
 """What the command line says of recordings."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import click.testing
@@ -58,6 +59,16 @@ def test_the_command_prints_what_it_found_and_draws_it(tmp_path: Path) -> None:
 def test_the_command_prints_nothing_but_json(tmp_path: Path) -> None:
     result = data(write_trio(tmp_path, busy_road()), "--json")
     assert json.loads(result.stdout)["samplers"]["charms"]["rejected"]["truck"] == 3 * 4
+
+
+@pytest.mark.parametrize(("shift_m", "warns"), [(0.0, True), (-0.3, False)])
+def test_drivers_beside_the_centres_of_their_lanes_are_a_warning(
+    shift_m: float, warns: bool, tmp_path: Path
+) -> None:
+    rows = [replace(row, y=row.y + shift_m) for row in busy_road()]  # 0.3 m to the right
+    result = data(write_trio(tmp_path, rows))
+    assert result.exit_code == 0
+    assert ("0.30 m to the right" in result.stderr) == warns
 
 
 def test_recordings_are_surveyed_without_any_sampler(tmp_path: Path) -> None:

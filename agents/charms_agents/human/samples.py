@@ -13,13 +13,14 @@ from functools import cached_property
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import polars as pl
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from charms_agents.human.drivers import drivers, moments
+from charms_agents.human.manoeuvres import manoeuvres
 from charms_agents.human.soft_labels import (
     Labels,
     lateral_intents,
@@ -68,6 +69,9 @@ _SAMPLES = pl.Schema(
 class SampleSettings(FrozenModel):
     """How samples are taken from recordings."""
 
+    labels: Literal["moment", "manoeuvre"] = "moment"
+    """What labels follow from: the acceleration and the drift at the moment of a decision, as in
+    the paper, or what the driver goes on to do; see `manoeuvres`."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     cars_only: bool = True
     min_neighbours: Annotated[int, Field(ge=0, le=6)] = 1
@@ -78,6 +82,14 @@ class SampleSettings(FrozenModel):
     """Share of the drivers to hold out, rounded to whole drivers; at least one, unless the share is
     0 or there is only one driver."""
     seed: Annotated[int, Field(ge=0)] = 0
+
+    @model_serializer(mode="wrap")
+    def _without_the_papers_labels(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were other labels: samples with the paper's keep their fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        if self.labels == "moment":
+            del fields["labels"]
+        return fields
 
 
 @dataclass(frozen=True)
@@ -192,6 +204,10 @@ class CharmsSampler:
         self._vehicles.append(tracks.select(number, "vehicle", moment))
         moment = moments(recording, rows)
         repeated = moment.is_in(self._taken.implode()).fill_null(False).to_numpy()
+        if self.settings.labels == "manoeuvre":
+            place = ["direction", "vehicle", "frame"]
+            rows = rows.join(manoeuvres(recording), on=place, how="left", maintain_order="left")
+            rows = rows.with_columns(acceleration="mean_acceleration")
         rows = _judged(rows, observations, repeated, self.settings)
         self._taken.append(moment.filter(rows["rejected"].is_null()).drop_nulls())
         rng = np.random.default_rng([self.settings.seed, trio.number])
@@ -264,13 +280,21 @@ class CharmsSampler:
         )
 
 
+def manoeuvre_sampler() -> CharmsSampler:
+    """Takes samples as `charms-bench data` does, labelled by what drivers go on to do."""
+    return CharmsSampler(SampleSettings(labels="manoeuvre"))
+
+
 def _judged(
     rows: pl.DataFrame, observations: Observations, repeated: Bools, settings: SampleSettings
 ) -> pl.DataFrame:
     """Adds the intents and, for a rejected decision, the reason."""
     lane = rows["lane"].to_numpy()
     offset = rows["y"].to_numpy() - LANE_WIDTH_M * lane
-    lateral = lateral_intents(rows["lateral_speed"].to_numpy(), offset)
+    if settings.labels == "manoeuvre":
+        lateral = rows["movement"].to_numpy()
+    else:
+        lateral = lateral_intents(rows["lateral_speed"].to_numpy(), offset)
     aimed_at = lane + lateral
     applies = (
         ~rows["car"].to_numpy() & settings.cars_only,
