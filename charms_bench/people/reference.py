@@ -142,7 +142,7 @@ def read_references(specs: Sequence[ReferenceSpec], folder: Path) -> list[Refere
     return [
         from_recordings(folder / spec.recordings, name=spec.title)
         if spec.recordings is not None
-        else _read(REFERENCES / f"{spec.title}.json")
+        else _read(REFERENCES / f"{spec.name}.json").model_copy(update={"name": spec.title})
         for spec in specs
     ]
 

@@ -50,6 +50,12 @@ def test_shipped_references_know_their_independent_units(
     assert reference.units("dhw").sum() == headways
 
 
+def test_a_label_renames_a_shipped_reference() -> None:
+    reference = read(name="us101", label="US-101, congested")
+    assert reference.name == "US-101, congested"
+    assert np.array_equal(reference.counts("speed"), read(name="us101").counts("speed"))
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_what_is_shipped_says_where_it_is_from_and_what_it_counts(name: str) -> None:
     reference = read(name=name)
