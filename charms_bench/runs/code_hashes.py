@@ -61,7 +61,8 @@ def imported_modules(node: ast.AST) -> Iterator[str]:
             raise ValueError(f"line {node.lineno}: a relative import, which is not followed")
         names = [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
     yield from (name for name in names if name.partition(".")[0] == "charms_bench")
-    is_for_type_checkers = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    asked = node.test if isinstance(node, ast.If) else None
+    is_for_type_checkers = isinstance(asked, ast.Name) and asked.id == "TYPE_CHECKING"
     for block in _BLOCKS[1:] if is_for_type_checkers else _BLOCKS:
         for child in getattr(node, block, ()):
             yield from imported_modules(child)
