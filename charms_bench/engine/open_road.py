@@ -1,11 +1,13 @@
 """Open boundaries: after a simulation step, vehicles enter a straight road, and others leave it.
 
-Arrivals are a Poisson process, and so depend on an episode's seed alone. A vehicle that has arrived
-enters at x = 0, on the lane with the most room. There it drives as fast as the leader, or at its
-desired speed if that is lower, and at least the gap that the profile's IDM wants at that speed is
-ahead of it. Until there is such a gap, it waits before the road, and those after it wait too. A
-vehicle leaves when its centre has reached the end. Both engines use this module, so a state that
-either has saved says all that is needed: who has entered is the number of the last vehicle.
+Arrivals are a Poisson process that depends on an episode's seed alone. A vehicle that has arrived
+enters at x = 0, on the lane with the most room behind the last vehicle that is on it or steers to
+it. It enters as fast as that vehicle, or at its desired speed if that is lower, when at least the
+gap that the profile's IDM wants at that speed is ahead of it. Until then it waits before the road,
+and those after it wait too. A vehicle leaves when its centre has reached the end.
+
+Both engines use this module. A state has all that it needs: the last vehicle's number says who has
+entered.
 """
 
 import math
@@ -194,7 +196,8 @@ def entrance(scene: Scene, b: int, length: float) -> tuple[int, float, float]:
         room, its = math.inf, math.inf
         for k in range(scene.x.shape[1]):
             i = scene.order[b, k]
-            if scene.present[b, i] and is_near_lane(c, lane, scene.y[b, i]):
+            is_there = is_near_lane(c, lane, scene.y[b, i]) or scene.target_lane[b, i] == lane
+            if scene.present[b, i] and is_there:
                 other = overhang(scene.length[b, i], c.length)
                 room = following_distance(0.0, scene.x[b, i], own, other)
                 its = scene.speed[b, i]

@@ -114,11 +114,11 @@ class SceneSettings(FrozenModel):
                 f"ego_slots {self.ego_slots} exceeds the {1 + self.traffic_vehicles} vehicles of a "
                 "scene"
             )
-        if self.inflow and self._spawned_within_m > self.road_length_m:
+        if self.inflow and self._spawned_within_m > self.profile.road_length_m:
             raise ValueError(
-                f"profile.road_length_m: with the inflow, {self.road_length_m:g} m are too short "
-                f"for the {1 + self.traffic_vehicles} vehicles at the start; expected at least "
-                f"{self._spawned_within_m:.0f} m"
+                f"profile.road_length_m: with the inflow, {self.profile.road_length_m:g} m are too "
+                f"short for the {1 + self.traffic_vehicles} vehicles at the start; expected at "
+                f"least {self._spawned_within_m:.0f} m"
             )
         self._check_types()
         if not self.duration_s * self.decision_hz <= DECISIONS_LIMIT:
