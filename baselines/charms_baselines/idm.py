@@ -63,7 +63,8 @@ def distance(vehicle: Motion, leader: Motion) -> float:
 def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> float:
     """Desired gap to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
     braking = 2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2)
-    return p.jam_distance_m + speed * p.time_headway_s + speed * closing_speed / braking
+    gap = p.jam_distance_m + speed * p.time_headway_s + speed * closing_speed / braking
+    return float(max(gap, p.least_gap_m))
 
 
 @compiled

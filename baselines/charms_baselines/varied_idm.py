@@ -64,4 +64,5 @@ def _constants(parameters: Floats, p: IdmMobilParameters) -> IdmMobilParameters:
         lane_change_gain_mps2=parameters[5],
         imposed_braking_mps2=parameters[6],
         lane_change_period_s=p.lane_change_period_s,
+        least_gap_m=p.least_gap_m,
     )

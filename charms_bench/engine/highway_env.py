@@ -390,6 +390,10 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
             self.action["acceleration"] -= self.speed / dt
             self.speed = 0.0
 
+    def desired_gap(self: Any, *others: Any, **options: Any) -> Any:
+        """[`IDMVehicle.desired_gap`], but at least the profile's."""
+        return max(vehicle_class.desired_gap(self, *others, **options), idm.least_gap_m)
+
     values = {
         "LENGTH": standard_length,
         "WIDTH": profile.vehicle_width_m,
@@ -411,6 +415,8 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
     held["lane_distance_to"] = lane_distance_to
     if not profile.can_reverse:
         held["step"] = step
+    if idm.least_gap_m is not None and hasattr(vehicle_class, "desired_gap"):
+        held["desired_gap"] = desired_gap
     return type(vehicle_class.__name__, (vehicle_class,), held)
 
 

@@ -9,7 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
-from charms_bench.engine.type_draws import draw_types
+from charms_bench.engine.type_draws import draw_types, vehicles_at
 from charms_bench.world.placement import driver_parameters
 from charms_bench.world.scene import Ints
 from charms_bench.world.vehicle_types import OF_VEHICLES, VehicleType, drawn_from
@@ -22,8 +22,8 @@ _STREAM = 3
 """The random stream of a seed that draws parameters; see `Simulation.reset` for another."""
 
 
-def set_parameters(simulation: "Simulation", rows: Ints) -> None:
-    """Sets the parameters of the drivers in the scenes `rows` (R,).
+def set_parameters(simulation: "Simulation", rows: Ints, places: Ints | None = None) -> None:
+    """Sets the parameters of the drivers in the scenes `rows` (R,): all, or one place (R,) of each.
 
     By default, they are independent, and uniform in the ranges that their model declares; the type
     of a vehicle can give other distributions. In a scenario, nothing is left to chance: they are
@@ -32,8 +32,8 @@ def set_parameters(simulation: "Simulation", rows: Ints) -> None:
     if not simulation.ranges:
         return
     settings, seeds, scene = simulation.settings, simulation.seeds[rows], simulation.scene
-    entry, drivers = scene.entry[rows], simulation.engine.drivers[rows]
-    is_ego = np.arange(settings.vehicles) == scene.ego[rows][:, None]
+    at, is_ego = vehicles_at(scene, rows, places)
+    entry, drivers = scene.entry[at], simulation.engine.drivers[at]
     kinds, of_vehicles = draw_types(settings, seeds, entry, is_ego)
     types = (*settings.vehicle_types, VehicleType(name="profile", share=1.0))
     for agent, ranges in simulation.ranges.items():
@@ -41,16 +41,20 @@ def set_parameters(simulation: "Simulation", rows: Ints) -> None:
         shares = np.full((*entry.shape, len(ranges)), 0.5)
         for r, seed in enumerate(seeds if settings.scenario is None else ()):
             # Each model has its own random stream: other drivers do not change the draws.
-            rng = np.random.default_rng([int(seed), _STREAM, own_stream])
-            shares[r] = rng.random((entry[r].max() + 1, len(ranges)))[entry[r]]
+            source = np.random.PCG64([int(seed), _STREAM, own_stream])
+            first = entry[r].min()
+            rng = np.random.Generator(source.advance(int(first) * len(ranges)))
+            numbers = rng.random((entry[r].max() + 1 - first, len(ranges)))
+            shares[r] = numbers[entry[r] - first]
         for k, each in enumerate(types):
-            found, places = np.nonzero((drivers == agent) & (kinds == k))
-            independent = np.hstack([of_vehicles[found, places], shares[found, places]])
+            own = (drivers == agent) & (kinds == k)
+            independent = np.hstack([of_vehicles[own], shares[own]])
             of_type = each.correlated((*OF_VEHICLES, *ranges), independent)
             for n, (name, default) in enumerate(ranges.items()):
                 value = each.driver_parameters.get(name, default)
+                rows_of, places_of = (np.broadcast_to(k, own.shape)[own] for k in at)
                 drawn = drawn_from(value, of_type[:, len(OF_VEHICLES) + n])
-                scene.parameters[rows[found], places, n] = drawn
+                scene.parameters[rows_of, places_of, n] = drawn
         _set_given(simulation, rows, agent, ranges)
 
 

@@ -15,6 +15,7 @@ from charms_bench.engine.collision_kinds import (
     note_collisions,
 )
 from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
+from charms_bench.engine.open_road import OpenRoad
 from charms_bench.engine.parameters import Ranges, set_parameters
 from charms_bench.engine.rollouts import Futures, others_of
 from charms_bench.engine.seats import vehicles_of
@@ -88,7 +89,8 @@ class Simulation:
         """Simulation steps of the current decision interval so far; all scenes share it."""
         self.collision_watchers: list[Callable[[], None]] = []
         """Called after a simulation step in which vehicles have collided."""
-        self._everyone = np.arange(scenes)
+        self.everyone = np.arange(scenes)
+        """[B] the index of each scene."""
         self._traffic = traffic
         self._egos_end_episodes = "" not in traffic.agents
         self.ego_agent = ego or ""
@@ -127,6 +129,11 @@ class Simulation:
             k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
         }
         self._shown = self.scene.read_only()
+        if settings.inflow and not self._egos_end_episodes:
+            raise InputError(
+                "scene.inflow: vehicles that enter need a driver; expected an ego only"
+            )
+        self._open_road = OpenRoad(self) if settings.inflow else None
 
     @property
     def scene(self) -> Scene:
@@ -156,7 +163,7 @@ class Simulation:
     @property
     def ego_vehicles(self) -> Vehicles:
         """The egos (B,) of all scenes."""
-        return self._everyone, self.scene.ego
+        return self.everyone, self.scene.ego
 
     def reset(
         self, seeds: NDArray[np.uint64], rows: Ints | None = None, draws: Floats | None = None
@@ -168,7 +175,7 @@ class Simulation:
         """
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
-        others = self.settings.traffic_vehicles
+        others = self.settings.vehicles - 1
         index = {name: k for k, name in enumerate(self.agents)}
         drivers = np.full((rows.size, 1 + others), len(self.agents) - 1)
         drivers[:, 0] = self.agents.index(self.ego_agent)
@@ -179,6 +186,9 @@ class Simulation:
         self.scene.present[rows] = True
         self.scene.entry[rows] = np.arange(self.settings.vehicles)
         self.engine.reset(rows, seeds, drivers, draws)
+        if self._open_road is not None:
+            self._open_road.empty(rows)
+            self._schedule(rows)
         set_parameters(self, rows)
         self.scene.memory[rows] = 0.0
         self.scene.repeats[rows] = 0
@@ -207,7 +217,7 @@ class Simulation:
 
     def state(self, rows: Ints | None = None) -> SceneState:
         """Saves the scenes `rows`, at any simulation step; by default, all scenes."""
-        return state_of(self, self._everyone if rows is None else rows)
+        return state_of(self, self.everyone if rows is None else rows)
 
     def restore(self, state: SceneState, rows: Ints | None = None) -> None:
         """Continues the scenes of a state in the scenes `rows`; by default, in all scenes.
@@ -215,7 +225,20 @@ class Simulation:
         Raises:
             InputError: The state does not fit; see `engine.state.restore`.
         """
-        restore(self, state, self._everyone if rows is None else rows)
+        rows = self.everyone if rows is None else rows
+        restore(self, state, rows)
+        self._schedule(rows)
+
+    def _schedule(self, rows: Ints) -> None:
+        """Draws the vehicles that will enter the scenes `rows`, and their drivers."""
+        if self._open_road is None:
+            return
+        index, most = {name: k for k, name in enumerate(self.agents)}, self._open_road.most
+        agents = np.full((rows.size, most), len(self.agents) - 1)
+        for r, seed in enumerate(self.seeds[rows] if len(self._traffic.agents) > 1 else ()):
+            rng = np.random.default_rng([int(seed), 7])
+            agents[r] = [index[name] for name in self._assigned(rng, int(seed), most)]
+        self._open_road.schedule(rows, agents)
 
     def step(self, ego_actions: Actions | None = None) -> None:
         """Advances every running episode to the end of its decision interval.
@@ -249,10 +272,14 @@ class Simulation:
         self.engine.advance(hold_egos=self.holds_egos and self.phase > 0)
         self.phase += 1
         self._note_collisions()
+        if self._open_road is not None:
+            self._open_road.pass_boundaries()
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
         self.phase = 0
+        if self._open_road is not None:
+            self._open_road.end_at_the_end()
         ends_off_road = self.settings.profile.offroad_terminal and self._egos_end_episodes
         end_episodes(self.scene, self.settings.decisions, ends_off_road, self.steps, self.ending)
 

@@ -217,6 +217,7 @@ def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0
     arrays["impact_y"][~arrays["impact"]] = 0.0
+    arrays["x"][~arrays["present"]] = 0.0
     return SceneState(simulation.settings, simulation.agents, simulation.phase, **arrays)
 
 
@@ -246,12 +247,12 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     width = min(memory.shape[2], state.memory.shape[2])
     memory[rows] = 0.0
     memory[rows, :, :width] = state.memory[:, :, :width]
-    _vacate(simulation.scene, rows)
+    vacate(simulation.scene, rows)
     simulation.engine.restore(rows, state.seeds)
     set_parameters(simulation, rows)
 
 
-def _vacate(scene: Scene, rows: Ints) -> None:
+def vacate(scene: Scene, rows: Ints) -> None:
     """Puts the vehicles of empty places where nobody meets them."""
     empty = ~scene.present[rows]
     if not empty.any():

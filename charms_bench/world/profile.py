@@ -5,6 +5,7 @@ values highway-env 1.12 ships with, and `naturalistic`, in which vehicles also q
 suite names one and may override any field. The names in brackets are highway-env's.
 """
 
+import math
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -43,6 +44,15 @@ class IdmMobilConstants(FrozenModel):
     """Braking that may be imposed on the new follower [LANE_CHANGE_MAX_BRAKING_IMPOSED]."""
     lane_change_period_s: Positive = 1.0
     """Time between two considerations of a lane change [LANE_CHANGE_DELAY]."""
+    least_gap_m: NonNegative | None = None
+    """The desired gap is at least this, centre to centre. Without it, as in highway-env, vehicles
+    want no gap behind a leader that is much faster, and so cut in beside others."""
+
+    @model_serializer(mode="wrap")
+    def _without_least_gap(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there was such a gap, if there is none: a suite keeps its fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        return {k: value for k, value in fields.items() if value is not None}
 
 
 class Profile(FrozenModel):
@@ -144,6 +154,7 @@ class IdmMobilParameters(NamedTuple):
     lane_change_gain_mps2: float
     imposed_braking_mps2: float
     lane_change_period_s: float
+    least_gap_m: float = -math.inf
 
 
 class Constants(NamedTuple):
@@ -233,6 +244,7 @@ NATURALISTIC = Profile(
         time_headway_s=1.2,
         acceleration_limit_mps2=8.0,
         politeness=0.2,
+        least_gap_m=7.0,
     ),
 )
 """Vehicles that queue, stop and start, at up to 130 km/h. IDM's accelerations and jam distance, 2 m

@@ -69,6 +69,15 @@ def _decisions_until(duration_s: float, decision_hz: int) -> int:
     return decisions
 
 
+class Inflow(FrozenModel):
+    """Open boundaries: vehicles also enter at the start of the road, and leave at its end."""
+
+    vehicles_per_hour_and_lane: Annotated[float, Field(gt=0, le=10_000)]
+    """How many arrive, on average; the times between two arrivals are exponentially distributed."""
+    capacity: Annotated[int, Field(ge=1, le=5000)]
+    """How many vehicles that have entered can be on the road at once; more are an error."""
+
+
 class SceneSettings(FrozenModel):
     """What every scene of a suite has in common."""
 
@@ -86,6 +95,10 @@ class SceneSettings(FrozenModel):
     """Types of vehicles, which are drawn for each vehicle; if empty, all are the profile's."""
     ego_type: Name | None = None
     """The type of the ego; by default, the ego is the profile's vehicle."""
+    inflow: Inflow | None = None
+    """Vehicles that enter the road during the episode; by default, none do, and the road is longer
+    than any vehicle drives. With it, the road has the length that the profile says, and the episode
+    ends when the ego has reached its end."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; in a suite, it stands in the place of a traffic."""
 
@@ -96,9 +109,16 @@ class SceneSettings(FrozenModel):
                 f"simulation_hz {self.simulation_hz} is not a multiple of "
                 f"decision_hz {self.decision_hz}"
             )
-        if self.ego_slots > self.vehicles:
+        if self.ego_slots > 1 + self.traffic_vehicles:
             raise ValueError(
-                f"ego_slots {self.ego_slots} exceeds the {self.vehicles} vehicles of a scene"
+                f"ego_slots {self.ego_slots} exceeds the {1 + self.traffic_vehicles} vehicles of a "
+                "scene"
+            )
+        if self.inflow and self._spawned_within_m > self.profile.road_length_m:
+            raise ValueError(
+                f"profile.road_length_m: with the inflow, {self.profile.road_length_m:g} m are too "
+                f"short for the {1 + self.traffic_vehicles} vehicles at the start; expected at "
+                f"least {self._spawned_within_m:.0f} m"
             )
         self._check_types()
         if not self.duration_s * self.decision_hz <= DECISIONS_LIMIT:
@@ -132,7 +152,7 @@ class SceneSettings(FrozenModel):
     def _without_types(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """As before there were types, if there are none: a suite keeps its fingerprint."""
         fields: dict[str, Any] = dump(self)
-        new = ("vehicle_types", "ego_type")
+        new = ("vehicle_types", "ego_type", "inflow")
         return {name: value for name, value in fields.items() if value or name not in new}
 
     def of_scenario(self, scenario: Scenario | None) -> "SceneSettings":
@@ -143,13 +163,13 @@ class SceneSettings(FrozenModel):
         if scenario is None:
             return self
         changes = {"scenario": scenario, "traffic_vehicles": len(scenario.vehicles), "ego_slots": 1}
-        changes |= {"vehicle_types": (), "ego_type": None}
+        changes |= {"vehicle_types": (), "ego_type": None, "inflow": None}
         return self.model_copy(update=changes)
 
     @property
     def vehicles(self) -> int:
-        """The vehicles of a scene, including the ego."""
-        return self.traffic_vehicles + 1
+        """The places for vehicles in a scene, including the ego's."""
+        return self.traffic_vehicles + 1 + (self.inflow.capacity if self.inflow else 0)
 
     @property
     def decisions(self) -> int:
@@ -181,15 +201,27 @@ class SceneSettings(FrozenModel):
 
     @property
     def road_length_m(self) -> float:
-        """The profile's road, or one that is long enough for all vehicles until the end."""
+        """The profile's road, or one that is long enough for all vehicles until the end.
+
+        With an inflow, it is the profile's, and what the ego drives in a decision interval more, so
+        that the ego is on the road when its episode ends.
+        """
         profile = self.profile
+        fastest = max(profile.speed_limit_mps, profile.speed_max_mps, profile.ego_speed_mps)
+        if self.inflow:
+            return profile.road_length_m + fastest / self.decision_hz
+        return max(profile.road_length_m, self._spawned_within_m + fastest * self.duration_s)
+
+    @property
+    def _spawned_within_m(self) -> float:
+        """No vehicle spawns further along the road."""
+        profile, vehicles = self.profile, 1 + self.traffic_vehicles
         fastest = max(profile.speed_limit_mps, profile.speed_max_mps, profile.ego_speed_mps)
         spacing = max(profile.ego_spacing or 0.0, 1 / self.density)
         # Each vehicle spawns at most this far ahead of the furthest before it [`engine.spawning`].
-        furthest = 1.1 * spacing * (12 + fastest) * (self.vehicles + 3)
+        furthest = 1.1 * spacing * (12 + fastest) * (vehicles + 3)
         longest = max(length for length, _ in self.sizes_m)
-        furthest += (longest - profile.vehicle_length_m) * self.vehicles
-        return max(profile.road_length_m, furthest + fastest * self.duration_s)
+        return furthest + (longest - profile.vehicle_length_m) * vehicles
 
     @property
     def road(self) -> Straight:

@@ -1,0 +1,207 @@
+"""Open boundaries: after a simulation step, vehicles enter a straight road, and others leave it.
+
+Arrivals are a Poisson process that depends on an episode's seed alone. A vehicle that has arrived
+enters at x = 0, on the lane with the most room behind the last vehicle that is on it or steers to
+it. It enters as fast as that vehicle, or at its desired speed if that is lower, when at least the
+gap that the profile's IDM wants at that speed is ahead of it. Until then it waits before the road,
+and those after it wait too. A vehicle leaves when its centre has reached the end.
+
+Both engines use this module. A state has all that it needs: the last vehicle's number says who has
+entered.
+"""
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from charms_bench.engine.collision_kinds import NO_COLLISION
+from charms_bench.engine.endings import RUNNING, TIME
+from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.state import vacate
+from charms_bench.engine.type_draws import draw_vehicles
+from charms_bench.errors import InputError
+from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.world.gaps import following_distance, overhang
+from charms_bench.world.road import is_near_lane, position
+from charms_bench.world.scene import Bools, Ints, Scene
+
+if TYPE_CHECKING:
+    from charms_bench.engine.simulation import Simulation
+
+STREAM = 6
+"""The random stream of a seed that draws arrivals; see `Simulation.reset` for another."""
+
+
+class _Arrival(NamedTuple):
+    """A vehicle that enters; SI units."""
+
+    number: int
+    """In the order of entry [`Scene.entry`]."""
+    desired_speed: float
+    length: float
+    width: float
+    temperament: float
+
+
+class OpenRoad:
+    """The boundaries of a simulation's scenes."""
+
+    def __init__(self, simulation: "Simulation") -> None:
+        settings = simulation.settings
+        assert settings.inflow is not None
+        scenes, self._made = simulation.seeds.size, simulation
+        self._per_s = settings.inflow.vehicles_per_hour_and_lane * settings.lanes / 3600
+        expected = self._per_s * settings.duration_s
+        self.most = math.ceil(expected + 10 * math.sqrt(expected) + 10)
+        """More vehicles than ever arrive in an episode."""
+        self._times_s = np.full((scenes, self.most + 1), np.inf)
+        self._agents = np.zeros((scenes, self.most), dtype=np.int64)
+        self._entered = np.zeros(scenes, dtype=np.int64)
+        self._next: list[_Arrival | None] = [None] * scenes
+
+    def schedule(self, rows: Ints, agents: Ints) -> None:
+        """Draws the arrivals in the scenes `rows` (R,), whose agents are (R, K).
+
+        The scenes have begun, or they have been restored.
+        """
+        for row, agent in zip(rows, agents, strict=True):
+            rng = np.random.default_rng([int(self._made.seeds[row]), STREAM])
+            self._times_s[row, :-1] = rng.exponential(1 / self._per_s, self.most).cumsum()
+            self._agents[row] = agent
+            self._next[row] = None
+        last = self._made.scene.entry[rows].max(axis=1)
+        self._entered[rows] = last + 1 - self._made.settings.vehicles
+
+    def empty(self, rows: Ints) -> None:
+        """Leaves only the vehicles at the start in the scenes `rows` (R,), which begin now."""
+        made = self._made
+        made.scene.present[rows, 1 + made.settings.traffic_vehicles :] = False
+        vacate(made.scene, rows)
+        made.engine.restore(rows, made.seeds[rows])
+
+    def pass_boundaries(self) -> None:
+        """Lets vehicles leave and enter after a simulation step.
+
+        Raises:
+            InputError: A scene is full.
+        """
+        made, scene = self._made, self._made.scene
+        end = made.settings.profile.road_length_m
+        changed = have_left(scene, end)
+        if changed.any():
+            vacate(scene, np.nonzero(changed)[0])
+        frames = made.steps * made.settings.steps_per_decision + made.phase
+        due = self._times_s[made.everyone, self._entered] <= frames / made.settings.simulation_hz
+        for row in np.nonzero(due & scene.active)[0]:
+            changed[row] |= self._enter(int(row), frames[row] / made.settings.simulation_hz)
+        if changed.any():
+            rows = np.nonzero(changed)[0]
+            made.engine.restore(rows, made.seeds[rows])
+
+    def _enter(self, row: int, time_s: float) -> bool:
+        """Lets vehicles enter a scene that have arrived until a time; returns whether any has."""
+        made, scene, c = self._made, self._made.scene, self._made.settings.profile.idm_mobil
+        has_entered = False
+        while self._times_s[row, self._entered[row]] <= time_s:
+            newcomer = self._next[row] = self._next[row] or self._arrival(row)
+            lane, room, leader_speed = entrance(scene, row, newcomer.length)
+            speed = min(newcomer.desired_speed, leader_speed)
+            if room < c.jam_distance_m + c.time_headway_s * speed:
+                break
+            self._admit(row, newcomer, lane, speed)
+            made.engine.restore(np.array([row]), made.seeds[[row]])  # the next vehicle sees it
+            has_entered = True
+        return has_entered
+
+    def _arrival(self, row: int) -> _Arrival:
+        """The next vehicle that enters a scene."""
+        made, profile = self._made, self._made.settings.profile
+        number = made.settings.vehicles + self._entered[row]
+        drawn = draw_vehicles(
+            made.settings, made.seeds[[row]], np.array([[number]]), np.array([[False]])
+        )
+        desired, length, width = (float(each[0, 0]) for each in drawn)
+        rng = np.random.default_rng([int(made.seeds[row]), STREAM, int(number)])
+        share, temperament = rng.random(2).tolist()
+        low, high = profile.spawn_speed_low, profile.spawn_speed_high
+        if math.isnan(desired):
+            desired = (low + (high - low) * share) * profile.speed_limit_mps
+        return _Arrival(int(number), desired, length, width, temperament)
+
+    def _admit(self, row: int, newcomer: _Arrival, lane: int, speed: float) -> None:
+        """Puts the next vehicle at the start of a lane."""
+        made, scene = self._made, self._made.scene
+        is_free = ~scene.present[row]
+        is_free[scene.ego[row]] = False
+        if not is_free.any():
+            raise InputError(
+                f"scene.inflow.capacity: episode {made.seeds[row]} is full at step "
+                f"{made.steps[row]}, with {scene.present[row].sum()} vehicles; use a larger number"
+            )
+        place = int(is_free.argmax())
+        at = (row, place)
+        _, y = position(scene.constants, lane, 0.0, 0.0)
+        period = scene.constants.idm_mobil.lane_change_period_s
+        values = {
+            "present": True,
+            "entry": newcomer.number,
+            "x": 0.0,
+            "y": y,
+            "speed": speed,
+            "length": newcomer.length,
+            "width": newcomer.width,
+            "target_speed": newcomer.desired_speed,
+            "target_lane": lane,
+            "temperament": newcomer.temperament,
+            "timer_s": (y * math.pi) % period,  # as IDMVehicle.__init__
+        }
+        others = ("heading", "acceleration", "steering", "repeats", "memory", "crashed", "impact")
+        for name, value in {**values, **dict.fromkeys(others, 0)}.items():
+            getattr(scene, name)[at] = value
+        made.engine.drivers[at] = self._agents[row, self._entered[row]]
+        made.has_action[at], made.collision[at] = False, NO_COLLISION
+        set_parameters(made, np.array([row]), np.array([place]))
+        self._entered[row] += 1
+        self._next[row] = None
+
+    def end_at_the_end(self) -> None:
+        """Ends the episodes whose egos have reached the end of the road."""
+        made, egos = self._made, self._made.ego_vehicles
+        at_end = made.scene.x[egos] >= made.settings.profile.road_length_m
+        made.ending[at_end & (made.ending == RUNNING)] = TIME
+
+
+@compiled_of_scenes
+def have_left(scene: Scene, end: float) -> Bools:
+    """Removes the vehicles at or beyond the end, except egos; returns in which scenes (B,)."""
+    found = np.zeros(scene.ego.size, dtype=np.bool_)
+    for b in range(scene.ego.size):
+        k = scene.x.shape[1] - 1
+        while scene.active[b] and k >= 0 and scene.x[b, scene.order[b, k]] >= end:
+            i = scene.order[b, k]
+            if i != scene.ego[b]:
+                scene.present[b, i] = False
+                found[b] = True
+            k -= 1
+    return found
+
+
+@compiled_of_scenes
+def entrance(scene: Scene, b: int, length: float) -> tuple[int, float, float]:
+    """The lane on which a new vehicle has most room, m, that room, and its leader's speed, m/s."""
+    c, best, most, speed = scene.constants, 0, -math.inf, 0.0
+    own = overhang(length, c.length)
+    for lane in range(c.lanes):
+        room, its = math.inf, math.inf
+        for k in range(scene.x.shape[1]):
+            i = scene.order[b, k]
+            is_there = is_near_lane(c, lane, scene.y[b, i]) or scene.target_lane[b, i] == lane
+            if scene.present[b, i] and is_there:
+                other = overhang(scene.length[b, i], c.length)
+                room = following_distance(0.0, scene.x[b, i], own, other)
+                its = scene.speed[b, i]
+                break
+        if room > most:
+            best, most, speed = lane, room, its
+    return best, most, speed
