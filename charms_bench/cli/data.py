@@ -31,12 +31,12 @@ def data(
 ) -> None:
     """Summarise recordings of human driving."""
     from charms_bench.foundation.files import absolute
-    from charms_bench.people.highd import find_trios
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
+    from charms_bench.world.highd import find_trios
 
     folder = absolute(folder)
     if figure is not None:

@@ -1,7 +1,7 @@
 """Replayed episodes as recordings in highD's format [Krajewski et al. 2018], one per episode.
 
 The road is the lower carriageway of the image, which drives towards larger x; the upper one has as
-many lanes and no vehicles. `people.highd` reads the format and describes its axes.
+many lanes and no vehicles. `world.highd` reads the format and describes its axes.
 
 As in highD, lanes and neighbours follow from the lane markings that enclose a vehicle's centre, and
 0 stands for a value or a vehicle that does not exist, -1 in `tracksMeta`. `dhw` is the gap from
@@ -16,8 +16,8 @@ import numpy as np
 import polars as pl
 
 from charms_bench.episodes.replay import Replay
-from charms_bench.people.highd import LOWER
 from charms_bench.world.gaps import gap_to
+from charms_bench.world.highd import LOWER
 from charms_bench.world.scene import Bools, Floats, Ints
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
@@ -75,7 +75,7 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     along, across = (
         np.diff(each, axis=0, prepend=each[:1]) * settings.simulation_hz for each in velocity
     )
-    # A centre on a marking belongs to the lane to its left, as in `people.highd`.
+    # A centre on a marking belongs to the lane to its left, as in `world.highd`.
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1
     some = max(1, PAIRS_AT_ONCE // vehicles**2)
     parts = [

@@ -11,8 +11,8 @@ import polars as pl
 
 from charms_bench.engine.neighbours import locate
 from charms_bench.errors import DataError
-from charms_bench.people.highd import LANE_WIDTH_M, Recording
 from charms_bench.world.following import FOLLOWING_RANGE_M
+from charms_bench.world.highd import LANE_WIDTH_M, Recording
 from charms_bench.world.observations import EGO, RANGE_M, Neighbours, neighbours
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings

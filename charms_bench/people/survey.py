@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import polars as pl
 
 from charms_bench.people.following import DECISION_HZ
-from charms_bench.people.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
 from charms_bench.people.situations import situations
+from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
 from charms_bench.world.scene import Observations
 
 OFF_CENTRE_M = 0.25

@@ -12,9 +12,9 @@ from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.highd_format import drivers, write_recording
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, replay
-from charms_bench.people.highd import Recording, find_trios, read_recording
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
+from charms_bench.world.highd import Recording, find_trios, read_recording
 
 SUITE = {
     "suite": "small",

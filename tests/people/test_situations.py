@@ -11,9 +11,9 @@ from trios import Row, driven, write_trio
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
-from charms_bench.people.highd import read_folder
 from charms_bench.people.situations import nearest_to_decisions, situations
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.highd import read_folder
 from charms_bench.world.observations import neighbours
 from charms_bench.world.scene import SceneSettings
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from charms_bench.people.highd import Recording
+from charms_bench.world.highd import Recording
 
 MEASURED = ("length", "width", "y", "speed", "lateral_speed", "acceleration")
 MOVING_MPS = 1.0

@@ -30,11 +30,11 @@ from charms_agents.human.soft_labels import (
 from charms_bench.errors import DataError
 from charms_bench.foundation.fields import FrozenModel, NonNegative
 from charms_bench.foundation.files import read_limited, write_bytes
-from charms_bench.people.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
-from charms_bench.people.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.people.situations import LANES, situations
 from charms_bench.people.survey import Learnable
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
+from charms_bench.world.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Bools, Observations
 

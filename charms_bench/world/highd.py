@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.people.csv_table import Columns, Numbers, read_table
+from charms_bench.world.csv_table import Columns, Numbers, read_table
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -104,6 +104,8 @@ class Recording:
     frame_rate_hz: float
     lanes: dict[int, int]
     """Number of lanes by direction; directions without vehicles are left out."""
+    lane_widths_m: dict[int, Floats]
+    """Widths of these lanes by direction, from left to right."""
     tracks: pl.DataFrame
     """One row per vehicle and frame, sorted by vehicle and frame; columns `TRACKS`."""
     lane_id_disagreements: int
@@ -111,6 +113,8 @@ class Recording:
     occasion: str
     """Location, month, weekday and start time as stated, without those that are not. Recordings
     that state the same may overlap in time."""
+    location: str
+    """The location as stated; empty if it is not."""
 
     @property
     def lane_changes(self) -> pl.DataFrame:
@@ -175,7 +179,7 @@ def read_recording(trio: Trio) -> Recording:
     Raises:
         DataError: A file cannot be read, or the three files contradict each other.
     """
-    frame_rate, vehicles, markings, occasion = _read_recording_meta(trio.recording_meta)
+    frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     lanes = {d: markings[d].size - 1 for d in meta["drivingDirection"].unique().sort()}
     for direction, count in lanes.items():
@@ -195,11 +199,14 @@ def read_recording(trio: Trio) -> Recording:
     parts = [_normalised(trio, tracks, direction, markings) for direction in lanes]
     every = pl.concat(part for part, _ in parts).sort("vehicle", "frame")
     wrong = sum(count for _, count in parts)
-    return Recording(trio, frame_rate, lanes, every, wrong, occasion)
+    widths = {d: np.diff(_to_the_right(markings[d], d)) for d in lanes}
+    occasion = ", ".join(f"{name} {value}" for name, value in stated.items())
+    location = stated.get("locationId", "")
+    return Recording(trio, frame_rate, lanes, widths, every, wrong, occasion, location)
 
 
-def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], str]:
-    """Frame rate, number of vehicles, markings of each direction by image y, and occasion."""
+def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], dict[str, str]]:
+    """Frame rate, number of vehicles, markings of each direction by image y, and `_OCCASION`."""
     table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES, _OCCASION)
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
@@ -211,8 +218,8 @@ def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], str
     if row["numVehicles"] == 0:
         raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
     markings = {d: _markings(path, column, row[column] or "") for d, column in _MARKINGS.items()}
-    occasion = ", ".join(f"{name} {row[name]}" for name in _OCCASION if row.get(name))
-    return row["frameRate"], row["numVehicles"], markings, occasion
+    stated = {name: row[name] for name in _OCCASION if row.get(name)}
+    return row["frameRate"], row["numVehicles"], markings, stated
 
 
 def _markings(path: Path, column: str, text: str) -> Floats:
@@ -272,11 +279,11 @@ def _normalised(
 ) -> tuple[pl.DataFrame, int]:
     """The tracks of one direction in the drivers' frame, and how many `laneId`s disagree with y."""
     part = tracks.filter(pl.col("drivingDirection") == direction)
-    sign = -1.0 if direction == UPPER else 1.0
-    to_the_right = np.sort(sign * markings[direction])
-    lanes = to_the_right.size - 1
+    sign = _sign(direction)
+    own = _to_the_right(markings[direction], direction)
+    lanes = own.size - 1
     centre = sign * (part["y"] + part["height"] / 2).to_numpy()
-    y, lane, on_road = _lateral(centre, to_the_right)
+    y, lane, on_road = _lateral(centre, own)
     lane_id = lanes + 1 - lane if direction == UPPER else markings[UPPER].size + 2 + lane
     speed = sign * part["xVelocity"]
     mean = speed.mean()
@@ -302,6 +309,15 @@ def _normalised(
     }
     wrong = on_road & (part["laneId"].to_numpy() != lane_id)
     return pl.DataFrame(columns, schema_overrides=TRACKS), int(wrong.sum())
+
+
+def _sign(direction: int) -> float:
+    return -1.0 if direction == UPPER else 1.0
+
+
+def _to_the_right(markings: Floats, direction: int) -> Floats:
+    """The markings of a direction in its drivers' frame, from left to right."""
+    return np.sort(_sign(direction) * markings)
 
 
 def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:

@@ -9,8 +9,8 @@ import pytest
 from trios import LOWER_MARKINGS, Row, busy_road, driven, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.people.csv_table import ROW_LIMIT
-from charms_bench.people.highd import TRACKS, Recording, find_trios, read_folder
+from charms_bench.world.csv_table import ROW_LIMIT
+from charms_bench.world.highd import TRACKS, Recording, find_trios, read_folder
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 OLD_NEW = tuple[str, str, str, str]
@@ -159,7 +159,7 @@ def test_a_file_larger_than_any_recording_is_refused_unread(tmp_path: Path) -> N
 def test_more_rows_than_any_recording_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("charms_bench.people.csv_table.ROW_LIMIT", 2)
+    monkeypatch.setattr("charms_bench.world.csv_table.ROW_LIMIT", 2)
     with pytest.raises(DataError, match="more than 2 rows; split the recording"):
         list(read_folder(write_trio(tmp_path, driven(Row(), 3))))
     assert ROW_LIMIT > 1_500_000  # a long recording of highD
