@@ -88,6 +88,9 @@ def rare(
     place = absolute(output or "runs")
     document.data |= {} if seed is None else {"seed": seed}
     loaded, definition = suite_of(document), event_of(event).definition
+    if loaded.scene.recording is not None:
+        what = "rare draws where vehicles start, and recordings place them; remove it"
+        raise document.error(("scene", "recording"), what)
     for index, entry in enumerate(loaded.traffics):
         if entry.traffic.scenario is not None:
             what = "rare draws where vehicles start, and a scenario places them; expected a traffic"

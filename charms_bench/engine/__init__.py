@@ -20,6 +20,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.stepping import Put
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
@@ -56,8 +57,10 @@ class Engine(Protocol):
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""
 
-    def advance(self, hold_egos: bool = False) -> None:
+    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
         """Advances every active scene by one simulation step.
+
+        In a recorded scene, `put` says where the step ends for vehicles that follow the recording.
 
         If `hold_egos`, the egos keep the steering and the acceleration of the step before, within
         highway-env's limits, and their driver models are not asked.

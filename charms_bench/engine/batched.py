@@ -12,7 +12,7 @@ from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.seats import mark_seats, seat, vehicles_of
 from charms_bench.engine.spawning import spawn, spawn_rule
-from charms_bench.engine.stepping import advance
+from charms_bench.engine.stepping import Put, advance, advance_put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, controls_of
@@ -99,7 +99,7 @@ class BatchedEngine:
             return
         command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
 
-    def advance(self, hold_egos: bool = False) -> None:
+    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
         scene = self.scene
         active = scene.active.tobytes()
         if not self._vehicles or self._listed != active:
@@ -120,6 +120,9 @@ class BatchedEngine:
             held = held | self._is_prescribed
         if self._continuous:
             held = held | self._is_continuous
-        advance(scene, self._is_modelled, held)
+        if put is None:
+            advance(scene, self._is_modelled, held)
+        else:
+            advance_put(scene, self._is_modelled, held, put)
         if self._continuous:
             follow_no_lane(scene, self._is_continuous)

@@ -5,15 +5,18 @@ import math
 import numpy as np
 
 from charms_bench.foundation.compiled import compiled, index
-from charms_bench.world.scene import Floats, Scene
+from charms_bench.world.scene import Bools, Floats, Scene
 
 USUAL_SPEED_MPS = 50.0
 """Up to this speed, collisions are searched as if every vehicle had it; the result is the same."""
 
 
 @compiled
-def collide(scene: Scene, first: int, after: int) -> None:
+def collide(scene: Scene, first: int, after: int, apart: Bools | None = None) -> None:
     """Finds the collisions of pairs [`Road.step`, `RoadObject.handle_collisions`].
+
+    Two vehicles that are both marked in `apart` [B, N] do not collide; without it, no code is
+    compiled that asks [`RoadObject.check_collisions`].
 
     Pairs are found along `order`, but applied in highway-env's order, that of entry: a later impact
     replaces an earlier one.
@@ -48,6 +51,8 @@ def collide(scene: Scene, first: int, after: int) -> None:
                 dx, dy = x[b, far] - x[b, near], y[b, far] - y[b, near]
                 if dx > reach:
                     break
+                if apart is not None and apart[b, near] and apart[b, far]:
+                    continue
                 # A margin, so that rounding does not decide whether they touch.
                 beside = (width[b, near] + width[b, far]) / 2 + 1e-6
                 if heading[b, near] == 0.0 and heading[b, far] == 0.0 and abs(dy) > beside:

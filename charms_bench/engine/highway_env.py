@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
+from charms_bench.engine.stepping import Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
@@ -125,7 +126,7 @@ class HighwayEnvEngine:
             self.scene.target_speed[row, place] = vehicle.target_speed
             self.scene.repeats[row, place] = getattr(vehicle, "repeats", 0)
 
-    def advance(self, hold_egos: bool = False) -> None:
+    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
@@ -145,6 +146,8 @@ class HighwayEnvEngine:
                 self._act(row, places, tuple(model.parameters))
             if self._script is not None:
                 self._prescribe(row, self._script)
+            if put is not None:
+                self._put(row, put)
             self.roads[row].step(dt)
             self.scene.timer_s[row] += dt  # for vehicles that keep no timer of their own
             self._copy_state(row)
@@ -178,6 +181,12 @@ class HighwayEnvEngine:
             lane = int(scene.target_lane[row, place])
             vehicle.target_lane_index = (*vehicle.target_lane_index[:2], lane)
 
+    def _put(self, row: int, put: Put) -> None:
+        """Tells the vehicles of a scene that are put somewhere where their next step ends."""
+        for place in np.nonzero(put.moves[row])[0]:
+            vehicle = self._vehicles[row][place]
+            vehicle.put = {name: getattr(put, name)[row, place] for name in Put._fields}
+
     def _road(self, row: int) -> Road:
         """The road of a scene with its vehicles, as the arrays describe them."""
         scene = self.scene
@@ -209,6 +218,9 @@ class HighwayEnvEngine:
             vehicle.timer = float(scene.timer_s[at])
         if hasattr(vehicle, "repeats"):
             vehicle.repeats = int(scene.repeats[at])
+        model = self._models.get(int(self.drivers[at]))
+        follows = model is not None and model.follows_recording
+        vehicle.check_collisions = self._settings.recording is None or not follows
         self._set_temperament(vehicle, scene.temperament[at])
         return vehicle
 
@@ -325,9 +337,10 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
 
 
 class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
-    """Carries out the answers of a driver model."""
+    """Carries out the answers of a driver model, or is put somewhere; see `stepping.Put`."""
 
     target_lane_index: tuple[str, str, int]
+    put: Mapping[str, Any] | None = None
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -347,6 +360,13 @@ class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
     def step(self, dt: float) -> None:
         self.timer += dt
         super().step(dt)
+        if self.put is not None:
+            self.position = np.array([self.put["x"], self.put["y"]])
+            self.heading, self.speed = float(self.put["heading"]), float(self.put["speed"])
+            self.action = {"steering": 0.0, "acceleration": float(self.put["acceleration"])}
+            self.on_state_update()
+            self.target_lane_index = (*self.lane_index[:2], int(self.put["lane"]))
+            self.put = None
 
 
 def highway_env_network(road: Straight) -> RoadNetwork:

@@ -112,6 +112,7 @@ class Futures:
             self._beside = simulation(
                 self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
             )
+            self._beside.playback = None  # a planner does not know what was recorded next
         return self._beside  # type: ignore[no-any-return]
 
     def outcomes(self, vehicles: Vehicles, plans: Actions) -> Outcomes:

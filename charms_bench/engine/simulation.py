@@ -17,6 +17,7 @@ from charms_bench.engine.collision_kinds import (
 from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
 from charms_bench.engine.open_road import OpenRoad
 from charms_bench.engine.parameters import Ranges, set_parameters
+from charms_bench.engine.playback import Playback
 from charms_bench.engine.rollouts import Futures, others_of
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.state import SceneState, restore, state_of
@@ -134,6 +135,10 @@ class Simulation:
                 "scene.inflow: vehicles that enter need a driver; expected an ego only"
             )
         self._open_road = OpenRoad(self) if settings.inflow else None
+        self.playback: Playback | None = None
+        """Has recorded vehicles come, move and go, in scenes of recordings."""
+        if settings.recording is not None:
+            self.playback = Playback(self, traffic.after_deviation)
 
     @property
     def scene(self) -> Scene:
@@ -185,7 +190,10 @@ class Simulation:
             drivers[r, 1:] = [index[name] for name in self._assigned(rng, int(seed), others)]
         self.scene.present[rows] = True
         self.scene.entry[rows] = np.arange(self.settings.vehicles)
-        self.engine.reset(rows, seeds, drivers, draws)
+        if self.playback is not None:
+            self.playback.start(rows, seeds, drivers)
+        else:
+            self.engine.reset(rows, seeds, drivers, draws)
         if self._open_road is not None:
             self._open_road.empty(rows)
             self._schedule(rows)
@@ -269,11 +277,14 @@ class Simulation:
                 decisions.append((vehicles, self._decide(agent, policy, vehicles, number)))
         for vehicles, actions in decisions:
             self.command(vehicles, actions)
-        self.engine.advance(hold_egos=self.holds_egos and self.phase > 0)
+        put = None if self.playback is None else self.playback.before_step()
+        self.engine.advance(hold_egos=self.holds_egos and self.phase > 0, put=put)
         self.phase += 1
         self._note_collisions()
         if self._open_road is not None:
             self._open_road.pass_boundaries()
+        if self.playback is not None:
+            self.playback.after_step()
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""
@@ -377,6 +388,7 @@ class _CheckedModel(DriverModel):
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
         self.parameters = _checked_ranges(name, model)
         self.memory_width = model.memory_width
+        self.follows_recording = model.follows_recording
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         try:

@@ -15,7 +15,7 @@ from charms_bench.engine.parameters import set_parameters
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.road import position
-from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
@@ -248,6 +248,8 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     memory[rows] = 0.0
     memory[rows, :, :width] = state.memory[:, :, :width]
     vacate(simulation.scene, rows)
+    if simulation.playback is not None:
+        simulation.playback.choose(rows, state.seeds)
     simulation.engine.restore(rows, state.seeds)
     set_parameters(simulation, rows)
 

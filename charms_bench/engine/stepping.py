@@ -9,14 +9,44 @@ per vehicle: passing an array costs an atomic reference count, which takes longe
 Kernels are private to the harness; `tests/naive.py` holds plain versions of them.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from charms_bench.engine.collision_detection import collide
 from charms_bench.engine.motion import move, room_to_turn
 from charms_bench.engine.neighbours import find_neighbours, sort_by_x
+from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.world.scene import Bools, Scene
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 BLOCK_VEHICLES = 1024
 """Vehicles of a block, unless one scene has more."""
+
+
+class Put(NamedTuple):
+    """Vehicles that a step ends somewhere else for than where they would drive; all are [B, N]."""
+
+    moves: Bools
+    """Whether the vehicle is one of them."""
+    x: Floats
+    """m, as in the scene."""
+    y: Floats
+    heading: Floats
+    speed: Floats
+    acceleration: Floats
+    lane: Ints
+    """The nearest lane."""
+    follows: Bools
+    """Whether the vehicle follows a recording; two of these do not collide."""
+    leaves: Bools
+    """Whether the vehicle leaves before the step."""
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> "Put":
+        """No vehicle of scenes of this shape."""
+        kinds = {"lane": np.int64, **dict.fromkeys(("moves", "follows", "leaves"), np.bool_)}
+        return cls(**{name: np.zeros(shape, kinds.get(name, np.float64)) for name in cls._fields})
 
 
 @compiled_of_scenes
@@ -29,6 +59,34 @@ def advance(scene: Scene, modelled: Bools, held: Bools) -> None:
         sort_by_x(scene, first, after)
         collide(scene, first, after)
         find_neighbours(scene, first, after)
+
+
+@compiled_of_scenes
+def advance_put(scene: Scene, modelled: Bools, held: Bools, put: Put) -> None:
+    """Does the same as `advance`, and puts vehicles somewhere before collisions are found."""
+    vehicles = scene.x.shape[1]
+    turning = room_to_turn(max(BLOCK_VEHICLES, vehicles))
+    for first, after in blocks_of(scene.active, vehicles):
+        move(scene, first, after, modelled, held, turning)
+        put_vehicles(scene, first, after, put)
+        sort_by_x(scene, first, after)
+        collide(scene, first, after, put.follows)
+        find_neighbours(scene, first, after)
+
+
+@compiled
+def put_vehicles(scene: Scene, first: int, after: int, put: Put) -> None:
+    """Puts vehicles of the scenes from `first` to before `after` where they are to be."""
+    for b in range(first, after):
+        for i in range(scene.x.shape[1]):
+            if not put.moves[b, i]:
+                continue
+            scene.x[b, i], scene.y[b, i] = put.x[b, i], put.y[b, i]
+            scene.heading[b, i], scene.speed[b, i] = put.heading[b, i], put.speed[b, i]
+            scene.acceleration[b, i], scene.steering[b, i] = put.acceleration[b, i], 0.0
+            sine, cosine = maths.sin_cos(put.heading[b, i])
+            scene.direction_y[b, i], scene.direction_x[b, i] = sine, cosine
+            scene.lane[b, i] = scene.target_lane[b, i] = put.lane[b, i]
 
 
 @compiled

@@ -96,6 +96,10 @@ class DriverModel(ABC):
     """The width Q of its memory: numbers per vehicle, zeros at the start. `drive` reads and writes
     them in the first columns of `scene.memory`."""
 
+    follows_recording: bool = False
+    """Whether its vehicles are moved as recorded, in a scene of recordings. Only where there is no
+    recording, they do what `drive` says."""
+
     @abstractmethod
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         """The acceleration and the target lane of each vehicle.

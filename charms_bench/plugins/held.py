@@ -67,6 +67,7 @@ class HeldTraffic(Held[Traffic], Traffic):
     def __init__(self, traffic: Traffic, other: Traffic, rng: np.random.Generator) -> None:
         super().__init__(traffic, other, rng, ASSIGNMENTS)
         self.agents = tuple(traffic.agents)
+        self.after_deviation = traffic.after_deviation
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         if not self._is_chosen():

@@ -155,6 +155,7 @@ class HeldModel(Held[DriverModel], DriverModel):
         super().__init__(model, other, rng, calls)
         self.highway_env_class = model.highway_env_class  # type: ignore[misc]  # the model's
         self.parameters, self.memory_width = model.parameters, model.memory_width
+        self.follows_recording = model.follows_recording
 
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         if not self._is_chosen():

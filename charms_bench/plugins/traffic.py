@@ -19,6 +19,10 @@ class Traffic(ABC):
     agents: tuple[str, ...]
     """The names of all agents that `assign` may return, in the order in which they act."""
 
+    after_deviation: str = ""
+    """In a scene of recordings, the agent that takes over the vehicles that follow the recording,
+    once the ego is `engine.playback.DEVIATION_M` away from its recorded position."""
+
     @abstractmethod
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         """The agents' names, (scenes, vehicles), in the order of spawning without the ego."""

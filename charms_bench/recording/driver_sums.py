@@ -52,13 +52,9 @@ class DriverSums:
         shape = simulation.scene.x.shape
         self._simulation = simulation
         self._interval_s = 1.0 / simulation.settings.decision_hz
-        # The ego's driver has column 0, and an agent the one after its index.
-        self._drivers = simulation.engine.drivers + 1
-        self._drivers[simulation.ego_vehicles] = 0
         self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
-        for driver in range(self._sums.shape[1]):
-            own = (self._drivers == driver) & simulation.scene.present
-            self._sums["vehicles"][:, driver] = own.sum(axis=1)
+        self._counted = np.zeros((*shape, self._sums.shape[1]), dtype=np.bool_)
+        self._find_drivers()
         self._state = np.zeros(shape, dtype=STATE)
         self._state["near"] = self._state["cutter"] = NOBODY
         window = imposed_decisions(self._interval_s)
@@ -69,6 +65,8 @@ class DriverSums:
 
         `at_fault` [B, N] is whether the vehicles that have collided were at fault.
         """
+        if self._simulation.playback is not None:
+            self._find_drivers()
         note_drivers(
             *frames,
             at_fault,
@@ -78,6 +76,16 @@ class DriverSums:
             self._new_followers,
             self._sums,
         )
+
+    def _find_drivers(self) -> None:
+        """Notes who drives which vehicle, and counts each vehicle once for each of its drivers."""
+        made = self._simulation
+        # The ego's driver has column 0, and an agent the one after its index.
+        self._drivers = made.engine.drivers + 1
+        self._drivers[made.ego_vehicles] = 0
+        for driver in range(self._sums.shape[1]):
+            self._counted[..., driver] |= (self._drivers == driver) & made.scene.present
+        self._sums["vehicles"] = self._counted.sum(axis=1)
 
     def table(self) -> pl.DataFrame:
         """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""

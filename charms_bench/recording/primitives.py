@@ -66,6 +66,7 @@ class Primitives:
         self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
         self._last = np.arange(scenes)
         self._collided = simulation.scene.crashed.copy()
+        self._was_present = simulation.scene.present.copy()
         self.at_decision(self._last.copy())
         self._vehicles["lane_since"] = LONG_AGO
         self._vehicles["target_since"] = 0
@@ -80,6 +81,7 @@ class Primitives:
         """The frames of the scenes (S,) at the decision that has just been reached."""
         frames = self.take(scenes, 0)
         self._last[scenes] = frames.moments["now"]
+        self._was_present[scenes] = self._simulation.scene.present[scenes]
         return frames
 
     def at_collision(self) -> Frames:
@@ -98,8 +100,32 @@ class Primitives:
         moments["decision"] = made.steps[scenes] + ahead
         moments["ends"] = ~made.scene.active[scenes]
         frames = Frames(moments, self._vehicles)
-        take(made.scene, *frames, made.collision, made.action, made.has_action)
+        seen = (made.scene, *frames, made.collision, made.action, made.has_action)
+        if made.playback is None:
+            take(*seen)
+        else:
+            self._take_changing(seen, scenes, moments)
         return frames
+
+    def _take_changing(self, seen: tuple[Any, ...], scenes: Ints, moments: Any) -> None:
+        """Fills in frames of scenes (S,) in which vehicles have appeared or left.
+
+        A vehicle counts from the first decision at which it is there until the last one.
+        """
+        scene, vehicles = self._simulation.scene, self._vehicles
+        is_here, was_here = scene.present[scenes], self._was_present[scenes]
+        has_appeared = is_here & ~was_here
+        before = vehicles[moments["before"]]
+        for name in ("lane", "target_lane"):
+            before[name] = np.where(has_appeared, getattr(scene, name)[scenes], before[name])
+        before["lane_since"][has_appeared] = LONG_AGO
+        before["lost"] |= is_here != was_here
+        vehicles[moments["before"]] = before
+        take(*seen)
+        now = vehicles[moments["now"]]
+        now["lost"] = np.where(has_appeared, now["crashed"] | ~now["is_on_road"], now["lost"])
+        now["acceleration"][~is_here] = np.nan
+        vehicles[moments["now"]] = now
 
 
 @compiled_of_scenes

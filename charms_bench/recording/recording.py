@@ -26,6 +26,8 @@ class Recording:
         self._was_running = simulation.scene.active.copy()
         self._kept = Primitives(simulation)
         self._start_x = self._kept.last("x")
+        self._end_x = self._start_x.copy()
+        self._was_here = simulation.scene.present.copy()
         self._steps = StepRows(simulation)
         self._following = FollowingCounts(simulation.seeds.size)
         self._drivers = DriverSums(simulation)
@@ -37,10 +39,19 @@ class Recording:
         """Keeps the end of the decision interval that has just ended."""
         frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
         self._was_running = self._simulation.scene.active.copy()
+        self._note_places()
         self._fault.add(frames)
         self._steps.add(frames)
         self._following.add(frames)
         self._drivers.add(frames, self._fault.at_fault)
+
+    def _note_places(self) -> None:
+        """Notes where vehicles are, from the decision after they have appeared until they leave."""
+        is_here, x = self._simulation.scene.present, self._kept.last("x")
+        has_appeared = is_here & ~self._was_here
+        self._start_x[has_appeared] = x[has_appeared]
+        self._end_x[is_here] = x[is_here]
+        self._was_here |= is_here
 
     def steps(self) -> pl.DataFrame:
         """Returns the rows of all steps so far (`columns.STEP`), sorted by episode and step."""
@@ -50,11 +61,12 @@ class Recording:
         """Returns one row per episode (`columns.EPISODE`), sorted by episode."""
         simulation = self._simulation
         rows, ego = simulation.ego_vehicles
-        driven = self._kept.last("x") - self._start_x
+        driven = self._end_x - self._start_x
         at_fault = self._fault.at_fault[rows, ego] | (simulation.ending == OFF_ROAD)
         struck = simulation.collision[rows, ego] == STRUCK
-        is_traffic = simulation.scene.present.copy()
+        is_traffic = self._was_here.copy()
         is_traffic[rows, ego] = False
+        is_lost = self._kept.last("lost") & simulation.scene.present
         columns = {
             "episode": simulation.seeds,
             "ending": np.array(ENDINGS)[simulation.ending],
@@ -64,7 +76,7 @@ class Recording:
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
             "traffic_vehicles": is_traffic.sum(axis=1),
-            "traffic_crashed": (self._kept.last("lost") & is_traffic).sum(axis=1),
+            "traffic_crashed": (is_lost & is_traffic).sum(axis=1),
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1),
         }
         return table(columns, EPISODE_SCHEMA).sort("episode")

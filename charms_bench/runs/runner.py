@@ -13,7 +13,7 @@ from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
 from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import is_network
-from charms_bench.plugins.specs import networks_of
+from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.folder import RunFolder
@@ -21,6 +21,7 @@ from charms_bench.runs.shard import (
     CellTask,
     ShardFiles,
     ShardTask,
+    agent_of,
     forget_agents,
     installed,
     simulate,
@@ -183,6 +184,12 @@ def plan_cell(
     if folder is not None:
         networks = {name: folder.network(name) or path for name, path in networks.items()}
     software = installed(ego, traffic, networks)
+    for each in drivers_of(ego, traffic_of(traffic)) if cell.scene.recording is None else ():
+        if getattr(agent_of(each, networks), "follows_recording", False):
+            raise SuiteError(
+                f"suite '{suite.suite}': {cell.title}: agent '{each.key}' drives as recorded; "
+                "give the suite recordings with scene.recording"
+            )
     driver = ego.key
     if is_network(ego.name):
         driver = f"{software.agents[ego.name]['weights_sha256']}.onnx"

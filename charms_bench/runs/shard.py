@@ -90,6 +90,8 @@ class CellTask:
             name: f"{self.software.agents[name]['weights_sha256']} {number}"
             for number, name in enumerate(self.networks)
         }
+        if (source := self.scene.recording) is not None:
+            contents[str(source.folder)] = source.sha256
         named = by_content(inputs, contents) if contents else inputs
         return sha256(json.dumps(named).encode()).hexdigest()
 

@@ -19,6 +19,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
+from charms_bench.world.moments import moments_of
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
@@ -148,6 +149,8 @@ class Suite(FrozenModel):
             raise ValueError("references are compared with traffics; expected one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
             raise ValueError("a reference is given twice")
+        if self.scene.recording and any(each.traffic.scenario for each in self.traffics):
+            raise ValueError("a scenario and scene.recording both place vehicles; remove one")
         if self.scene.scenario is not None:
             raise ValueError("scene.scenario: give the scenario as a traffic")
         labels = [ego.title for ego in self.egos]
@@ -207,6 +210,11 @@ def suite_of(document: Document) -> Suite:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
     check_scenarios(document, suite)
     _check_types(document, suite)
+    if suite.scene.recording is not None and suite.episodes > (
+        count := len(moments_of(suite.scene))
+    ):
+        what = f"the recordings have {count:,} moments; expected at most as many episodes"
+        raise document.error(("episodes",), what)
     for index, metric in enumerate(suite.columns):
         _check_metric(document, ("columns", index), metric, METRIC_SETS)
     return suite

@@ -8,6 +8,7 @@ which no other vehicle of the episode has, does not depend on its place (`Scene.
 """
 
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -15,16 +16,20 @@ from numpy.typing import NDArray
 from pydantic import (
     BeforeValidator,
     Field,
+    ModelWrapValidatorHandler,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     model_serializer,
     model_validator,
 )
 
-from charms_bench.errors import suggestion
+from charms_bench.errors import DataError, suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
+from charms_bench.foundation.files import absolute
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
+from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
@@ -99,8 +104,35 @@ class SceneSettings(FrozenModel):
     """Vehicles that enter the road during the episode; by default, none do, and the road is longer
     than any vehicle drives. With it, the road has the length that the profile says, and the episode
     ends when the ego has reached its end."""
+    recording: RecordedMoments | None = None
+    """Recordings at moments of which episodes start. They decide the lanes' width and the number of
+    vehicles, and of lanes if it is not given: that of most vehicles."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; in a suite, it stands in the place of a traffic."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _as_recorded(
+        cls,
+        value: Any,
+        handler: ModelWrapValidatorHandler["SceneSettings"],
+        info: ValidationInfo,
+    ) -> "SceneSettings":
+        """With what the recordings decide, when they are first read."""
+        settings = handler(value)
+        source = settings.recording
+        if source is None or source.sha256:
+            return settings
+        from charms_bench.world.moments import settings_from
+
+        given = {name: getattr(settings, name) for name in settings.model_fields_set}
+        folder = absolute((info.context or {}).get("folder", Path()) / source.folder)
+        given["recording"] = source.model_copy(update={"folder": folder})
+        try:
+            found = settings_from(settings.model_copy(update=given))
+        except DataError as error:
+            raise ValueError(f"recording: {error}") from error
+        return handler(given | found)
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "SceneSettings":
@@ -150,9 +182,9 @@ class SceneSettings(FrozenModel):
 
     @model_serializer(mode="wrap")
     def _without_types(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """As before there were types, if there are none: a suite keeps its fingerprint."""
+        """As before there were some fields, if they are empty: a suite keeps its fingerprint."""
         fields: dict[str, Any] = dump(self)
-        new = ("vehicle_types", "ego_type", "inflow")
+        new = ("vehicle_types", "ego_type", "inflow", "recording")
         return {name: value for name, value in fields.items() if value or name not in new}
 
     def of_scenario(self, scenario: Scenario | None) -> "SceneSettings":
@@ -187,7 +219,7 @@ class SceneSettings(FrozenModel):
     def sizes_m(self) -> list[tuple[float, float]]:
         """The least and the largest length and width of each vehicle type, then the profile's.
 
-        If a scenario gives sizes, the bounds of these follow.
+        If a scenario gives sizes or recordings do, the bounds of these follow.
         """
         length, width = self.profile.vehicle_length_m, self.profile.vehicle_width_m
         own: list[tuple[float, float]] = []
@@ -197,6 +229,7 @@ class SceneSettings(FrozenModel):
             )
         bounds = zip(LENGTHS_M, WIDTHS_M, strict=True)
         has_bounds = self.scenario is not None and self.scenario.has_sizes
+        has_bounds |= self.recording is not None
         return [*own, (length, width), *(bounds if has_bounds else ())]
 
     @property

@@ -26,6 +26,8 @@ class Row:
     lane_id: int = 7
     direction: int = 2
     kind: str = "Car"
+    length: float = 5.0
+    width: float = 2.0
 
 
 def driven(row: Row, frames: int, rate: float = 25.0) -> list[Row]:
@@ -41,11 +43,12 @@ def write_trio(
     upper: str = UPPER_MARKINGS,
     lower: str = LOWER_MARKINGS,
     start: str = "",
+    place: str = "",
 ) -> Path:
     """Writes the three files and returns their folder; by default, each number starts later."""
     rows = list(rows)
     lines = [
-        f"{r.frame},{r.vehicle},{r.x!r},{r.y!r},5.0,2.0,{r.vx!r},{r.vy!r},{r.ax!r},0,{r.lane_id}"
+        f"{r.frame},{r.vehicle},{r.x!r},{r.y!r},{r.length},{r.width},{r.vx!r},{r.vy!r},{r.ax!r},0,{r.lane_id}"
         for r in rows
     ]
     write(folder / f"{number:02}_tracks.csv", HEADER, lines)
@@ -58,10 +61,44 @@ def write_trio(
     ]
     header = "id,initialFrame,finalFrame,numFrames,class,drivingDirection"
     write(folder / f"{number:02}_tracksMeta.csv", header, lines)
-    header = "id,frameRate,numVehicles,startTime,upperLaneMarkings,lowerLaneMarkings"
-    line = f"{number},{rate},{len(frames)},{start or f'08:{number:02}'},{upper},{lower}"
+    header = "id,frameRate,numVehicles,startTime,upperLaneMarkings,lowerLaneMarkings,locationId"
+    line = f"{number},{rate},{len(frames)},{start or f'08:{number:02}'},{upper},{lower},{place}"
     write(folder / f"{number:02}_recordingMeta.csv", header, [line])
     return folder
+
+
+def flowing_road(rate: float, seconds: float = 6.0) -> list[Row]:
+    """Vehicles of many sizes on the lower carriageway that come, change lanes and go.
+
+    They drive with 12, 13 and 14 m/s on the three lanes, and leave 25 m between their centres. The
+    section is 100 m long: vehicles appear at its beginning and are lost at its end.
+    """
+    rows = []
+    for number in range(24):
+        lane, place = number % 3, number // 3
+        start = 100.0 - 25.0 * place - 7.0 * lane
+        truck = number % 5 == 4
+        row = Row(
+            vehicle=number + 1,
+            vx=12.0 + lane,
+            lane_id=6 + lane,
+            kind="Truck" if truck else "Car",
+            length=10.0 if truck else 4.0 + 0.1 * (number % 4),
+            width=2.5 if truck else 1.8,
+        )
+        for k in range(round(seconds * rate) + 1):
+            x, aside = start + k * row.vx / rate, 0.0
+            if number == 9:  # from the left lane into the gap to its right
+                aside = 4.0 * min(max((k / rate - 1.5) / 3.0, 0.0), 1.0)
+            if 0.0 <= x <= 100.0:
+                y = 32.0 + 4 * lane + aside - row.width / 2
+                is_moving = number == 9 and 0.0 < aside < 4.0
+                rows.append(
+                    replace(row, frame=k + 1, x=x - row.length / 2, y=y,
+                            vy=4 / 3 if is_moving else 0.0,
+                            lane_id=6 + lane + (aside > 2.0))
+                )  # fmt: skip
+    return rows
 
 
 def write(path: Path, header: str, lines: list[str]) -> None:

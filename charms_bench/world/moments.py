@@ -1,0 +1,426 @@
+"""Moments of recordings at which episodes start, and the tracks of the vehicles around the ego.
+
+A moment is a recorded vehicle, which becomes the ego, and a frame. From this frame on, the vehicle
+is recorded for at least an episode, is on the road and overlaps no other vehicle; at this frame, no
+two vehicles of its carriageway overlap. The episodes of one vehicle do not overlap in time.
+
+Along the road, positions are the recorded ones from the rearmost position of the recording. Across
+it, each lane is stretched from its width to the scene's lane width, which is the mean of the lanes.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import DataError
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import compiled
+from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
+from charms_bench.world.recordings import Split
+from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
+
+if TYPE_CHECKING:
+    from charms_bench.world.scene import SceneSettings
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+TEST_PART = 0.2
+STEADY_MPS = 5.0
+"""A heading is that of the velocity, with at least this speed along the road: the lateral speed of
+a slow vehicle is mostly noise."""
+WIDTH_TOLERANCE = 0.15
+"""Lanes may be wider or narrower than their mean by this proportion."""
+
+
+class Tracks(NamedTuple):
+    """V tracks with K rows. A vehicle that is not recorded for some frames has several tracks."""
+
+    x: Floats
+    """(K,) m, as all positions in the frame of the scene."""
+    y: Floats
+    heading: Floats
+    speed: Floats
+    """(K,) m/s, along the heading; its part along the road is the recorded speed."""
+    row: Ints
+    """(V,) the first row."""
+    first: Ints
+    """(V,) the first frame."""
+    last: Ints
+    """(V,) the last frame."""
+    length: Floats
+    width: Floats
+    fastest: Floats
+    """(V,) the highest speed of the track, m/s."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """M moments, in the order of the episodes."""
+
+    tracks: Tracks
+    vehicles: Ints
+    """[M, N] the tracks of the vehicles, -1 for none: the ego, then the others as they appear."""
+    frame: Ints
+    """(M,)"""
+    rate_hz: Floats
+    """(M,) frames per second."""
+    names: tuple[str, ...]
+    """M descriptions."""
+    overlapping: int
+    """Pairs of vehicles that overlap in some frame; none of them is an ego meanwhile."""
+
+    def __len__(self) -> int:
+        return self.frame.size
+
+
+class _Carriageway(NamedTuple):
+    """One direction of a recording."""
+
+    recording: Recording
+    direction: int
+    rows: Any
+    """Its rows of `Recording.tracks`."""
+
+    @property
+    def lanes(self) -> int:
+        return self.recording.lanes[self.direction]
+
+    @property
+    def widths_m(self) -> Floats:
+        return self.recording.lane_widths_m[self.direction]
+
+    def __str__(self) -> str:
+        return f"recording {self.recording.trio.number}, direction {self.direction}"
+
+
+def content_of(folder: Path) -> str:
+    """The hash of the recordings of a folder. Raises a `DataError` if they cannot be read."""
+    paths = [path for trio in find_trios(folder) for path in trio.paths]
+    try:
+        stamps = [path.stat() for path in paths]
+        return _content(tuple(paths), tuple((each.st_size, each.st_mtime_ns) for each in stamps))
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from error
+
+
+@lru_cache(maxsize=2)
+def _content(paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _carriageways(folder: Path, content: str) -> tuple[_Carriageway, ...]:
+    """The carriageways of a folder with this content."""
+    found = []
+    for trio in find_trios(folder):
+        recording = read_recording(trio)
+        for direction in recording.lanes:
+            rows = recording.tracks.filter(direction=direction)
+            found.append(_Carriageway(recording, direction, rows))
+    return tuple(found)
+
+
+def settings_from(settings: "SceneSettings") -> dict[str, Any]:
+    """The fields of a scene that its recordings decide.
+
+    Raises:
+        DataError: The recordings cannot be used.
+        ValueError: The settings give such a field themselves.
+    """
+    source = settings.recording
+    assert source is not None
+    decided = ("traffic_vehicles", "ego_slots", "density", "vehicle_types", "ego_type", "inflow")
+    for name in decided:
+        if name in settings.model_fields_set:
+            raise ValueError(f"{name}: the recordings decide this; remove it")
+    folder = source.folder
+    content = content_of(folder)
+    ways = _carriageways(folder, content)
+    lanes = settings.lanes
+    if "lanes" not in settings.model_fields_set:
+        vehicles: dict[int, int] = {}
+        for way in ways:
+            vehicles[way.lanes] = vehicles.get(way.lanes, 0) + way.rows["vehicle"].n_unique()
+        lanes = max(vehicles, key=lambda count: vehicles[count])
+    widths = np.concatenate([each.widths_m for each in _with_lanes(folder, ways, lanes)])
+    profile = settings.profile.model_copy(update={"lane_width_m": round(float(widths.mean()), 3)})
+    found: dict[str, Any] = {
+        "recording": source.model_copy(update={"sha256": content}),
+        "lanes": lanes,
+        "profile": profile,
+        "ego_slots": 1,
+    }
+    moments = moments_of(settings.model_copy(update=found))
+    return found | {"traffic_vehicles": moments.vehicles.shape[1] - 1}
+
+
+def moments_of(settings: "SceneSettings") -> Moments:
+    """The moments of a scene's recordings, which are read once per process.
+
+    Raises:
+        DataError: The recordings cannot be read, have changed or have no such moment.
+    """
+    source, profile = settings.recording, settings.profile
+    assert source is not None
+    if content_of(source.folder) != source.sha256:
+        raise DataError(
+            f"{source.folder}: the recordings have changed since the settings were made; expected "
+            f"files with the hash {source.sha256[:12]}"
+        )
+    return _moments(
+        source.folder,
+        source.sha256,
+        settings.lanes,
+        profile.lane_width_m,
+        settings.decisions / settings.decision_hz,
+        source.main_lanes,
+        source.split,
+        (profile.speed_min_mps, profile.speed_max_mps),
+    )
+
+
+def _with_lanes(folder: Path, ways: tuple[_Carriageway, ...], lanes: int) -> list[_Carriageway]:
+    """The carriageways with so many lanes, which are about equally wide."""
+    found = [each for each in ways if each.lanes == lanes]
+    if not found:
+        counts = ", ".join(map(str, sorted({each.lanes for each in ways})))
+        raise DataError(f"{folder}: no carriageway has {lanes} lanes; expected lanes: {counts}")
+    mean = np.concatenate([each.widths_m for each in found]).mean()
+    for each in found:
+        if (abs(each.widths_m / mean - 1) > WIDTH_TOLERANCE).any():
+            widths = ", ".join(f"{width:.2f}" for width in each.widths_m)
+            raise DataError(
+                f"{each.recording.trio.recording_meta}: line 2: lanes of {widths} m in direction "
+                f"{each.direction}; expected at most {WIDTH_TOLERANCE:.0%} from the mean of the "
+                f"folder, {mean:.2f} m, because the lanes of a scene are equally wide; remove this "
+                "recording"
+            )
+    return found
+
+
+@lru_cache(maxsize=2)
+def _moments(
+    folder: Path,
+    content: str,
+    lanes: int,
+    lane_width_m: float,
+    duration_s: float,
+    main_lanes: int | None,
+    split: Split | None,
+    speeds_mps: tuple[float, float],
+) -> Moments:
+    ways = _with_lanes(folder, _carriageways(folder, content), lanes)
+    parts, vehicles, frames, rates, names, overlapping = [], [], [], [], [], 0
+    tracks_before = rows_before = 0
+    is_used = _use_of(folder, ways, split)
+    for way in ways:
+        tracks, slope = _tracks_of(way, lane_width_m, speeds_mps)
+        fit, pairs = _fitness(way, tracks, slope, main_lanes or lanes)
+        overlapping += pairs
+        rate = way.recording.frame_rate_hz
+        span = int(np.ceil(duration_s * rate - 1e-9))
+        for ego, frame in _starts(tracks, fit, span):
+            number = int(way.rows["vehicle"][int(tracks.row[ego])])
+            if not is_used(way, number, frame, frame + span):
+                continue
+            is_here = (tracks.first <= frame + span) & (tracks.last >= frame)
+            is_here[ego] = False
+            others = np.nonzero(is_here)[0]
+            appears = np.maximum(tracks.first[others], frame)
+            others = others[np.argsort(appears, kind="stable")]
+            vehicles.append(np.array([ego, *others]) + tracks_before)
+            frames.append(frame)
+            rates.append(rate)
+            names.append(f"{way}, vehicle {number}, frame {frame}")
+        parts.append(tracks._replace(row=tracks.row + rows_before))
+        tracks_before += tracks.row.size
+        rows_before += tracks.x.size
+    if not frames:
+        part = f" in the {split.part} part by {split.by}" if split is not None else ""
+        raise DataError(
+            f"{folder}: no moment{part} is followed by {duration_s:g} s of a vehicle that is "
+            f"recorded, on one of {lanes} lanes and free of others; give a shorter duration_s"
+        )
+    table = np.full((len(frames), max(each.size for each in vehicles)), -1)
+    for row, each in zip(table, vehicles, strict=True):
+        row[: each.size] = each
+    order = np.argsort([crc32(name.encode()) for name in names], kind="stable")
+    return Moments(
+        tracks=Tracks(*map(np.concatenate, zip(*parts, strict=True))),
+        vehicles=table[order],
+        frame=np.array(frames)[order],
+        rate_hz=np.array(rates)[order],
+        names=tuple(names[k] for k in order),
+        overlapping=overlapping,
+    )
+
+
+def _tracks_of(
+    way: _Carriageway, lane_width_m: float, speeds_mps: tuple[float, float]
+) -> tuple[Tracks, Floats]:
+    """The vehicles of a carriageway in a scene, and the tangents of their headings (K,)."""
+    rows, path = way.rows, way.recording.trio.tracks
+    vehicle, frame = rows["vehicle"].to_numpy(), rows["frame"].to_numpy()
+    begins = (np.diff(vehicle, prepend=-1) != 0) | (np.diff(frame, prepend=-1) != 1)
+    row = np.nonzero(begins)[0]
+    last_row = np.append(row[1:], vehicle.size) - 1
+    length, width = rows["length"].to_numpy()[row], rows["width"].to_numpy()[row]
+    for name, found, (low, high) in (("width", length, LENGTHS_M), ("height", width, WIDTHS_M)):
+        if (wrong := (found < low) | (found > high)).any():
+            at = int(wrong.argmax())
+            raise DataError(
+                f"{path}: vehicle {vehicle[row[at]]}: {name} {found[at]:g} m; expected {low:g} to "
+                f"{high:g} m in a scene"
+            )
+    along = rows["speed"].to_numpy()
+    low, high = max(0.0, along.min()), along.max()
+    if low < speeds_mps[0] or high > speeds_mps[1]:
+        raise DataError(
+            f"{path}: speeds from {low:.1f} to {high:.1f} m/s are outside the profile's, "
+            f"{speeds_mps[0]:g} to {speeds_mps[1]:g} m/s; give another speed_min_mps or "
+            "speed_max_mps in scene.profile"
+        )
+    lane = rows["lane"].to_numpy()
+    aside = rows["lateral_speed"].to_numpy() * lane_width_m / way.widths_m[lane]
+    slope = aside / np.maximum(along, STEADY_MPS)
+    speed = along * np.sqrt(1 + slope**2)
+    x = rows["x"].to_numpy()
+    tracks = Tracks(
+        x=x - x.min(),
+        y=rows["y"].to_numpy() * (lane_width_m / LANE_WIDTH_M),
+        heading=_arctangents(slope),
+        speed=speed,
+        row=row,
+        first=frame[row],
+        last=frame[last_row],
+        length=length,
+        width=width,
+        fastest=np.maximum.reduceat(speed, row),
+    )
+    return tracks, slope
+
+
+@compiled
+def _arctangents(slopes: Floats) -> Floats:
+    """Angles, rad, the same on every machine."""
+    angles = np.empty(slopes.size)
+    for k in range(slopes.size):
+        angles[k] = maths.atan(slopes[k])
+    return angles
+
+
+def _fitness(
+    way: _Carriageway, tracks: Tracks, slope: Floats, main_lanes: int
+) -> tuple[tuple[Bools, Bools], int]:
+    """Whether an ego can start in each row (K,), and drive on in it; and the overlapping pairs."""
+    rows = way.rows
+    frame, vehicle = rows["frame"].to_numpy(), rows["vehicle"].to_numpy()
+    one, other = _overlaps(tracks, np.abs(slope), frame)
+    is_clear = np.ones(tracks.x.size, dtype=np.bool_)
+    is_clear[one] = is_clear[other] = False
+    goes_on = is_clear & rows["on_road"].to_numpy()
+    starts = goes_on & (rows["lane"].to_numpy() < main_lanes) & ~np.isin(frame, frame[one])
+    pairs = {tuple(sorted(pair)) for pair in zip(vehicle[one], vehicle[other], strict=True)}
+    return (starts, goes_on), len(pairs)
+
+
+def _overlaps(tracks: Tracks, slope: Floats, frame: Ints) -> tuple[Ints, Ints]:
+    """The pairs of rows of one frame in which vehicles, turned to their headings, overlap.
+
+    A turned vehicle counts as the smallest rectangle along the road that encloses it.
+    """
+    size = np.diff(np.append(tracks.row, frame.size))
+    length, width = np.repeat(tracks.length, size), np.repeat(tracks.width, size)
+    cosine = 1 / np.sqrt(1 + slope**2)
+    along = (length + width * slope) * cosine / 2
+    across = (width + length * slope) * cosine / 2
+    order = np.lexsort((tracks.x, frame))
+    reach = 2 * along.max(initial=0.0)
+    found: list[tuple[Ints, Ints]] = []
+    for shift in range(1, order.size):
+        a, b = order[:-shift], order[shift:]
+        is_near = (frame[a] == frame[b]) & (tracks.x[b] - tracks.x[a] < reach)
+        if not is_near.any():
+            break
+        a, b = a[is_near], b[is_near]
+        meets = tracks.x[b] - tracks.x[a] < along[a] + along[b]
+        meets &= np.abs(tracks.y[b] - tracks.y[a]) < across[a] + across[b]
+        found.append((a[meets], b[meets]))
+    none = np.zeros(0, dtype=np.int64)
+    one, other = zip(*found, strict=True) if found else ((none,), (none,))
+    return np.concatenate(one), np.concatenate(other)
+
+
+def _starts(tracks: Tracks, fit: tuple[Bools, Bools], span: int) -> list[tuple[int, int]]:
+    """The egos and the frames at which episodes of `span` frames can start."""
+    can_start, goes_on = fit
+    stops = np.concatenate([[0], np.cumsum(~goes_on)])
+    found = []
+    for ego, (row, first, last) in enumerate(
+        zip(tracks.row, tracks.first, tracks.last, strict=True)
+    ):
+        frames = last - first - span
+        if frames < 0:
+            continue
+        begins = row + np.arange(frames + 1)
+        usable = can_start[begins] & (stops[begins + span + 1] == stops[begins])
+        frame = 0
+        for start in np.nonzero(usable)[0]:
+            if start >= frame:
+                found.append((ego, int(first + start)))
+                frame = int(start) + span
+    return found
+
+
+def _use_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Any:
+    """Says whether an episode of a vehicle of a carriageway between two frames is used."""
+    if split is None:
+        return lambda way, vehicle, begin, end: True
+    is_test = split.part == "test"
+    recordings = {each.recording.trio.number: each.recording for each in ways}
+    if split.by == "place":
+        places = sorted({each.location for each in recordings.values()})
+        if len(places) < 2:
+            raise DataError(
+                f"{folder}: all recordings have the locationId '{places[0]}'; a split by place "
+                "needs two locations"
+            )
+        tested = places[-max(1, int(len(places) * TEST_PART)) :]
+        return lambda way, vehicle, begin, end: (way.recording.location in tested) == is_test
+    numbers: dict[str, int] = {}
+    for number, recording in recordings.items():
+        if recording.occasion in numbers:
+            raise DataError(
+                f"{folder}: recordings {numbers[recording.occasion]} and {number} state the same "
+                f"place and time ('{recording.occasion}'), so they may show the same drivers; a "
+                f"split by {split.by} needs recordings of different times"
+            )
+        numbers[recording.occasion] = number
+    if split.by == "driver":
+        return lambda way, vehicle, begin, end: (
+            is_test
+            == (
+                crc32(f"{way.recording.trio.number} {vehicle}".encode()) % round(1 / TEST_PART) == 0
+            )
+        )
+    borders = {
+        number: float(each.tracks["frame"].quantile(1 - TEST_PART) or 0)
+        for number, each in recordings.items()
+    }
+
+    def is_in_part(way: _Carriageway, vehicle: int, begin: int, end: int) -> bool:
+        border = borders[way.recording.trio.number]
+        return begin > border if is_test else end <= border
+
+    return is_in_part
