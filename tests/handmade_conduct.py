@@ -42,6 +42,7 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         settings=SimpleNamespace(decision_hz=3, simulation_hz=15, decisions=decisions),
         collision_watchers=[],
         ego_agent="0",
+        playback=None,
         agents=tuple(map(str, range(vehicles))),
         engine=SimpleNamespace(drivers=np.arange(vehicles)[None]),
         ego_vehicles=(np.array([0]), np.array([0])),

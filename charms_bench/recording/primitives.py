@@ -101,7 +101,7 @@ class Primitives:
         moments["ends"] = ~made.scene.active[scenes]
         frames = Frames(moments, self._vehicles)
         seen = (made.scene, *frames, made.collision, made.action, made.has_action)
-        if made.playback is None:
+        if made.scene.present.all() and self._was_present.all():
             take(*seen)
         else:
             self._take_changing(seen, scenes, moments)

@@ -9,6 +9,7 @@ it, each lane is stretched from its width to the scene's lane width, which is th
 """
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +23,7 @@ from charms_bench.errors import DataError
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled
 from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
+from charms_bench.world.profile import PROFILES
 from charms_bench.world.recordings import Split
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
 
@@ -144,6 +146,9 @@ def settings_from(settings: "SceneSettings") -> dict[str, Any]:
     for name in decided:
         if name in settings.model_fields_set:
             raise ValueError(f"{name}: the recordings decide this; remove it")
+    known = PROFILES.get(settings.profile.name)
+    if known is not None and settings.profile.lane_width_m != known.lane_width_m:
+        raise ValueError("profile.lane_width_m: the recordings decide this; remove it")
     folder = source.folder
     content = content_of(folder)
     ways = _carriageways(folder, content)
@@ -223,17 +228,16 @@ def _moments(
     ways = _with_lanes(folder, _carriageways(folder, content), lanes)
     parts, vehicles, frames, rates, names, overlapping = [], [], [], [], [], 0
     tracks_before = rows_before = 0
-    is_used = _use_of(folder, ways, split)
+    is_in_part = _part_of(folder, ways, split)
     for way in ways:
         tracks, slope = _tracks_of(way, lane_width_m, speeds_mps)
         fit, pairs = _fitness(way, tracks, slope, main_lanes or lanes)
         overlapping += pairs
         rate = way.recording.frame_rate_hz
         span = int(np.ceil(duration_s * rate - 1e-9))
-        for ego, frame in _starts(tracks, fit, span):
-            number = int(way.rows["vehicle"][int(tracks.row[ego])])
-            if not is_used(way, number, frame, frame + span):
-                continue
+        number = way.rows["vehicle"].to_numpy()
+        is_ours = is_in_part(way, number, way.rows["frame"].to_numpy(), span)
+        for ego, frame in _starts(tracks, (fit[0] & is_ours, fit[1]), span):
             is_here = (tracks.first <= frame + span) & (tracks.last >= frame)
             is_here[ego] = False
             others = np.nonzero(is_here)[0]
@@ -242,7 +246,7 @@ def _moments(
             vehicles.append(np.array([ego, *others]) + tracks_before)
             frames.append(frame)
             rates.append(rate)
-            names.append(f"{way}, vehicle {number}, frame {frame}")
+            names.append(f"{way}, vehicle {number[tracks.row[ego]]}, frame {frame}")
         parts.append(tracks._replace(row=tracks.row + rows_before))
         tracks_before += tracks.row.size
         rows_before += tracks.x.size
@@ -383,10 +387,14 @@ def _starts(tracks: Tracks, fit: tuple[Bools, Bools], span: int) -> list[tuple[i
     return found
 
 
-def _use_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Any:
-    """Says whether an episode of a vehicle of a carriageway between two frames is used."""
+PartOf = Callable[[_Carriageway, Ints, Ints, int], Bools]
+"""Whether the episodes belong to a part that vehicles (K,) of a carriageway would start in frames
+(K,), and which take so many frames."""
+
+
+def _part_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> PartOf:
     if split is None:
-        return lambda way, vehicle, begin, end: True
+        return lambda way, vehicles, frames, span: np.ones(frames.size, dtype=np.bool_)
     is_test = split.part == "test"
     recordings = {each.recording.trio.number: each.recording for each in ways}
     if split.by == "place":
@@ -397,7 +405,9 @@ def _use_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Any:
                 "needs two locations"
             )
         tested = places[-max(1, int(len(places) * TEST_PART)) :]
-        return lambda way, vehicle, begin, end: (way.recording.location in tested) == is_test
+        return lambda way, vehicles, frames, span: np.full(
+            frames.size, (way.recording.location in tested) == is_test
+        )
     numbers: dict[str, int] = {}
     for number, recording in recordings.items():
         if recording.occasion in numbers:
@@ -407,20 +417,23 @@ def _use_of(folder: Path, ways: list[_Carriageway], split: Split | None) -> Any:
                 f"split by {split.by} needs recordings of different times"
             )
         numbers[recording.occasion] = number
-    if split.by == "driver":
-        return lambda way, vehicle, begin, end: (
-            is_test
-            == (
-                crc32(f"{way.recording.trio.number} {vehicle}".encode()) % round(1 / TEST_PART) == 0
-            )
-        )
-    borders = {
-        number: float(each.tracks["frame"].quantile(1 - TEST_PART) or 0)
-        for number, each in recordings.items()
-    }
+    return _by_driver(is_test) if split.by == "driver" else _by_time(is_test)
 
-    def is_in_part(way: _Carriageway, vehicle: int, begin: int, end: int) -> bool:
-        border = borders[way.recording.trio.number]
-        return begin > border if is_test else end <= border
+
+def _by_driver(is_test: bool) -> PartOf:
+    def is_in_part(way: _Carriageway, vehicles: Ints, frames: Ints, span: int) -> Bools:
+        names, which = np.unique(vehicles, return_inverse=True)
+        number = way.recording.trio.number
+        draws = np.array([crc32(f"{number} {name}".encode()) for name in names])
+        return np.asarray(((draws % round(1 / TEST_PART) == 0) == is_test)[which])
+
+    return is_in_part
+
+
+def _by_time(is_test: bool) -> PartOf:
+    def is_in_part(way: _Carriageway, vehicles: Ints, frames: Ints, span: int) -> Bools:
+        every = way.recording.tracks["frame"].to_numpy()
+        border = every.max() - TEST_PART * (every.max() - every.min())
+        return np.asarray(frames > border if is_test else frames + span <= border)
 
     return is_in_part

@@ -76,11 +76,11 @@ def flowing_road(rate: float, seconds: float = 6.0) -> list[Row]:
     rows = []
     for number in range(24):
         lane, place = number % 3, number // 3
-        start = 100.0 - 25.0 * place - 7.0 * lane
+        start = 100.0 - 25.0 * place - 12.0 * lane
         truck = number % 5 == 4
         row = Row(
             vehicle=number + 1,
-            vx=12.0 + lane,
+            vx=13.0 if number == 9 else 12.0 + lane,
             lane_id=6 + lane,
             kind="Truck" if truck else "Car",
             length=10.0 if truck else 4.0 + 0.1 * (number % 4),
@@ -89,7 +89,7 @@ def flowing_road(rate: float, seconds: float = 6.0) -> list[Row]:
         for k in range(round(seconds * rate) + 1):
             x, aside = start + k * row.vx / rate, 0.0
             if number == 9:  # from the left lane into the gap to its right
-                aside = 4.0 * min(max((k / rate - 1.5) / 3.0, 0.0), 1.0)
+                aside = 4.0 * min(max((k / rate - 0.5) / 3.0, 0.0), 1.0)
             if 0.0 <= x <= 100.0:
                 y = 32.0 + 4 * lane + aside - row.width / 2
                 is_moving = number == 9 and 0.0 < aside < 4.0

@@ -1,5 +1,6 @@
 """Suites: profiles with overrides, agents by name or path, cells and fingerprints."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -133,10 +134,18 @@ def test_a_vehicle_types_parameter_that_no_driver_has_is_named_with_its_line(
         load_suite(path)
 
 
+def skip_without_recordings(path: Path) -> None:
+    """Skips a suite whose recordings are not here; they are not part of the project."""
+    for folder in re.findall(r"recording: {folder: ([^,}]*)", path.read_text()):
+        if not (path.parent / folder).is_dir():
+            pytest.skip(f"no recordings in {path.parent / folder}")
+
+
 @pytest.mark.parametrize("path", sorted(Path("suites").glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_suites_of_the_project_are_valid(path: Path) -> None:
     if "pipeline:" in path.read_text():
         pytest.skip("a training; its pipeline validates it")
+    skip_without_recordings(path)
     assert load_suite(path).suite == path.stem
 
 
@@ -146,6 +155,7 @@ def test_no_suite_that_reports_uses_episodes_on_which_networks_were_trained_or_c
 ) -> None:
     if "pipeline:" in path.read_text():
         pytest.skip("a training; its seeds begin at 2^40")
+    skip_without_recordings(path)
     suite = load_suite(path)
     if path.stem == "pch":  # tau and beta were chosen by it; environment reports the choice
         assert suite.seed >= VALIDATION_SEEDS
