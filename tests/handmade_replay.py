@@ -46,6 +46,7 @@ def replay_of(
         ego=0,
         agents=("somebody",) + ("other",) * (shape[1] - 1),
         t_s=np.arange(shape[0]) / 15,
+        present=np.ones(shape, dtype=bool),
         **floats,
         lane=lane,
         target_lane=np.broadcast_to(fields.get("target_lane", lane), shape).astype(int),

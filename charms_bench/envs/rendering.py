@@ -102,7 +102,7 @@ def moment_of(simulation: Simulation, row: int, title: str) -> "Moment":
         has_action=simulation.has_action[row],
         gap_ahead=gap,
         ttc=ttc,
-        **{name: getattr(scene, name)[row] for name in ("length", "width", *STATE)},
+        **{name: getattr(scene, name)[row] for name in ("present", "length", "width", *STATE)},
     )
 
 

@@ -53,7 +53,7 @@ def write_commonroad(replay: Replay, path: Path) -> None:
     for tag in ("highway", "multi_lane", "no_oncoming_traffic", "simulated"):
         ElementTree.SubElement(tags, tag)
     _add_lanelets(root, replay)
-    for vehicle in range(len(replay.agents)):
+    for vehicle in np.nonzero(replay.present.any(axis=0))[0].tolist():
         _add_vehicle(root, replay, vehicle)
     _add_planning_problem(root, replay)
     ElementTree.indent(root)
@@ -62,7 +62,8 @@ def write_commonroad(replay: Replay, path: Path) -> None:
 
 def _add_lanelets(root: ElementTree.Element, replay: Replay) -> None:
     lanes, width = replay.settings.lanes, replay.settings.profile.lane_width_m
-    start, end = replay.x.min() - MARGIN_M, replay.x.max() + MARGIN_M
+    x = replay.x[replay.present]
+    start, end = x.min() - MARGIN_M, x.max() + MARGIN_M
     along = np.linspace(start, end, int((end - start) // POINT_DISTANCE_M) + 2)
     for lane in range(lanes):
         lanelet = ElementTree.SubElement(root, "lanelet", id=str(lane + 1))
@@ -90,22 +91,25 @@ def _add_vehicle(root: ElementTree.Element, replay: Replay, vehicle: int) -> Non
     shape = ElementTree.SubElement(ElementTree.SubElement(obstacle, "shape"), "rectangle")
     ElementTree.SubElement(shape, "length").text = _decimal(length)
     ElementTree.SubElement(shape, "width").text = _decimal(width)
-    _add_state(ElementTree.SubElement(obstacle, "initialState"), replay, vehicle, 0)
+    first, *others = np.nonzero(replay.present[:, vehicle])[0].tolist()
+    _add_state(ElementTree.SubElement(obstacle, "initialState"), replay, vehicle, first, True)
     trajectory = ElementTree.SubElement(obstacle, "trajectory")
-    for frame in range(1, len(replay.t_s)):
+    for frame in others:
         _add_state(ElementTree.SubElement(trajectory, "state"), replay, vehicle, frame)
 
 
 def _add_planning_problem(root: ElementTree.Element, replay: Replay) -> None:
     """Adds the ego's start, and the time until the end of the episode as its goal."""
     problem = ElementTree.SubElement(root, "planningProblem", id=str(PLANNING_PROBLEM))
-    _add_state(ElementTree.SubElement(problem, "initialState"), replay, replay.ego, 0)
+    _add_state(ElementTree.SubElement(problem, "initialState"), replay, replay.ego, 0, True)
     time = ElementTree.SubElement(ElementTree.SubElement(problem, "goalState"), "time")
     for name in ("intervalStart", "intervalEnd"):
         ElementTree.SubElement(time, name).text = str(len(replay.t_s) - 1)
 
 
-def _add_state(state: ElementTree.Element, replay: Replay, vehicle: int, frame: int) -> None:
+def _add_state(
+    state: ElementTree.Element, replay: Replay, vehicle: int, frame: int, is_first: bool = False
+) -> None:
     place = frame, vehicle
     _add_point(ElementTree.SubElement(state, "position"), replay.x[place], replay.y[place])
     values: dict[str, Any] = {
@@ -114,7 +118,7 @@ def _add_state(state: ElementTree.Element, replay: Replay, vehicle: int, frame: 
         "velocity": _decimal(replay.speed[place]),
         "acceleration": _decimal(replay.acceleration[place]),
     }
-    if frame == 0:  # a vehicle starts along the road
+    if is_first:  # a vehicle starts along the road
         values |= {"yawRate": "0.0", "slipAngle": "0.0"}
     for name, value in values.items():
         ElementTree.SubElement(ElementTree.SubElement(state, name), "exact").text = value

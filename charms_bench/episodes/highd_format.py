@@ -24,6 +24,8 @@ from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 MEDIAN_M = 4.0
 WEEK_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 NO_NEIGHBOUR = 0
+_NO_LANE = -100
+"""Of a vehicle that is not there: beside no lane."""
 BESIDE = {"left": -1, "right": 1}
 """By how much the lane on either side differs from a vehicle's own."""
 PAIRS_AT_ONCE = 2**21
@@ -48,13 +50,13 @@ def write_recording(replay: Replay, folder: Path) -> None:
 
 def drivers(replay: Replay) -> pl.DataFrame:
     """Returns which agent drives which vehicle, which highD's format cannot say."""
-    count = len(replay.agents)
+    seen = np.nonzero(replay.present.any(axis=0))[0].tolist()
     return pl.DataFrame(
         {
-            "recording": [replay.episode] * count,
-            "id": range(1, count + 1),
-            "agent": replay.agents,
-            "ego": [vehicle == replay.ego for vehicle in range(count)],
+            "recording": [replay.episode] * len(seen),
+            "id": [vehicle + 1 for vehicle in seen],
+            "agent": [replay.agents[vehicle] for vehicle in seen],
+            "ego": [vehicle == replay.ego for vehicle in seen],
         }
     )
 
@@ -77,6 +79,7 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     )
     # A centre on a marking belongs to the lane to its left, as in `world.highd`.
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1
+    lane = np.where(replay.present, lane, _NO_LANE)
     some = max(1, PAIRS_AT_ONCE // vehicles**2)
     parts = [
         _neighbours(x[first : first + some], lane[first : first + some], length[0])
@@ -100,8 +103,8 @@ def _tracks(replay: Replay) -> pl.DataFrame:
         "yVelocity": velocity[1],
         "xAcceleration": along,
         "yAcceleration": across,
-        "frontSightDistance": x.max() - x,
-        "backSightDistance": x - x.min(),
+        "frontSightDistance": x[replay.present].max() - x,
+        "backSightDistance": x - x[replay.present].min(),
         "dhw": gap,
         "thw": _ratio(gap, velocity[0]),
         "ttc": _ratio(gap, velocity[0] - leader_speed),
@@ -109,7 +112,9 @@ def _tracks(replay: Replay) -> pl.DataFrame:
         **neighbours,
         "laneId": lane,
     }
-    return pl.DataFrame({name: values.T.ravel() for name, values in columns.items()})
+    is_there = pl.Series(replay.present.T.ravel())
+    rows = pl.DataFrame({name: values.T.ravel() for name, values in columns.items()})
+    return rows.filter(is_there)
 
 
 def _ratio(gap: Floats, speed: Floats) -> Floats:
@@ -177,8 +182,14 @@ def _tracks_meta(tracks: pl.DataFrame) -> pl.DataFrame:
 
 def _recording_meta(replay: Replay) -> pl.DataFrame:
     """Returns the only row of the recording."""
-    vehicles, duration = len(replay.agents), float(replay.t_s[-1])
-    cars = int((replay.length[0] < TRUCK_LENGTH_M).sum())
+    seen = np.asarray(replay.present.any(axis=0))
+    duration = float(replay.t_s[-1])
+    vehicles = int(seen.sum())
+    cars = int((seen & (replay.length[0] < TRUCK_LENGTH_M)).sum())
+    first, last = replay.present.argmax(axis=0), replay.present[::-1].argmax(axis=0)
+    last = len(replay.present) - 1 - last
+    everyone, frames = np.arange(seen.size), len(replay.present) - 1
+    driven = replay.x[last, everyone] - replay.x[first, everyone]
     # No two recordings start at the same time, which would mean that they show the same traffic.
     start = datetime(1970, 1, 1) + timedelta(minutes=replay.episode)
     upper, lower = (";".join(f"{y:.2f}" for y in each) for each in _markings(replay))
@@ -191,8 +202,8 @@ def _recording_meta(replay: Replay) -> pl.DataFrame:
         "weekDay": WEEK_DAYS[start.weekday()],
         "startTime": f"{start:%H:%M}",
         "duration": duration,
-        "totalDrivenDistance": float((replay.x[-1] - replay.x[0]).sum()),
-        "totalDrivenTime": duration * vehicles,
+        "totalDrivenDistance": float(driven[seen].sum()),
+        "totalDrivenTime": duration * float((last - first)[seen].sum() / frames),
         "numVehicles": vehicles,
         "numCars": cars,
         "numTrucks": vehicles - cars,

@@ -76,7 +76,7 @@ class Replay(Motion):
         return step * self.settings.steps_per_decision
 
     def trajectories(self) -> pl.DataFrame:
-        """Returns one row per frame and vehicle, sorted by both (`TRAJECTORY_SCHEMA`)."""
+        """Returns one row per frame and vehicle there, sorted by both (`TRAJECTORY_SCHEMA`)."""
         frames, vehicles = self.x.shape
         place = np.tile(np.arange(vehicles), frames)
         action = pl.Series(self.action.ravel())
@@ -88,12 +88,13 @@ class Replay(Motion):
             **{name: getattr(self, name).ravel() for name in _OF_SCENE},
             "action": action.set(pl.Series(~self.has_action.ravel()), None),
         }
-        return pl.DataFrame(columns).select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
+        rows = pl.DataFrame(columns).filter(pl.Series(self.present.ravel()))
+        return rows.select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
 
 
 _OF_SCENE = (
     "x", "y", "heading", "length", "width", "speed", "acceleration", "lane", "target_lane",
-    "crashed",
+    "crashed", "present",
 )  # fmt: skip
 
 

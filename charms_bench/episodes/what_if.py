@@ -87,7 +87,8 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
         vehicle: The vehicle's index in the order of spawning; None is the ego.
 
     Raises:
-        InputError: There is no such decision, agent or vehicle, or the vehicle has crashed before.
+        InputError: There is no such decision, agent or vehicle, or the vehicle has crashed before
+            or is not there then.
         RunFolderError: The run has no such episode, or it no longer runs as it was recorded.
     """
     (recorded,) = replay(cell, [episode])
@@ -103,6 +104,11 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
             f"vehicle {place} has crashed before decision {step} of episode {episode}; choose an "
             "earlier decision or another vehicle"
         )
+    if not recorded.present[start, place]:
+        raise InputError(
+            f"vehicle {place} is not there before decision {step} of episode {episode}; choose "
+            "another decision or another vehicle"
+        )
     (other,) = simulate(cell, [episode], seat)
     if not np.array_equal(recorded.x[: start + 1], other.x[: start + 1]):  # see `replay`
         (other,) = simulate(cell, [episode], seat, among=cell.shard_of(episode))
@@ -110,14 +116,20 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
 
 
 def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
-    """What a vehicle did from a frame on, before which it has not crashed, until it crashes."""
+    """What a vehicle did from a frame on, before which it has not crashed or left, until then."""
     crashed = replayed.crashed[:, vehicle]
-    end = int(crashed.argmax()) if crashed.any() else len(replayed.t_s) - 1
+    left = np.arange(len(crashed)) > start
+    left &= ~replayed.present[:, vehicle]
+    end = len(crashed) - 1
+    if crashed.any():
+        end = int(crashed.argmax())
+    elif left.any():
+        end = int(left.argmax()) - 1
     after = slice(start + 1, end + 1)  # a frame has the command of the step that ends in it
     if vehicle == replayed.ego:
         ending = "time over" if replayed.ending == "time" else replayed.ending.replace("_", " ")
     else:
-        ending = "crashed" if crashed.any() else "drives on"
+        ending = "crashed" if crashed.any() else "leaves" if left.any() else "drives on"
     view = ego_view(replace(replayed, ego=vehicle))
     acceleration, lane = replayed.acceleration[after, vehicle], replayed.lane[start : end + 1]
     return Future(

@@ -77,7 +77,8 @@ def picture(moment: Moment, caption: str = "") -> Image.Image:
     _draw_road(draw, moment)
     for vehicle, agent in enumerate(moment.agents):
         colour = EGO if vehicle == moment.ego else colours[agent]
-        _draw_vehicle(draw, moment, vehicle, colour)
+        if moment.present[vehicle]:
+            _draw_vehicle(draw, moment, vehicle, colour)
     _draw_header(draw, moment)
     _draw_status(draw, moment, status)
     sentence = caption[:1].upper() + caption[1:]

@@ -9,6 +9,8 @@ from charms_bench.world.scene import Bools, Floats, Ints
 class Motion:
     """What N vehicles do, [..., N]; units are as in `scene.Scene`."""
 
+    present: Bools
+    """Other values of a vehicle that is not there mean nothing."""
     x: Floats
     y: Floats
     heading: Floats
