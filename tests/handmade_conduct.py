@@ -73,6 +73,7 @@ def vehicles_of(scene: Scene) -> Any:
     """[B, N] the vehicles of a scene as they are kept."""
     shape = scene.x.shape
     simulation: Any = SimpleNamespace(
+        playback=None,
         scene=scene,
         steps=np.zeros(shape[0], dtype=np.int64),
         collision=np.zeros(shape, dtype=np.int8),

@@ -142,6 +142,7 @@ class Playback:
         taken &= (scene.active & (away > DEVIATION_M))[:, None]
         if taken.any():
             drivers[taken] = self._successor
+            scene.repeats[taken] = 0
             if self._successor not in self._models:
                 wanted = [nearest_target_speed(v, 0, self._speeds) if self._speeds.size else v
                           for v in scene.speed[taken]]  # fmt: skip

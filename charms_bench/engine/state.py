@@ -15,7 +15,7 @@ from charms_bench.engine.parameters import set_parameters
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.road import position
-from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
+from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
 
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation

@@ -74,8 +74,10 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     frames, vehicles = x.shape
     y = replay.y + lower[0] + settings.profile.lane_width_m / 2
     velocity = replay.speed * np.cos(replay.heading), replay.speed * np.sin(replay.heading)
+    was_there = np.concatenate([replay.present[:1], replay.present[:-1]])
     along, across = (
-        np.diff(each, axis=0, prepend=each[:1]) * settings.simulation_hz for each in velocity
+        np.diff(each, axis=0, prepend=each[:1]) * settings.simulation_hz * was_there
+        for each in velocity
     )
     # A centre on a marking belongs to the lane to its left, as in `world.highd`.
     lane = np.searchsorted(np.concatenate([upper, lower]), y, side="left") + 1

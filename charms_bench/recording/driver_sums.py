@@ -53,19 +53,20 @@ class DriverSums:
         self._simulation = simulation
         self._interval_s = 1.0 / simulation.settings.decision_hz
         self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
-        self._counted = np.zeros((*shape, self._sums.shape[1]), dtype=np.bool_)
+        self._counted = np.full((*shape, self._sums.shape[1]), NOBODY)
         self._find_drivers()
         self._state = np.zeros(shape, dtype=STATE)
         self._state["near"] = self._state["cutter"] = NOBODY
         window = imposed_decisions(self._interval_s)
         self._new_followers = np.full((*shape, window), NOBODY, dtype=np.int16)
 
-    def add(self, frames: Frames, at_fault: Bools) -> None:
+    def add(self, frames: Frames, at_fault: Bools, changes: bool = False) -> None:
         """Adds the decision intervals that end in some frames.
 
-        `at_fault` [B, N] is whether the vehicles that have collided were at fault.
+        `at_fault` [B, N] is whether the vehicles that have collided were at fault, and `changes`
+        whether vehicles or their drivers can have changed.
         """
-        if self._simulation.playback is not None:
+        if changes:
             self._find_drivers()
         note_drivers(
             *frames,
@@ -84,8 +85,10 @@ class DriverSums:
         self._drivers = made.engine.drivers + 1
         self._drivers[made.ego_vehicles] = 0
         for driver in range(self._sums.shape[1]):
-            self._counted[..., driver] |= (self._drivers == driver) & made.scene.present
-        self._sums["vehicles"] = self._counted.sum(axis=1)
+            counted = self._counted[..., driver]
+            own = (self._drivers == driver) & made.scene.present & (made.scene.entry != counted)
+            counted[own] = made.scene.entry[own]
+            self._sums["vehicles"][:, driver] += own.sum(axis=1, dtype=np.int32)
 
     def table(self) -> pl.DataFrame:
         """Returns the sums by driver (`columns.DRIVER`), sorted by its keys."""

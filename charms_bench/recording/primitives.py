@@ -66,7 +66,10 @@ class Primitives:
         self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
         self._last = np.arange(scenes)
         self._collided = simulation.scene.crashed.copy()
-        self._was_present = simulation.scene.present.copy()
+        self._present = simulation.scene.present.copy()
+        self._entry = simulation.scene.entry.copy()
+        self.changes = simulation.playback is not None or not self._present.all()
+        """Whether vehicles can appear and leave."""
         self.at_decision(self._last.copy())
         self._vehicles["lane_since"] = LONG_AGO
         self._vehicles["target_since"] = 0
@@ -81,7 +84,9 @@ class Primitives:
         """The frames of the scenes (S,) at the decision that has just been reached."""
         frames = self.take(scenes, 0)
         self._last[scenes] = frames.moments["now"]
-        self._was_present[scenes] = self._simulation.scene.present[scenes]
+        if self.changes:
+            self._present[scenes] = self._simulation.scene.present[scenes]
+            self._entry[scenes] = self._simulation.scene.entry[scenes]
         return frames
 
     def at_collision(self) -> Frames:
@@ -101,10 +106,10 @@ class Primitives:
         moments["ends"] = ~made.scene.active[scenes]
         frames = Frames(moments, self._vehicles)
         seen = (made.scene, *frames, made.collision, made.action, made.has_action)
-        if made.scene.present.all() and self._was_present.all():
-            take(*seen)
-        else:
+        if self.changes:
             self._take_changing(seen, scenes, moments)
+        else:
+            take(*seen)
         return frames
 
     def _take_changing(self, seen: tuple[Any, ...], scenes: Ints, moments: Any) -> None:
@@ -113,13 +118,14 @@ class Primitives:
         A vehicle counts from the first decision at which it is there until the last one.
         """
         scene, vehicles = self._simulation.scene, self._vehicles
-        is_here, was_here = scene.present[scenes], self._was_present[scenes]
-        has_appeared = is_here & ~was_here
+        is_here, was_here = scene.present[scenes], self._present[scenes]
+        has_stayed = is_here & was_here & (scene.entry[scenes] == self._entry[scenes])
+        has_appeared = is_here & ~has_stayed
         before = vehicles[moments["before"]]
         for name in ("lane", "target_lane"):
             before[name] = np.where(has_appeared, getattr(scene, name)[scenes], before[name])
         before["lane_since"][has_appeared] = LONG_AGO
-        before["lost"] |= is_here != was_here
+        before["lost"] |= ~has_stayed
         vehicles[moments["before"]] = before
         take(*seen)
         now = vehicles[moments["now"]]

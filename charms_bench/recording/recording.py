@@ -27,7 +27,11 @@ class Recording:
         self._kept = Primitives(simulation)
         self._start_x = self._kept.last("x")
         self._end_x = self._start_x.copy()
-        self._was_here = simulation.scene.present.copy()
+        self._seen = np.where(simulation.scene.present, simulation.scene.entry, -1)
+        """[B, N] the number of the last vehicle at each place, -1 for none so far."""
+        self._gone = np.zeros(simulation.seeds.size, dtype=np.int64)
+        self._gone_m = np.zeros(simulation.seeds.size)
+        """Vehicles (B,) whose places others have taken, and how far they drove."""
         self._steps = StepRows(simulation)
         self._following = FollowingCounts(simulation.seeds.size)
         self._drivers = DriverSums(simulation)
@@ -39,19 +43,23 @@ class Recording:
         """Keeps the end of the decision interval that has just ended."""
         frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
         self._was_running = self._simulation.scene.active.copy()
-        self._note_places()
+        if self._kept.changes:
+            self._note_places()
         self._fault.add(frames)
         self._steps.add(frames)
         self._following.add(frames)
-        self._drivers.add(frames, self._fault.at_fault)
+        self._drivers.add(frames, self._fault.at_fault, self._kept.changes)
 
     def _note_places(self) -> None:
         """Notes where vehicles are, from the decision after they have appeared until they leave."""
-        is_here, x = self._simulation.scene.present, self._kept.last("x")
-        has_appeared = is_here & ~self._was_here
-        self._start_x[has_appeared] = x[has_appeared]
-        self._end_x[is_here] = x[is_here]
-        self._was_here |= is_here
+        scene, x = self._simulation.scene, self._kept.last("x")
+        has_appeared = scene.present & (scene.entry != self._seen)
+        is_gone = has_appeared & (self._seen >= 0)
+        self._gone += is_gone.sum(axis=1)
+        self._gone_m += np.where(is_gone, self._end_x - self._start_x, 0.0).sum(axis=1)
+        self._start_x = np.where(has_appeared, x, self._start_x)
+        self._end_x = np.where(scene.present, x, self._end_x)
+        self._seen = np.where(has_appeared, scene.entry, self._seen)
 
     def steps(self) -> pl.DataFrame:
         """Returns the rows of all steps so far (`columns.STEP`), sorted by episode and step."""
@@ -61,10 +69,11 @@ class Recording:
         """Returns one row per episode (`columns.EPISODE`), sorted by episode."""
         simulation = self._simulation
         rows, ego = simulation.ego_vehicles
-        driven = self._end_x - self._start_x
+        end_x = self._end_x if self._kept.changes else self._kept.last("x")
+        driven = end_x - self._start_x
         at_fault = self._fault.at_fault[rows, ego] | (simulation.ending == OFF_ROAD)
         struck = simulation.collision[rows, ego] == STRUCK
-        is_traffic = self._was_here.copy()
+        is_traffic = self._seen >= 0
         is_traffic[rows, ego] = False
         is_lost = self._kept.last("lost") & simulation.scene.present
         columns = {
@@ -75,9 +84,9 @@ class Recording:
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
-            "traffic_vehicles": is_traffic.sum(axis=1),
+            "traffic_vehicles": is_traffic.sum(axis=1) + self._gone,
             "traffic_crashed": (is_lost & is_traffic).sum(axis=1),
-            "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1),
+            "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
         return table(columns, EPISODE_SCHEMA).sort("episode")
 

@@ -18,10 +18,12 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     SerializerFunctionWrapHandler,
+    ValidationError,
     ValidationInfo,
     model_serializer,
     model_validator,
 )
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import DataError, suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
@@ -131,7 +133,9 @@ class SceneSettings(FrozenModel):
         try:
             found = settings_from(settings.model_copy(update=given))
         except DataError as error:
-            raise ValueError(f"recording: {error}") from error
+            kind = PydanticCustomError("recording", "{what}", {"what": str(error)})
+            where = InitErrorDetails(type=kind, loc=("recording",), input=str(source.folder))
+            raise ValidationError.from_exception_data(cls.__name__, [where]) from error
         return handler(given | found)
 
     @model_validator(mode="after")

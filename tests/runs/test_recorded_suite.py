@@ -103,7 +103,7 @@ def test_exported_episodes_are_recordings_again(run: Path, tmp_path: Path) -> No
 def test_another_agent_can_take_over_a_recorded_vehicle(run: Path, tmp_path: Path) -> None:
     cell = ("--ego", "Recorded driver", "--traffic", "Replayed", "--at", 2, "--agent", "idm_mobil")
     output = ("--output", tmp_path / "what_if.html")
-    called = charms_bench("what-if", run, 0, *cell, "--vehicle", 1, *output)
+    called = charms_bench("what-if", run, 0, *cell, "--vehicle", 8, *output)
     assert called.returncode == 0, called.stderr
     absent = charms_bench("what-if", run, 0, *cell, "--vehicle", 14, *output)
     assert absent.returncode == 2
@@ -125,7 +125,7 @@ def test_without_the_recordings_tables_are_shown_but_nothing_is_simulated(tmp_pa
 
 
 MISTAKES = [
-    ("episodes: 8", "episodes: 90", r"small.yaml:2: episodes: the recordings have 26 moments"),
+    ("episodes: 8", "episodes: 90", r"small.yaml:2: episodes: the recordings have 27 moments"),
     ("recording: people", "recording: person", r"small.yaml:4: .*person: cannot be read: No such"),
     ("simulation_hz", "lanes: 9\n  simulation_hz", r"scene.lanes: .* less than or equal to 8"),
     ("simulation_hz", "density: 2.0\n  simulation_hz", "density: the recordings decide this"),

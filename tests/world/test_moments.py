@@ -172,7 +172,12 @@ def test_a_vehicle_too_long_for_a_scene_is_named(tmp_path: Path) -> None:
         scene(tmp_path)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=60,
+    derandomize=True,
+    deadline=None,
+)
 @given(
     kind=st.sampled_from(["tracks", "tracksMeta", "recordingMeta"]),
     line=st.integers(0, 80),
