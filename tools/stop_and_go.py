@@ -36,7 +36,8 @@ RING_VEHICLES = 100
 SMALL_M, LARGE_M = 1e-3, 5.0
 """Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
 SECTION_M = (2000.0, 3000.0)
-BOTTLENECK_M = 3500.0
+BOTTLENECK_M = (3000.0, 3500.0)
+"""Where desired speeds begin to fall, and where they have fallen."""
 CELL_M = 100.0
 DRIVERS = {"highway-env": 30.0, "naturalistic": 33.3}
 """The profiles whose IDM drives on the ring, and the desired speed there, m/s."""
@@ -157,8 +158,8 @@ class Flow(NamedTuple):
 def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) -> Flow:
     """Simulates an open road of 5 km with 4 lanes, empty at first and with no ego.
 
-    The section is measured in the second half. The bottleneck, a desired speed beyond 3.5 km,
-    begins after a third.
+    The section is measured in the second half. The bottleneck, a highest desired speed beyond
+    3.5 km, begins after a third.
     """
     profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
     settings = SceneSettings.model_validate(
@@ -175,7 +176,7 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
                     "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
                 }
             ],
-            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 2000},
+            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 2500},
         }
     )
     agents = {"idm_mobil": make_agent("idm_mobil")}
@@ -187,7 +188,8 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
     cells = np.arange(0, 5000 + CELL_M, CELL_M)
     while scene.active.any():
         if bottleneck_mps is not None and made.steps[0] >= settings.decisions / 3:
-            scene.target_speed[(scene.x > BOTTLENECK_M) & scene.present] = bottleneck_mps
+            limit = np.interp(scene.x, BOTTLENECK_M, (36.0, bottleneck_mps))
+            scene.target_speed[:] = np.minimum(scene.target_speed, limit)
         made.step()
         if made.steps[0] % settings.decision_hz:
             continue
@@ -213,7 +215,7 @@ def shock_speed(free: Flow, jammed: Flow) -> float:
     free_speed, jam_speed = (each.flow_per_h / each.density_per_km / 3.6 for each in (free, jammed))
     is_slow = jammed.profiles < (free_speed + jam_speed) / 2
     front = np.where(is_slow.any(axis=1), is_slow.argmax(axis=1) * CELL_M, np.nan)
-    passes = np.nonzero((front >= SECTION_M[0] - 500) & (front < SECTION_M[1]))[0]
+    passes = np.nonzero((front >= SECTION_M[0]) & (front < SECTION_M[1]))[0]
     return float(np.polyfit(passes, front[passes], 1)[0])
 
 
@@ -249,7 +251,7 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     began = time.process_time()
     busiest = open_road(2000.0, 60.0)
     hour_s = time.process_time() - began
-    jams = {speed: open_road(1500.0, minutes, speed) for speed in (4.0, 8.0, 12.0)}
+    jams = {speed: open_road(2000.0, minutes, speed) for speed in (3.0, 5.0, 7.0)}
     rows = [
         {
             "inflow": f"{flow:.0f}",
@@ -265,7 +267,7 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     for speed, each in jams.items():
         rows.append(
             {
-                "inflow": "1500",
+                "inflow": "2000",
                 "bottleneck": f"{speed:.0f} m/s",
                 "entered": each.entered_per_h,
                 "density": each.density_per_km,
@@ -273,7 +275,7 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
                 "crashed": each.crashed,
             }
         )
-        free = flows[1500.0]
+        free = flows[2000.0]
         rankine = (each.flow_per_h - free.flow_per_h) / (each.density_per_km - free.density_per_km)
         shocks.append(
             {

@@ -43,6 +43,8 @@ STATE = np.dtype(
 near: The leader with which it has a near miss; `leader_began` and `in_conflict` describe that.
 cutter: The vehicle that cut in at the decision `cut_in`; the follower reaches its rear at `place`.
 """
+_NOBODY_MET = np.zeros((), dtype=STATE)
+_NOBODY_MET["near"] = _NOBODY_MET["cutter"] = NOBODY
 
 
 class DriverSums:
@@ -59,10 +61,23 @@ class DriverSums:
         for driver in range(self._sums.shape[1]):
             own = (self._drivers == driver) & simulation.scene.present
             self._sums["vehicles"][:, driver] = own.sum(axis=1)
-        self._state = np.zeros(shape, dtype=STATE)
-        self._state["near"] = self._state["cutter"] = NOBODY
+        self._state = np.full(shape, _NOBODY_MET)
         window = imposed_decisions(self._interval_s)
         self._new_followers = np.full((*shape, window), NOBODY, dtype=np.int16)
+
+    def exchange(self, left: Bools, came: Bools) -> None:
+        """Forgets the vehicles that have left [B, N], and counts those that have come."""
+        self._drivers[came] = self._simulation.engine.drivers[came] + 1
+        for scene, place in zip(*np.nonzero(came), strict=True):
+            self._sums["vehicles"][scene, self._drivers[scene, place]] += 1
+        self._state[left] = _NOBODY_MET
+        self._new_followers[left] = NOBODY
+        for scene, place in zip(*np.nonzero(left), strict=True):
+            for name in ("near", "cutter"):
+                met = self._state[name][scene]
+                met[met == place] = NOBODY
+            followers = self._new_followers[scene]
+            followers[followers == place] = NOBODY
 
     def add(self, frames: Frames, at_fault: Bools) -> None:
         """Adds the decision intervals that end in some frames.

@@ -66,11 +66,16 @@ class Primitives:
         self._vehicles = np.zeros((2 * scenes, vehicles), dtype=VEHICLE)
         self._last = np.arange(scenes)
         self._collided = simulation.scene.crashed.copy()
+        self.left = self.came = np.zeros(simulation.scene.x.shape, dtype=np.bool_)
+        """[B, N] the places that a vehicle has left in the decision interval that has just ended,
+        and those that another one has taken; only with open boundaries."""
+        self._numbers: Ints | None = None
         self.at_decision(self._last.copy())
         self._vehicles["lane_since"] = LONG_AGO
         self._vehicles["target_since"] = 0
         self._vehicles["lost"] = False
         self._vehicles["lost"][self._last] = ~simulation.scene.present
+        self._numbers = _numbers(simulation.scene) if simulation.settings.inflow else None
 
     def last(self, name: str) -> Any:
         """[B, N] a field of the vehicles at the last decision, or at the start."""
@@ -78,9 +83,28 @@ class Primitives:
 
     def at_decision(self, scenes: Ints) -> Frames:
         """The frames of the scenes (S,) at the decision that has just been reached."""
+        if self._numbers is not None:
+            before, self._numbers = self._numbers, _numbers(self._simulation.scene)
+            changed = before != self._numbers
+            self.left, self.came = changed & (before >= 0), changed & (self._numbers >= 0)
+            b, i = np.nonzero(self.left)
+            self._vehicles["lost"][self._last[b], i] = True  # which is no crash
+            self._collided &= ~changed
         frames = self.take(scenes, 0)
         self._last[scenes] = frames.moments["now"]
+        if self.came.any():
+            self._begin(*np.nonzero(self.came))
         return frames
+
+    def _begin(self, b: Ints, i: Ints) -> None:
+        """Makes the present decision the first one of M vehicles that have entered."""
+        now = self._last[b]
+        own = self._vehicles[now, i]
+        own["lost"] = own["crashed"] | ~own["is_on_road"]
+        own["lane_since"], own["target_since"] = LONG_AGO, 0
+        self._vehicles[now, i] = own
+        own["lost"] = True  # so that nothing is counted of the interval in which it has entered
+        self._vehicles[(now + self._last.size) % (2 * self._last.size), i] = own
 
     def at_collision(self) -> Frames:
         """The frames of the scenes in which vehicles have just collided."""
@@ -100,6 +124,11 @@ class Primitives:
         frames = Frames(moments, self._vehicles)
         take(made.scene, *frames, made.collision, made.action, made.has_action)
         return frames
+
+
+def _numbers(scene: Scene) -> Ints:
+    """[B, N] the vehicles' numbers in the order of entry, and `NOBODY` at an empty place."""
+    return np.where(scene.present, scene.entry, NOBODY)
 
 
 @compiled_of_scenes

@@ -26,6 +26,9 @@ class Recording:
         self._was_running = simulation.scene.active.copy()
         self._kept = Primitives(simulation)
         self._start_x = self._kept.last("x")
+        self._left = np.zeros((3, simulation.seeds.size))
+        """(3, B) the vehicles that have left, those of them that had crashed, and the distance, m,
+        that all of them have driven."""
         self._steps = StepRows(simulation)
         self._following = FollowingCounts(simulation.seeds.size)
         self._drivers = DriverSums(simulation)
@@ -35,7 +38,15 @@ class Recording:
 
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
+        was_lost = self._kept.last("lost")
         frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
+        left, came = self._kept.left, self._kept.came
+        if left.any() or came.any():
+            driven = self._simulation.settings.profile.road_length_m - self._start_x
+            self._left += [(left * each).sum(axis=1) for each in (1.0, was_lost, driven)]
+            self._start_x[came] = self._kept.last("x")[came]
+            self._fault.forget(left | came)
+            self._drivers.exchange(left, came)
         self._was_running = self._simulation.scene.active.copy()
         self._fault.add(frames)
         self._steps.add(frames)
@@ -55,6 +66,7 @@ class Recording:
         struck = simulation.collision[rows, ego] == STRUCK
         is_traffic = simulation.scene.present.copy()
         is_traffic[rows, ego] = False
+        lost, (left, crashed, left_m) = self._kept.last("lost"), self._left
         columns = {
             "episode": simulation.seeds,
             "ending": np.array(ENDINGS)[simulation.ending],
@@ -63,9 +75,9 @@ class Recording:
             "steps": simulation.steps,
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
-            "traffic_vehicles": is_traffic.sum(axis=1),
-            "traffic_crashed": (self._kept.last("lost") & is_traffic).sum(axis=1),
-            "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1),
+            "traffic_vehicles": is_traffic.sum(axis=1) + left.astype(int),
+            "traffic_crashed": (lost & is_traffic).sum(axis=1) + crashed.astype(int),
+            "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + left_m,
         }
         return table(columns, EPISODE_SCHEMA).sort("episode")
 
