@@ -45,6 +45,10 @@ cutter: The vehicle that cut in at the decision `cut_in`; the follower reaches i
 """
 
 
+_NOBODY_MET = np.zeros((), dtype=STATE)
+_NOBODY_MET["near"] = _NOBODY_MET["cutter"] = NOBODY
+
+
 class DriverSums:
     """The sums of all drivers of a simulation's scenes."""
 
@@ -55,10 +59,17 @@ class DriverSums:
         self._sums = np.zeros((shape[0], len(simulation.agents) + 1), dtype=DRIVER_RECORD)
         self._counted = np.full((*shape, self._sums.shape[1]), NOBODY)
         self._find_drivers()
-        self._state = np.zeros(shape, dtype=STATE)
-        self._state["near"] = self._state["cutter"] = NOBODY
+        self._state = np.full(shape, _NOBODY_MET)
         window = imposed_decisions(self._interval_s)
         self._new_followers = np.full((*shape, window), NOBODY, dtype=np.int16)
+
+    def forget(self, left: Bools) -> None:
+        """Forgets the vehicles that have left [B, N]."""
+        self._state[left], self._new_followers[left] = _NOBODY_MET, NOBODY
+        for scene, place in zip(*np.nonzero(left), strict=True):
+            state = self._state[scene]
+            for met in (state["near"], state["cutter"], self._new_followers[scene]):
+                met[met == place] = NOBODY
 
     def add(self, frames: Frames, at_fault: Bools, changes: bool = False) -> None:
         """Adds the decision intervals that end in some frames.

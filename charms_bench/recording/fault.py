@@ -49,6 +49,9 @@ entrant, entered: The vehicle that last entered the lane ahead of it and require
     when.
 is_judged: Whether it has collided; at_fault: whether it was at fault then.
 """
+_NOTHING = np.zeros((), dtype=_STATE)
+for _name in _TIMES:
+    _NOTHING[_name] = NEVER
 
 
 class Fault:
@@ -57,15 +60,20 @@ class Fault:
     def __init__(self, simulation: Simulation) -> None:
         self._constants = simulation.scene.constants
         self._window = round(ENTERED_S * simulation.settings.decision_hz)
-        self._state = np.zeros(simulation.scene.x.shape, dtype=_STATE)
-        for name in _TIMES:
-            self._state[name] = NEVER
+        self._state = np.full(simulation.scene.x.shape, _NOTHING)
         self._state["is_judged"] = simulation.scene.crashed
 
     @property
     def at_fault(self) -> Bools:
         """[B, N] whether the vehicle has collided and was at fault."""
         return np.asarray(self._state["at_fault"])
+
+    def forget(self, left: Bools) -> None:
+        """Forgets the vehicles that have left [B, N]."""
+        self._state[left] = _NOTHING
+        b, i = np.nonzero(self._state["entered"] > NEVER)
+        is_gone = left[b, self._state["entrant"][b, i]]
+        self._state["entered"][b[is_gone], i[is_gone]] = NEVER
 
     def add(self, frames: Frames) -> None:
         """Judges the vehicles that have collided in some frames."""

@@ -68,8 +68,11 @@ class Primitives:
         self._collided = simulation.scene.crashed.copy()
         self._present = simulation.scene.present.copy()
         self._entry = simulation.scene.entry.copy()
-        self.changes = simulation.playback is not None or not self._present.all()
+        is_open = simulation.playback is not None or simulation.settings.inflow is not None
+        self.changes = is_open or not self._present.all()
         """Whether vehicles can appear and leave."""
+        self.left = np.zeros_like(self._present)
+        """[B, N] the places whose vehicle has left in the last decision interval."""
         self.at_decision(self._last.copy())
         self._vehicles["lane_since"] = LONG_AGO
         self._vehicles["target_since"] = 0
@@ -82,11 +85,15 @@ class Primitives:
 
     def at_decision(self, scenes: Ints) -> Frames:
         """The frames of the scenes (S,) at the decision that has just been reached."""
+        scene = self._simulation.scene
+        if self.changes:
+            self.left = self._present & ~(scene.present & (scene.entry == self._entry))
+            self._collided &= ~self.left
         frames = self.take(scenes, 0)
         self._last[scenes] = frames.moments["now"]
         if self.changes:
-            self._present[scenes] = self._simulation.scene.present[scenes]
-            self._entry[scenes] = self._simulation.scene.entry[scenes]
+            self._present[scenes] = scene.present[scenes]
+            self._entry[scenes] = scene.entry[scenes]
         return frames
 
     def at_collision(self) -> Frames:

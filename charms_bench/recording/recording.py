@@ -32,6 +32,8 @@ class Recording:
         self._gone = np.zeros(simulation.seeds.size, dtype=np.int64)
         self._gone_m = np.zeros(simulation.seeds.size)
         """Vehicles (B,) whose places others have taken, and how far they drove."""
+        self._left_lost = np.zeros(simulation.seeds.size, dtype=np.int64)
+        """Vehicles (B,) that left after they had crashed or left the lanes."""
         self._steps = StepRows(simulation)
         self._following = FollowingCounts(simulation.seeds.size)
         self._drivers = DriverSums(simulation)
@@ -41,9 +43,13 @@ class Recording:
 
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
+        was_lost = self._kept.last("lost") if self._kept.changes else None
         frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
         self._was_running = self._simulation.scene.active.copy()
-        if self._kept.changes:
+        if was_lost is not None:
+            self._left_lost += (self._kept.left & was_lost).sum(axis=1)
+            self._fault.forget(self._kept.left)
+            self._drivers.forget(self._kept.left)
             self._note_places()
         self._fault.add(frames)
         self._steps.add(frames)
@@ -85,7 +91,7 @@ class Recording:
             "duration_s": simulation.steps / simulation.settings.decision_hz,
             "distance_m": driven[rows, ego],
             "traffic_vehicles": is_traffic.sum(axis=1) + self._gone,
-            "traffic_crashed": (is_lost & is_traffic).sum(axis=1),
+            "traffic_crashed": (is_lost & is_traffic).sum(axis=1) + self._left_lost,
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
         return table(columns, EPISODE_SCHEMA).sort("episode")

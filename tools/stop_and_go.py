@@ -1,0 +1,314 @@
+"""Measures what the simulated traffic does as a flow: `python tools/stop_and_go.py --minutes 60`.
+
+- The density from which on stop-and-go waves grow, on a ring of one lane: open boundaries would
+  carry the waves away before they have grown. A ring is a row of vehicles whose first one follows
+  an image of the last one, one circumference ahead. The limit of linear theory stands beside it
+  (Wilson & Ward 2011; Treiber & Kesting 2013, section 15.4).
+- The fundamental diagram, the flow over the density, on an open road of 5 km with 4 lanes, without
+  and with a bottleneck at 3.5 km.
+- The speed of the shock wave that the bottleneck sends upstream, and the speed that the flows and
+  the densities on its two sides give (Rankine and Hugoniot).
+- The time that an hour of this road takes at 2,000 vehicles per hour and lane.
+
+It draws docs/open-road.png and prints the tables of docs/open-road.md.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from charms_bench.engine import make_engine
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.agent import DriverModel
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.report.figures.drawing import EDGE, SERIES, panels, save
+from charms_bench.report.markdown import markdown
+from charms_bench.report.table import Table
+from charms_bench.world.profile import PROFILES, IdmMobilConstants
+from charms_bench.world.scene import Floats, SceneSettings
+
+RING_VEHICLES = 100
+SMALL_M, LARGE_M = 1e-3, 5.0
+"""Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
+SECTION_M = (2000.0, 3000.0)
+BOTTLENECK_M = (3000.0, 3500.0)
+"""Where desired speeds begin to fall, and where they have fallen."""
+CELL_M = 100.0
+DRIVERS = {"highway-env": 30.0, "naturalistic": 33.3}
+"""The profiles whose IDM drives on the ring, and the desired speed there, m/s."""
+
+
+class Slopes(NamedTuple):
+    """The derivatives of IDM's acceleration in equilibrium."""
+
+    gap: float
+    speed: float
+    leader_faster: float
+    """By the leader's speed minus the own speed."""
+
+
+def equilibrium(density_per_km: float, p: IdmMobilConstants, desired: float) -> float:
+    """The speed at which IDM keeps a density, m/s; its gap is centre to centre, 1 / density."""
+    gap = 1000 / density_per_km
+    delta = (p.exponent_low + p.exponent_high) / 2
+
+    def excess(speed: float) -> float:
+        wanted = p.jam_distance_m + speed * p.time_headway_s
+        return 1 - (speed / desired) ** delta - (wanted / gap) ** 2
+
+    return float(brentq(excess, 0.0, desired))
+
+
+def slopes(density_per_km: float, p: IdmMobilConstants, desired: float) -> Slopes:
+    """The derivatives of IDM's acceleration at the equilibrium of a density."""
+    gap, speed = 1000 / density_per_km, equilibrium(density_per_km, p, desired)
+    delta, a, b = (
+        (p.exponent_low + p.exponent_high) / 2,
+        p.acceleration_mps2,
+        p.deceleration_mps2,
+    )
+    wanted = p.jam_distance_m + speed * p.time_headway_s
+    free = delta * speed ** (delta - 1) / desired**delta
+    return Slopes(
+        gap=2 * a * wanted**2 / gap**3,
+        speed=-a * (free + 2 * p.time_headway_s * wanted / gap**2),
+        leader_faster=speed * wanted * np.sqrt(a / b) / gap**2,
+    )
+
+
+def critical_density(p: IdmMobilConstants, desired: float) -> float:
+    """The density per km from which on long waves grow (Wilson & Ward 2011)."""
+
+    def stability(density: float) -> float:
+        f = slopes(density, p, desired)
+        return f.speed**2 / 2 - f.leader_faster * f.speed - f.gap
+
+    return float(brentq(stability, 12.0, 45.0))
+
+
+def growth_rate(density_per_km: float, p: IdmMobilConstants, desired: float) -> float:
+    """The rate 1/s at which the longest wave of the ring grows by linear theory."""
+    f = slopes(density_per_km, p, desired)
+    ahead = np.exp(2j * np.pi / RING_VEHICLES) - 1
+    return float(np.roots([1, -f.speed - f.leader_faster * ahead, -f.gap * ahead]).real.max())
+
+
+def ring(
+    profile: str, desired: float, densities: Floats, seconds: float, displacement_m: float = SMALL_M
+) -> tuple[Floats, Floats]:
+    """What becomes of a displacement, a sine of one period, on rings of several densities.
+
+    Returns:
+        The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
+    """
+    constants = {"lane_change_gain_mps2": 1e6}  # nobody changes lanes
+    length = desired * seconds + 2e5 / densities.min()
+    settings = SceneSettings.model_validate(
+        {
+            "profile": {"name": profile, "road_length_m": length, "idm_mobil": constants},
+            "lanes": 2,
+            "traffic_vehicles": RING_VEHICLES,
+            "ego_slots": 1,
+        }
+    )
+    rows, idm = np.arange(densities.size), make_agent("idm_mobil")
+    assert isinstance(idm, DriverModel)
+    engine = make_engine("batched", settings, densities.size, {1: idm})
+    seeds = np.zeros(densities.size, dtype=np.uint64)
+    engine.reset(rows, seeds, np.repeat([[0] + [1] * RING_VEHICLES], densities.size, axis=0))
+    scene, gap = engine.scene, 1000 / densities[:, None]
+    number = np.arange(1, RING_VEHICLES + 1)
+    p = PROFILES[profile].idm_mobil
+    scene.x[:, 1:] = number * gap + displacement_m * np.sin(2 * np.pi * number / RING_VEHICLES)
+    scene.x[:, 0] = (RING_VEHICLES + 1) * gap[:, 0]
+    scene.speed[:] = [[equilibrium(density, p, desired)] for density in densities]
+    for name, value in {"y": 0.0, "target_lane": 0, "temperament": 0.5}.items():
+        getattr(scene, name)[:] = value
+    scene.target_speed[:] = desired
+    engine.restore(rows, seeds)
+    wave, steps = np.exp(2j * np.pi * number / RING_VEHICLES), round(seconds * 15)
+    sizes = []
+    for _ in range(steps):
+        scene.x[:, 0] = scene.x[:, 1] + RING_VEHICLES * gap[:, 0]
+        scene.speed[:, 0] = scene.speed[:, 1]
+        engine.advance()
+        sizes.append(np.abs(scene.speed[:, 1:] @ wave))
+    # The wave has its own shape after some time, and must not have grown large.
+    first, last = steps // 10, steps // 3
+    rates = (np.log(sizes[last]) - np.log(sizes[first])) * 15 / (last - first)
+    return rates, scene.speed[:, 1:].copy()
+
+
+class Flow(NamedTuple):
+    """What a section of the open road shows; all per lane."""
+
+    density_per_km: float
+    flow_per_h: float
+    entered_per_h: float
+    crashed: int
+    profiles: Floats
+    """(T, cells) the mean speed in each cell of the road at each second, m/s; NaN if empty."""
+
+
+def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) -> Flow:
+    """Simulates an open road of 5 km with 4 lanes, empty at first and with no ego.
+
+    The section is measured in the second half. The bottleneck, a highest desired speed beyond
+    3.5 km, begins after a third.
+    """
+    profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
+    settings = SceneSettings.model_validate(
+        {
+            "profile": {**profile, "idm_mobil": {"time_headway_s": 1.0}},
+            "lanes": 4,
+            "traffic_vehicles": 0,
+            "ego_slots": 1,
+            "duration_s": 60 * minutes,
+            "vehicle_types": [
+                {
+                    "name": "car",
+                    "share": 1.0,
+                    "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
+                }
+            ],
+            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 2500},
+        }
+    )
+    agents = {"idm_mobil": make_agent("idm_mobil")}
+    made = Simulation(settings, 1, "idm_mobil", OneAgent("idm_mobil"), agents)
+    made.reset(np.zeros(1, dtype=np.uint64))
+    state = made.state()
+    made.restore(state.with_arrays({"present": state.present & False}))
+    scene, inside, speeds, profiles = made.scene, 0, 0.0, []
+    cells = np.arange(0, 5000 + CELL_M, CELL_M)
+    while scene.active.any():
+        if bottleneck_mps is not None and made.steps[0] >= settings.decisions / 3:
+            limit = np.interp(scene.x, BOTTLENECK_M, (36.0, bottleneck_mps))
+            scene.target_speed[:] = np.minimum(scene.target_speed, limit)
+        made.step()
+        if made.steps[0] % settings.decision_hz:
+            continue
+        x, speed = scene.x[scene.present], scene.speed[scene.present]
+        counts, sums = (np.histogram(x, cells, weights=w)[0] for w in (None, speed))
+        profiles.append(np.where(counts, sums / np.maximum(counts, 1), np.nan))
+        if made.steps[0] >= settings.decisions / 2:
+            is_inside = (x >= SECTION_M[0]) & (x < SECTION_M[1])
+            inside, speeds = inside + int(is_inside.sum()), speeds + float(speed[is_inside].sum())
+    lane_km_seconds = settings.duration_s / 2 * 4 * (SECTION_M[1] - SECTION_M[0]) / 1000
+    entered = scene.entry.max() + 1 - settings.vehicles
+    return Flow(
+        inside / lane_km_seconds,
+        speeds * 3.6 / lane_km_seconds,
+        entered / 4 / minutes * 60,
+        int(scene.crashed.sum()),
+        np.array(profiles),
+    )
+
+
+def shock_speed(free: Flow, jammed: Flow) -> float:
+    """The speed of the front of a jam, m/s, while it passes the section; negative is upstream."""
+    free_speed, jam_speed = (each.flow_per_h / each.density_per_km / 3.6 for each in (free, jammed))
+    is_slow = jammed.profiles < (free_speed + jam_speed) / 2
+    front = np.where(is_slow.any(axis=1), is_slow.argmax(axis=1) * CELL_M, np.nan)
+    passes = np.nonzero((front >= SECTION_M[0]) & (front < SECTION_M[1]))[0]
+    return float(np.polyfit(passes, front[passes], 1)[0])
+
+
+def main(minutes: float, seconds: float, figure: Path) -> None:
+    drawn, axes = panels(3, 4.2, 3.4)
+    rows: list[dict[str, Any]] = []
+    for k, (profile, desired) in enumerate(DRIVERS.items()):
+        p = PROFILES[profile].idm_mobil
+        limit = critical_density(p, desired)
+        densities = limit * np.linspace(0.8, 1.2, 17)
+        rates, _ = ring(profile, desired, densities, seconds)
+        found = float(np.interp(0.0, rates, densities))
+        theory = [growth_rate(density, p, desired) for density in densities]
+        row = {"profile": profile, "limit of linear theory": limit, "on the ring": found}
+        rows.append({**row, "difference": found / limit - 1})
+        axes[0].plot(densities / limit, 1000 * np.array(theory), color=SERIES[k], label=profile)
+        axes[0].plot(densities / limit, 1000 * rates, "o", color=SERIES[k], ms=4)
+        dense = np.linspace(0.8, 1.8, 21)
+        _, speeds = ring(profile, desired, limit * dense, 2 * seconds, LARGE_M)
+        axes[1].fill_between(
+            dense, speeds.min(axis=1), speeds.max(axis=1), color=SERIES[k], alpha=0.4
+        )
+    axes[0].axhline(0, color=EDGE, lw=0.8)
+    axes[0].set(xlabel="density / critical density", ylabel="growth of a wave, 1/1000 s")
+    axes[0].legend(frameon=False)
+    axes[1].set(xlabel="density / critical density", ylabel="slowest to fastest after an hour, m/s")
+    columns = {"limit of linear theory": ".2f", "on the ring": ".2f", "difference": "+.1%"}
+    print(markdown(Table.plain(rows, ("profile",), columns)), end="\n\n")
+
+    began = time.process_time()
+    flows = {flow: open_road(flow, minutes) for flow in (500.0, 1000.0, 1500.0, 2000.0)}
+    each_s = (time.process_time() - began) / len(flows)
+    began = time.process_time()
+    busiest = open_road(2000.0, 60.0)
+    hour_s = time.process_time() - began
+    jams = {speed: open_road(2000.0, minutes, speed) for speed in (3.0, 5.0, 7.0)}
+    rows = [
+        {
+            "inflow": f"{flow:.0f}",
+            "bottleneck": "none",
+            "entered": each.entered_per_h,
+            "density": each.density_per_km,
+            "flow": each.flow_per_h,
+            "crashed": each.crashed,
+        }
+        for flow, each in flows.items()
+    ]
+    shocks = []
+    for speed, each in jams.items():
+        rows.append(
+            {
+                "inflow": "2000",
+                "bottleneck": f"{speed:.0f} m/s",
+                "entered": each.entered_per_h,
+                "density": each.density_per_km,
+                "flow": each.flow_per_h,
+                "crashed": each.crashed,
+            }
+        )
+        free = flows[2000.0]
+        rankine = (each.flow_per_h - free.flow_per_h) / (each.density_per_km - free.density_per_km)
+        shocks.append(
+            {
+                "bottleneck": f"{speed:.0f} m/s",
+                "front": shock_speed(free, each) * 3.6,
+                "Rankine-Hugoniot": rankine,
+            }
+        )
+    columns = dict.fromkeys(("entered", "density", "flow"), ".1f") | {"crashed": ".0f"}
+    print(markdown(Table.plain(rows, ("inflow", "bottleneck"), columns)), end="\n\n")
+    shown = dict.fromkeys(("front", "Rankine-Hugoniot"), ".1f")
+    print(markdown(Table.plain(shocks, ("bottleneck",), shown)), end="\n\n")
+    print(
+        f"An hour of 5 km, 4 lanes and 2,000 vehicles per hour and lane: {hour_s:.1f} s of one "
+        f"core, {busiest.crashed} of {busiest.entered_per_h * 4:.0f} vehicles crashed."
+    )
+    print(f"Each of the other flows took {each_s:.1f} s.")
+    for k, group in enumerate((flows, jams)):
+        points = np.array([(each.density_per_km, each.flow_per_h) for each in group.values()])
+        axes[2].plot(*points.T, "os"[k], color=SERIES[k], label=("free", "bottleneck")[k])
+    p = PROFILES["naturalistic"].idm_mobil.model_copy(update={"time_headway_s": 1.0})
+    densities = np.linspace(5, 130, 100)
+    flow = [density * equilibrium(density, p, 30.0) * 3.6 for density in densities]
+    axes[2].plot(densities, flow, color=EDGE, lw=0.8, label="equilibrium of IDM")
+    axes[2].set(xlabel="density, vehicles per km and lane", ylabel="flow, vehicles per h and lane")
+    axes[2].legend(frameon=False)
+    save(drawn, figure)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0, help="of each open road")
+    parser.add_argument("--seconds", type=float, default=1800.0, help="of each ring")
+    parser.add_argument("--figure", type=Path, default=Path("docs/open-road.png"))
+    arguments = parser.parse_args()
+    main(arguments.minutes, arguments.seconds, arguments.figure)
