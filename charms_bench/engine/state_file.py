@@ -45,8 +45,8 @@ def save_state(state: SceneState, path: str | Path) -> None:
     The state of a vector environment also has the environment's counters. Save its `scenes`.
 
     Raises:
-        InputError: It is not a `SceneState`, or it belongs to a scenario, which the file format
-            cannot store.
+        InputError: It is not a `SceneState`, or it belongs to a scenario or a recording, which the
+            file format cannot store.
         RunFolderError: The folder cannot be written to.
     """
     if not isinstance(state, SceneState):
@@ -56,6 +56,8 @@ def save_state(state: SceneState, path: str | Path) -> None:
         )
     if state.settings.scenario is not None:
         raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
+    if state.settings.recording is not None:
+        raise InputError(f"{path}: a state of a recorded scene stays in memory")
     fields = {
         "settings": state.settings.model_dump(mode="json"),
         "agents": state.agents,

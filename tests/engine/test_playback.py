@@ -13,6 +13,8 @@ from trios import Row, driven, flowing_road, write_trio
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.simulation import Simulation
+from charms_bench.engine.state_file import save_state
+from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.recording import Recording
@@ -251,6 +253,20 @@ def test_a_saved_state_continues_as_if_it_had_not_been_saved(
             if simulation.phase == 10:
                 simulation.finish_step()
     assert whole.state() == branch.state()
+
+
+def test_a_state_of_a_recording_is_not_written_to_a_file(tmp_path: Path) -> None:
+    state = simulation_of(scene_of(tmp_path, flowing_road(10)), scenes=1).state()
+    with pytest.raises(InputError, match="a state of a recorded scene stays in memory"):
+        save_state(state, tmp_path / "state.json")
+
+
+def test_a_planner_looks_ahead_in_a_recorded_scene(tmp_path: Path) -> None:
+    settings = scene_of(tmp_path, flowing_road(10), duration_s=1.0)
+    simulation = simulation_of(settings, "mpc", "recorded", scenes=2)
+    while simulation.scene.active.any():
+        simulation.step()
+    assert simulation.truncated.all()
 
 
 def test_rows_count_vehicles_while_they_are_there(tmp_path: Path) -> None:
