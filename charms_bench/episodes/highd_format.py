@@ -190,7 +190,7 @@ def _recording_meta(replay: Replay) -> pl.DataFrame:
     cars = int((seen & (replay.length[0] < TRUCK_LENGTH_M)).sum())
     first, last = replay.present.argmax(axis=0), replay.present[::-1].argmax(axis=0)
     last = len(replay.present) - 1 - last
-    everyone, frames = np.arange(seen.size), len(replay.present) - 1
+    everyone, frames = np.arange(seen.size), max(1, len(replay.present) - 1)
     driven = replay.x[last, everyone] - replay.x[first, everyone]
     # No two recordings start at the same time, which would mean that they show the same traffic.
     start = datetime(1970, 1, 1) + timedelta(minutes=replay.episode)
