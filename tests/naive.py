@@ -125,7 +125,8 @@ def desired_gap(driver: Driver, i: int, j: int) -> float:
     closing = (velocity(scene, i) - velocity(scene, j)) @ direction
     speed = scene.speed[0, i]
     dynamic = speed * closing / (2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2))
-    return p.jam_distance_m + speed * p.time_headway_s + dynamic
+    gap = p.jam_distance_m + speed * p.time_headway_s + dynamic
+    return gap if p.least_gap_m is None else max(gap, p.least_gap_m)
 
 
 def idm_acceleration(driver: Driver, i: int, leader: int) -> float:

@@ -14,8 +14,7 @@ import pytest
 from charms_bench.errors import AgentError, RunFolderError, SuiteError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
-from charms_bench.runs import finished as finished_runs
-from charms_bench.runs import runner, shards
+from charms_bench.runs import finished_run, runner, shards
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
 from charms_bench.runs.folder import KINDS
@@ -210,7 +209,7 @@ def test_sums_do_not_depend_on_how_many_shards_are_read_at_once(
     metrics = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
     made = run(suite(), tmp_path, workers=1)
     at_once = made.cells()[0]
-    monkeypatch.setattr(finished_runs, "PART_ROWS", 1)
+    monkeypatch.setattr(finished_run, "PART_ROWS", 1)
     by_shard = made.cells()[0]
     assert [len(list(cell.parts)) for cell in (at_once, by_shard)] == [1, 3]
     sums = (cell.sums(metrics, made.suite.scene) for cell in (at_once, by_shard))

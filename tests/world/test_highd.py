@@ -122,7 +122,7 @@ MISTAKES: list[OLD_NEW] = [
     ("recordingMeta", LOWER_MARKINGS, "30", "'lowerLaneMarkings': 1 markings, but vehicles drive"),
     ("recordingMeta", LOWER_MARKINGS, "30;x", "'lowerLaneMarkings': .*expected numbers separated"),
     ("recordingMeta", LOWER_MARKINGS, "30;29", "'lowerLaneMarkings': '30;29'; expected growing"),
-    ("recordingMeta", "1,25,1", "1,25,1,08:00,a,b\n1,25,1", "2 rows; expected one"),
+    ("recordingMeta", "1,25,1", "1,25,1,08:00,a,b,c\n1,25,1", "2 rows; expected one"),
 ]
 
 
