@@ -106,6 +106,50 @@ def _print_learnable(name: str, found: Any) -> None:
 
 
 @app.command()
+def calibrate(
+    recordings: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+        ),
+    ],
+    to: Annotated[
+        Path | None, typer.Option(help="New file of the population, NAME.json, for the agent human.")
+    ] = None,
+    figure: FigurePath = None,
+    as_json: Json = False,
+) -> None:
+    """Fit drivers to recordings, and predict drivers that were held out."""
+    from charms_bench.foundation.files import absolute, write_bytes
+    from charms_bench.people.calibrated import calibrate as fitted
+    from charms_bench.people.trips import read_trips
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.predictive import draw
+
+    recordings = absolute(recordings)
+    if figure is not None:
+        check_figure(figure)
+    if to is not None and (to.suffix != ".json" or to.exists()):
+        what = "exists already" if to.suffix == ".json" else "does not end in .json"
+        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
+    with interruptible():
+        found = fitted(read_trips(recordings), lambda what: say(f"{what} ...", err=True))
+    population = found.population(
+        (to or recordings).stem, f"recordings in {recordings.name}", "the terms of the recordings"
+    )
+    if to is not None:
+        write_bytes(to, population.to_json().encode())
+    if figure is not None:
+        draw(found, figure)
+    if as_json:
+        print_json({"population": population.model_dump(), **_held_out(found)})
+        return
+    _print_calibration(found, population)
+    for path in filter(None, (to, figure)):
+        say(f"Written: {shown(absolute(path))}")
+
+
+@app.command()
 def dataset(
     run: RunPath,
     kind: Annotated[
