@@ -19,7 +19,7 @@ from charms_bench.people.held_out import (
     scales_of,
     the_same,
 )
-from charms_bench.people.population import Population
+from charms_bench.people.population import LaneChanges, Population
 from charms_bench.people.trips import SPLIT_SEED, Trip, split
 from charms_bench.world.scene import Floats
 
@@ -69,11 +69,41 @@ class Calibration:
     def energy_ratios(self) -> list[tuple[float, float, float]]:
         """Energy score of the population over that of the pooled point, at each horizon."""
         one, other = (each.energy_scores for each in self.predicted[:2])
+        return [ratio_interval(one[:, h], other[:, h], root=False) for h in range(len(HORIZONS_S))]
+
+    def parameters(self) -> list[dict[str, str]]:
+        """The parameters of the population, for a table."""
+        fit = self.fit
+        spread = np.exp(np.sqrt(np.diag(fit.covariance)))
         return [
-            ratio_interval(one[:, h], other[:, h], root=False) for h in range(len(HORIZONS_S))
+            {
+                "parameter": name,
+                "median": f"{fit.point[k]:.2f}",
+                "spread": f"x / {spread[k]:.2f}",
+                "identified": "no" if fit.is_unidentified[k] else "yes",
+            }
+            for k, name in enumerate(fit.model.parameters)
         ]
 
-    def population(self, name: str, origin: str, terms: str) -> Population:
+    def records(self) -> list[dict[str, str]]:
+        """The errors and scores on held-out drivers, for a table."""
+        return [
+            {
+                "predicted by": each.name,
+                "gap error": f"{each.rmspe:.2f}",
+                **{
+                    f"energy score, {horizon_s} s": f"{score:.2f}"
+                    for horizon_s, score in zip(
+                        HORIZONS_S, np.nanmean(each.energy_scores, axis=0), strict=True
+                    )
+                },
+            }
+            for each in self.predicted
+        ]
+
+    def population(
+        self, name: str, origin: str, terms: str, lane_changes: LaneChanges | None
+    ) -> Population:
         """The artefact that agents read."""
         fit = self.fit
         flagged = zip(fit.model.parameters, fit.is_unidentified, strict=True)
@@ -81,7 +111,7 @@ class Calibration:
             name=name,
             origin=origin,
             terms=terms,
-            model=fit.model.name,
+            model="idm" if fit.model.name == "idm" else "fvdm",
             parameters=(*fit.model.parameters, *SITUATION),
             mean=tuple(fit.mean.round(6).tolist()),
             covariance=tuple(tuple(row) for row in fit.covariance.round(6).tolist()),
@@ -93,11 +123,14 @@ class Calibration:
             drivers_at_bound=fit.at_bound,
             held_out=len(of_drivers(self.held_out)),
             seed=SPLIT_SEED,
+            lane_changes=lane_changes,
         )
 
 
-def calibrate(trips: Sequence[Trip], tell: Callable[[str], None] = lambda what: None) -> Calibration:
+def calibrate(trips: Sequence[Trip], tell: Callable[[str], None]) -> Calibration:
     """Fits the models to one half of the drivers, and predicts the other half.
+
+    `tell` is told what comes next, which takes minutes.
 
     Raises:
         DataError: There are too few drivers.

@@ -1,9 +1,9 @@
 """Fits populations of drivers to trips: nonlinear mixed effects, in closed loop.
 
-The logarithms of a driver's parameters and of the situation, `SITUATION`, are jointly normal, with a
-mean and a covariance that are fitted (Lindstrom & Bates 1990, with Laplace's approximation of the
-drivers' posteriors). So a driver's desired speed, for example, depends on the speed of the traffic. A
-driver's likelihood rests on the logarithm of simulated over recorded gap. These errors stay alike
+The logarithms of a driver's parameters and of the situation, `SITUATION`, are jointly normal, with
+a mean and a covariance that are fitted (Lindstrom & Bates 1990, with Laplace's approximation of the
+drivers' posteriors). So a driver's desired speed, for example, depends on the speed of the traffic.
+A driver's likelihood rests on the logarithm of simulated over recorded gap. These errors stay alike
 for seconds, so a trip counts as many independent errors as it has correlation times.
 """
 
@@ -142,7 +142,7 @@ def situation_of(trips: Sequence[Trip]) -> Floats:
     """
     time_gaps = [trip.gap[0] / max(trip.speed[0], SLOWEST_MPS) for trip in trips]
     speeds = [max(trip.leader_speed.mean(), SLOWEST_MPS) for trip in trips]
-    return np.log([time_gaps, speeds]).mean(axis=1)
+    return np.asarray(np.log([time_gaps, speeds]).mean(axis=1))
 
 
 def conditional(mean: Floats, covariance: Floats, situation: Floats) -> tuple[Floats, Floats]:
@@ -202,10 +202,11 @@ def ou_noise(
     """(M, n) stationary Ornstein-Uhlenbeck processes at 10 Hz."""
     from scipy.signal import lfilter
 
-    kept = np.exp(-1 / RATE_HZ / time_s)
+    kept = float(np.exp(-1 / RATE_HZ / time_s))
     steps = rng.normal(size=shape) * deviation * np.sqrt(1 - kept**2)
     steps[:, 0] /= np.sqrt(1 - kept**2)
-    return np.asarray(lfilter([1.0], [1.0, -kept], steps, axis=1))
+    noise: Floats = lfilter([1.0], [1.0, -kept], steps, axis=1)
+    return noise
 
 
 def _moments(speeds: Sequence[Floats]) -> Floats:

@@ -22,7 +22,7 @@ def idm(speed: float, gap: float, leader_speed: float, p: Floats) -> float:
     share = speed / p[0]
     braking = speed * (speed - leader_speed) / (2 * math.sqrt(p[3] * p[4]))
     crowding = (p[2] + max(0.0, speed * p[1] + braking)) / max(gap, LEAST_GAP_M)
-    return p[3] * (1 - share * share * share * share - crowding * crowding)
+    return float(p[3] * (1 - share * share * share * share - crowding * crowding))
 
 
 @inlined
@@ -33,7 +33,7 @@ def fvdm(speed: float, gap: float, leader_speed: float, p: Floats) -> float:
     time in s, and the sensitivity to the closing speed in 1/s.
     """
     wanted = min(max((gap - p[2]) / p[1], 0.0), p[0])
-    return (wanted - speed) / p[3] + p[4] * (leader_speed - speed)
+    return float((wanted - speed) / p[3] + p[4] * (leader_speed - speed))
 
 
 class Model(NamedTuple):
@@ -98,7 +98,7 @@ def drive(
     """Gaps and speeds (K, n) of K drivers with parameters p (K, P) in place of a trip's driver.
 
     They start with the recorded gap and speed, and drive behind the recorded leader. `lag_s` is the
-    time constant with which the acceleration follows the model's, and `noise` (K, n) is added, m/s2.
+    time constant with which the acceleration follows the model's; `noise` (K, n) is added, m/s2.
     """
     shape = (p.shape[0], trip.gap.size)
     gaps, speeds = np.empty(shape), np.empty(shape)

@@ -20,14 +20,12 @@ Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
 
 
 class LaneChanges(FrozenModel):
-    """When drivers change lanes: with probability 1 / (1 + exp((threshold - gain) / scale)).
-
-    Once per second and side lane, if the new follower would not brake harder than the profile
-    allows. The gain is the acceleration that the median driver gains.
-    """
+    """When drivers change lanes; see `people.lane_choices`."""
 
     threshold_mps2: Finite
     scale_mps2: Positive
+    speed_mps: Positive
+    """The mean recorded speed, at which the probability is that of one second."""
     changes: Annotated[int, Field(ge=0)]
     """Number of lane changes that these numbers rest on."""
 
