@@ -4,9 +4,9 @@ Once per second, a driver changes to a side lane with probability v / (1 + exp((
 scale)), where v is the driver's speed divided by the mean speed of the recording: published rates
 of lane changes are rates per distance. The gain is the acceleration of IDM in that lane minus that
 in the driver's own lane; an acceleration below -2 m/s2 counts as -2. A lane in which the driver or
-the new follower would have to brake harder is not open. MOBIL's other constants are not identified by a few dozen lane changes,
-so the politeness is 0 and the limit of braking is the profile's. Lane changes to and from exits are
-left out.
+the new follower would have to brake harder is not open. MOBIL's other constants are not identified
+by a few dozen lane changes, so the politeness is 0 and the limit of braking is the profile's. Lane
+changes to and from exits are left out.
 """
 
 from pathlib import Path

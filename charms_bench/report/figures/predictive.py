@@ -45,7 +45,7 @@ def draw(found: Calibration, path: Path) -> None:
         style = {"color": SERIES[k], "linestyle": LINE_STYLES[k], "label": f"{horizon_s} s"}
         ranks.step(rank, shares, **style)
     ranks.plot([0, 1], [0, 1], color="black", linewidth=0.8)
-    ranks.set(xlabel="proportion of drawn gaps below the recorded gap", ylabel="proportion")
+    ranks.set(xlabel="quantile of the recorded gap", ylabel="proportion")
     ranks.legend(frameon=False, fontsize=9)
     save(figure, path)
 
