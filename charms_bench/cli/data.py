@@ -172,6 +172,65 @@ def calibrate(
 
 
 @app.command()
+def likeness(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    recordings: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+        ),
+    ],
+    population: Annotated[
+        str,
+        typer.Option(
+            help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
+            "`charms-bench calibrate`."
+        ),
+    ],
+    figure: FigurePath = None,
+    as_json: Json = False,
+) -> None:
+    """Score how much the egos and traffics of a suite drive like recorded drivers."""
+    from charms_bench.foundation.files import absolute
+    from charms_bench.people.population import read_population
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.likeness import draw
+    from charms_bench.report.progress import note
+    from charms_bench.runs.likeness import likeness as scored
+    from charms_bench.runs.likeness import standard
+    from charms_bench.runs.packaged import suite_file
+    from charms_bench.runs.suite import load_suite
+
+    if figure is not None:
+        check_figure(figure)
+        figure = absolute(figure)
+    read = load_suite(suite_file(suite))
+    rows = []
+    with interruptible():
+        against = standard(read, absolute(recordings), read_population(population))
+        for each in scored(read, against):
+            note(f"{each.kind} {each.label}")
+            rows.append(each)
+    if figure is not None:
+        draw(rows, figure)
+    if as_json:
+        print_json([asdict(each) for each in rows])
+        return
+    records = [
+        {"driver": each.label, "kind": each.kind}
+        | {
+            name: f"{score.value:.2f} [{score.low:.2f}, {score.high:.2f}]"
+            for name, score in each.scores.items()
+        }
+        for each in rows
+    ]
+    forms = dict.fromkeys(("kind", *rows[0].scores), "")
+    print_records("driver", [dict.fromkeys(forms, "") | each for each in records], forms)
+    if figure is not None:
+        say(f"Figure: {shown(figure)}")
+
+
+@app.command()
 def dataset(
     run: RunPath,
     kind: Annotated[

@@ -119,6 +119,8 @@ class Calibration:
             lag_s=fit.lag_s,
             noise_mps2=round(self.noise[0], 4),
             noise_s=round(self.noise[1], 4),
+            error=round(fit.error, 4),
+            correlation_s=round(fit.correlation_s, 2),
             drivers=len(fit.drivers),
             drivers_at_bound=fit.at_bound,
             held_out=len(of_drivers(self.held_out)),

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from charms_bench.people.car_following import LEAST_GAP_M, Model, drive
+from charms_bench.people.car_following import LEAST_GAP_M, MODELS, Model, drive
+from charms_bench.people.population import Population
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.world.scene import Bools, Floats
 
@@ -151,6 +152,18 @@ def conditional(mean: Floats, covariance: Floats, situation: Floats) -> tuple[Fl
     slope = np.linalg.solve(covariance[p:, p:], covariance[p:, :p]).T
     spread = covariance[:p, :p] - slope @ covariance[p:, :p]
     return mean[:p] + slope @ (situation - mean[p:]), spread
+
+
+def own_parameters(population: Population, trips: Sequence[Trip]) -> dict[int, Floats]:
+    """The most probable parameters (P,) of each driver of a population."""
+    mean, covariance = population.arrays
+    found = {}
+    for driver, own in of_drivers(trips).items():
+        expected, spread = conditional(mean, covariance, situation_of(own))
+        fitted = _Driver(MODELS[population.model], own, population.lag_s)
+        errors = population.error, population.correlation_s
+        found[driver] = np.exp(fitted.fit(expected, expected, spread, *errors)[0])
+    return found
 
 
 def best_lag(model: Model, trips: Sequence[Trip]) -> Fit:

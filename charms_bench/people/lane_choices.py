@@ -26,6 +26,8 @@ from charms_bench.world.scene import Bools, Floats, Ints
 
 START_S = 2.0
 """Time from the decision until the vehicle's centre is in the new lane, as in the references."""
+UNDONE_WITHIN_S = 5.0
+"""A lane change is undone by a change back to the lane that was left, within this time."""
 FEWEST_CHANGES = 10
 """With fewer, no threshold is fitted."""
 _THRESHOLDS_MPS2, _SCALES_MPS2 = (-50.0, 100.0), (0.01, 10.0)
@@ -47,6 +49,35 @@ class Choices(NamedTuple):
 
 def read_choices(path: Path, p: Floats) -> Choices:
     """The choices in recordings, as `read_trips` reads them, for an IDM driver with p (5,)."""
+    found = [_choices(rows, p) for rows in _rows_with_lanes(path)]
+    return Choices(
+        np.concatenate([np.empty(0), *(each.gain for each in found)]),
+        np.concatenate([np.empty(0, dtype=np.bool_), *(each.changed for each in found)]),
+        np.concatenate([np.empty(0), *(each.speed for each in found)]),
+        sum(each.recorded for each in found),
+        sum(each.driven_km for each in found),
+    )
+
+
+def read_lane_counts(path: Path) -> Floats:
+    """(L, 3) kilometres, lane changes and undone ones of vehicles; (0, 3) without lanes."""
+    found = [np.zeros((0, 3))]
+    for rows in _rows_with_lanes(path):
+        rate = _rate_of(rows)
+        changes = _changes(rows, rate)
+        back = (pl.col("side") == -pl.col("side").shift(1)) & (
+            pl.col("end") - pl.col("end").shift(1) <= UNDONE_WITHIN_S
+        )
+        changes = changes.with_columns(undone=back.over("vehicle").fill_null(False))
+        per_vehicle = changes.group_by("vehicle").agg(pl.len(), pl.sum("undone"))
+        km = rows.group_by("vehicle").agg(km=pl.col("speed").sum() / rate / 1000)
+        joined = km.join(per_vehicle, on="vehicle", how="left").fill_null(0).sort("vehicle")
+        found.append(joined.select("km", "len", "undone").to_numpy().astype(np.float64))
+    return np.concatenate(found)
+
+
+def _rows_with_lanes(path: Path) -> list[pl.DataFrame]:
+    """Columns vehicle, lane, x, speed, length, group and second of each recording with lanes."""
     if path.suffix == ".parquet":
         table = pl.read_parquet(path)
         tables = [_i75_rows(table)] if "lead_id" in table.columns else []
@@ -63,13 +94,25 @@ def read_choices(path: Path, p: Floats) -> Choices:
             )
             for recording in read_folder(path)
         ]
-    found = [_choices(rows.sort("vehicle", "second"), p) for rows in tables]
-    return Choices(
-        np.concatenate([np.empty(0), *(each.gain for each in found)]),
-        np.concatenate([np.empty(0, dtype=np.bool_), *(each.changed for each in found)]),
-        np.concatenate([np.empty(0), *(each.speed for each in found)]),
-        sum(each.recorded for each in found),
-        sum(each.driven_km for each in found),
+    return [rows.sort("vehicle", "second") for rows in tables]
+
+
+def _rate_of(rows: pl.DataFrame) -> float:
+    step = rows["second"].unique().sort().diff().median()
+    return 1 / step if isinstance(step, float) and step > 0 else 1.0
+
+
+def _changes(rows: pl.DataFrame, rate: float) -> pl.DataFrame:
+    """The vehicle, the end of the stay in the lane that it leaves, and the side (-1 or 1)."""
+    return (
+        rows.with_columns(stay=pl.struct("vehicle", "lane").rle_id())
+        .group_by("stay")
+        .agg(pl.len(), pl.first("vehicle", "lane"), end=pl.last("second"))
+        .filter(pl.col("len") >= STAY_S * rate)
+        .sort("stay")
+        .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
+        .filter((pl.col("next_lane") - pl.col("lane")).abs() == 1)
+        .select("vehicle", "end", side=pl.col("next_lane") - pl.col("lane"))
     )
 
 
@@ -123,19 +166,9 @@ def _i75_rows(table: pl.DataFrame) -> pl.DataFrame:
 
 def _choices(rows: pl.DataFrame, p: Floats) -> Choices:
     """The choices of one recording; columns vehicle, lane, x, speed, length, group, second."""
-    step = rows["second"].unique().sort().diff().median()
-    rate = 1 / step if isinstance(step, float) and step > 0 else 1.0
+    rate = _rate_of(rows)
     driven_km = float(rows["speed"].sum()) / rate / 1000
-    stays = (
-        rows.with_columns(stay=pl.struct("vehicle", "lane").rle_id())
-        .group_by("stay")
-        .agg(pl.len(), pl.first("vehicle", "lane"), end=pl.last("second"))
-        .filter(pl.col("len") >= STAY_S * rate)
-        .sort("stay")
-        .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
-        .filter((pl.col("next_lane") - pl.col("lane")).abs() == 1)
-        .select("vehicle", "end", side=pl.col("next_lane") - pl.col("lane"))
-    )
+    stays = _changes(rows, rate)
     # The choice that comes last before the vehicle starts to move is the one that it makes.
     rounded = (pl.col("second") * rate).round().cast(pl.Int64)
     decided = rows.filter(rounded % round(rate) == 0).with_columns(

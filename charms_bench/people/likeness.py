@@ -40,7 +40,8 @@ PRIOR_EVENTS = 0.5
 """Added to each number of events, so that the logarithm of no event is finite."""
 EVENTS = ("hard_braking", "short_headway", "lane_change", "undone_lane_change")
 LEAST_SPAN = np.log(2)
-"""A rate twice as high or half as high costs at most 1, even where the floor has the right rate."""
+"""A rate twice as high or half as high costs at most 1, even where the floor has the right rate.
+Twice the distance between halves of the recorded drivers costs at most 1, too."""
 HALVES, HALVES_OF_RESAMPLE = 100, 5
 RESAMPLES = 200
 SMALLEST_STRATUM_S = 30
@@ -131,7 +132,7 @@ class Yardstick:
         _, of_people, *others = self._distances(self._human, every, HALVES, rng)
         self._span = np.minimum(*others) - of_people
         """(5,) the distances that a score from 0 to 1 stands for."""
-        self._span[1:] = np.maximum(self._span[1:], LEAST_SPAN)
+        self._span[1:] = np.maximum(self._span[1:], np.maximum(of_people[1:], LEAST_SPAN))
 
     def scores(self, tested: Driven) -> dict[str, Score]:
         """The components and the total of a driver in the same situations."""
@@ -201,8 +202,9 @@ class Yardstick:
             one, other = weights * is_first, weights * ~is_first
             lanes = _half_rates(self._human.lanes, rng)
             for k, contestant in enumerate(contestants):
-                rates = _rates(contestant, other, lanes[1] if k == 1 else None)
-                expected = _rates(self._human, one, lanes[0])
+                own = lanes[1] if k == 1 else contestant.lanes.sum(axis=0)
+                rates = _rates(contestant, other, own, lanes[0, 0])
+                expected = _rates(self._human, one, lanes[0], lanes[0, 0])
                 distances[k, 0] += _apart(self._human, one, contestant, other)
                 distances[k, 1:] += np.abs(np.log(rates / expected))
         return distances / halves
@@ -268,11 +270,17 @@ def _events(speed: Floats, gap: Floats) -> tuple[Floats, int]:
     return np.array([is_hard.sum(), is_short.sum()], dtype=np.float64), is_hard.size
 
 
-def _rates(driven: _Sums, weights: Floats, lanes: Floats | None) -> Floats:
-    """(4,) rates of events by second and by km; NaN where lanes are unknown."""
+def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: float) -> Floats:
+    """(4,) rates of events by second and by km, of lanes (3,); NaN where lanes are unknown.
+
+    The prior is one of a rate on as many kilometres as half of the recorded drivers drove, so that
+    who drives further is not thought to change lanes less.
+    """
     braking = (weights @ driven.events + PRIOR_EVENTS) / (weights @ driven.seconds)
-    km, *changes = driven.lanes.sum(axis=0) if lanes is None else lanes
-    return np.append(braking, (np.array(changes) + PRIOR_EVENTS) / (km or np.nan))
+    km, *changes = lanes
+    return np.append(
+        braking, np.array(changes) / (km or np.nan) + PRIOR_EVENTS / (half_km or np.nan)
+    )
 
 
 def _half_rates(lanes: Floats, rng: np.random.Generator) -> Floats:

@@ -51,6 +51,10 @@ class Population(FrozenModel):
     noise_mps2: NonNegative
     noise_s: Positive
     """Standard deviation and correlation time of the Ornstein-Uhlenbeck process added to it."""
+    error: Positive
+    correlation_s: Positive
+    """Standard deviation of the logarithm of simulated over recorded gap of a driver fitted alone,
+    and the time over which it stays alike."""
     drivers: int
     """Number of drivers that were fitted."""
     drivers_at_bound: int
