@@ -20,6 +20,8 @@ LEADER = "recorded leader"
 REPETITIONS = 8
 """Simulations of each situation, with different seeds."""
 SECONDS = 30
+FEWEST_DRIVERS = 12
+"""Fewer drivers cannot be halved: strata would be empty."""
 START_X_M = 500.0
 
 
@@ -46,7 +48,7 @@ def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
     """The situations whose recorded speeds the profile allows.
 
     Raises:
-        DataError: There is none.
+        DataError: They are of fewer than `FEWEST_DRIVERS` drivers.
     """
     low, high = profile.speed_min_mps, min(profile.speed_max_mps, profile.speed_limit_mps)
     found = [
@@ -55,10 +57,12 @@ def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
         if min(part.speed.min(), part.leader_speed.min()) >= low
         and max(part.speed.max(), part.leader_speed.max()) <= high
     ]
-    if not found:
+    drivers = len({part.driver for part in found})
+    if drivers < FEWEST_DRIVERS:
         raise DataError(
-            f"no recorded driver keeps to the profile's speeds, {low:g} to {high:g} m/s, for "
-            f"{SECONDS} s; choose another profile for the scene"
+            f"{drivers} held-out drivers keep to the profile's speeds, {low:g} to {high:g} m/s, for "
+            f"{SECONDS} s; expected {FEWEST_DRIVERS} or more, so choose a profile with a wider "
+            "range of speeds, or longer recordings"
         )
     return found
 

@@ -33,8 +33,9 @@ def test_quantiles_become_standard_normal_numbers():
 def test_drawn_drivers_have_the_moments_of_the_population():
     scene = driven(400, 1).scene
     mean, covariance = read_population("i75").arrays
-    logarithms = np.log(scene.memory[:, 1:, -len(QUANTILES) :]).reshape(-1, 5)
-    speed = np.log(scene.target_speed[:, 1:].ravel())
+    is_traffic = np.arange(SETTINGS.vehicles) != scene.ego[:, None]
+    logarithms = np.log(scene.memory[is_traffic][:, -len(QUANTILES) :])
+    speed = np.log(scene.target_speed[is_traffic])
     slope = covariance[:5, -1] / covariance[-1, -1]
     around = logarithms - mean[:5] - (speed - mean[-1])[:, None] * slope
     given_speed = covariance[:5, :5] - np.outer(slope, slope) * covariance[-1, -1]
