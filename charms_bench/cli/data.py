@@ -106,6 +106,131 @@ def _print_learnable(name: str, found: Any) -> None:
 
 
 @app.command()
+def calibrate(
+    recordings: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+        ),
+    ],
+    to: Annotated[
+        Path | None,
+        typer.Option(help="New file NAME.json for the population; the agent human can drive it."),
+    ] = None,
+    figure: FigurePath = None,
+    as_json: Json = False,
+) -> None:
+    """Fit drivers to recordings, and predict drivers that were held out."""
+    from charms_bench.errors import InputError
+    from charms_bench.foundation.files import absolute, write_bytes
+    from charms_bench.people.calibrated import calibrate as calibrated
+    from charms_bench.people.held_out import HORIZONS_S
+    from charms_bench.people.lane_choices import fit_choices, read_choices
+    from charms_bench.people.trips import read_trips
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.predictive import draw
+    from charms_bench.report.progress import note
+
+    recordings = absolute(recordings)
+    if figure is not None:
+        check_figure(figure)
+    if to is not None and (to.suffix != ".json" or to.exists()):
+        what = "exists already" if to.suffix == ".json" else "does not end in .json"
+        raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
+    with interruptible():
+        found = calibrated(read_trips(recordings), note)
+        choices = read_choices(recordings, found.fit.point)
+    name, origin = (to or recordings).stem, f"recordings in {recordings.name}"
+    changes = fit_choices(choices)
+    population = found.population(name, origin, "the terms of the recordings", changes)
+    if to is not None:
+        write_bytes(to, population.to_json().encode())
+    if figure is not None:
+        draw(found, figure)
+    if as_json:
+        print_json({"population": population.model_dump(), "held_out": found.records()})
+        return
+    forms = dict.fromkeys(("median", "spread", "identified"), "")
+    print_records("parameter", found.parameters(), forms)
+    lane_changes = "not fitted" if changes is None else f"{changes.changes} lane changes"
+    say(
+        f"Model {population.model}, lag {population.lag_s:g} s, noise {population.noise_mps2:.2f} "
+        f"m/s2 over {population.noise_s:.1f} s; {population.drivers_at_bound} of "
+        f"{population.drivers} drivers end at a bound if fitted alone; {lane_changes}"
+    )
+    forms = {name: "" for name in found.records()[0] if name != "predicted by"}
+    print_records("predicted by", found.records(), forms)
+    value, low, high = found.gap_ratio
+    say(f"Gap error, of the better uncalibrated IDM: {value:.2f} [{low:.2f}, {high:.2f}]")
+    for horizon_s, (value, low, high) in zip(HORIZONS_S, found.energy_ratios, strict=True):
+        say(
+            f"Energy score after {horizon_s} s, of the pooled point: {value:.2f} "
+            f"[{low:.2f}, {high:.2f}]"
+        )
+    for path in filter(None, (to, figure)):
+        say(f"Written: {shown(absolute(path))}")
+
+
+@app.command()
+def likeness(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    recordings: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+        ),
+    ],
+    population: Annotated[
+        str,
+        typer.Option(
+            help="Population that was fitted to these recordings: i24, i75, or a JSON file of "
+            "`charms-bench calibrate`."
+        ),
+    ],
+    figure: FigurePath = None,
+    as_json: Json = False,
+) -> None:
+    """Score how much the egos and traffics of a suite drive like recorded drivers."""
+    from charms_bench.foundation.files import absolute
+    from charms_bench.people.population import read_population
+    from charms_bench.report.figures.drawing import check_figure
+    from charms_bench.report.figures.likeness import draw
+    from charms_bench.report.progress import note
+    from charms_bench.runs.likeness import likeness as scored
+    from charms_bench.runs.likeness import standard
+    from charms_bench.runs.packaged import suite_file
+    from charms_bench.runs.suite import load_suite
+
+    if figure is not None:
+        check_figure(figure)
+        figure = absolute(figure)
+    read = load_suite(suite_file(suite))
+    rows = []
+    with interruptible():
+        against = standard(read, absolute(recordings), read_population(population))
+        for each in scored(read, against):
+            note(f"{each.kind} {each.label}")
+            rows.append(each)
+    if figure is not None:
+        draw(rows, figure)
+    if as_json:
+        print_json([asdict(each) for each in rows])
+        return
+    records = [
+        {"driver": each.label, "kind": each.kind}
+        | {
+            name: f"{score.value:.2f} [{score.low:.2f}, {score.high:.2f}]"
+            for name, score in each.scores.items()
+        }
+        for each in rows
+    ]
+    forms = dict.fromkeys(("kind", *rows[0].scores), "")
+    print_records("driver", [dict.fromkeys(forms, "") | each for each in records], forms)
+    if figure is not None:
+        say(f"Figure: {shown(figure)}")
+
+
+@app.command()
 def dataset(
     run: RunPath,
     kind: Annotated[

@@ -92,6 +92,9 @@ class DriverModel(ABC):
     the name of a field of the profile's `idm_mobil` also applies to the `highway_env_class`.
     """
 
+    files_sha256: str = ""
+    """The hash of the files besides its own code that decide how it drives; empty without."""
+
     memory_width: int = 0
     """The width Q of its memory: numbers per vehicle, zeros at the start. `drive` reads and writes
     them in the first columns of `scene.memory`."""

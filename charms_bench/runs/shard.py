@@ -22,7 +22,7 @@ from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.rollouts import others_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
-from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.held import Held, HeldTraffic
 from charms_bench.plugins.held_agents import HeldModel, HeldPolicy, hold
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
@@ -237,6 +237,8 @@ def _identity(spec_json: str, network: Path | None) -> Mapping[str, str]:
     """What tells an agent from other versions; many cells share it, so it is found out once."""
     agent = _cached_agent(spec_json, network, 0)
     weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
+    if isinstance(agent, DriverModel) and agent.files_sha256:
+        weights = {"files_sha256": agent.files_sha256}
     name = AgentSpec.model_validate_json(spec_json).name
     if is_network(name):
         return weights

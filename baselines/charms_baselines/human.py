@@ -1,0 +1,202 @@
+"""Drivers drawn from a population that was calibrated on recorded drivers, compiled."""
+
+import math
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from charms_bench import DriverModel
+from charms_bench.errors import InputError
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import clip, compiled_of_scenes, index, inlined
+from charms_bench.foundation.philox import uniforms
+from charms_bench.people import car_following
+from charms_bench.people import population as populations
+from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
+from charms_bench.people.population import Population, read_population
+from charms_bench.world.gaps import gap_to
+from charms_bench.world.road import is_reachable, side_lanes
+from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
+
+CONSIDERS_EVERY_S = 1.0
+"""Time between two choices of a lane; `people.lane_choices` fits choices at this interval."""
+SLOWEST_MPS = 3.0
+"""Of the speed on which a driver's parameters depend."""
+DRIVEN, FELT, NOISE, CLOCK, FIRST = range(5)
+"""What a driver remembers: the number of calls, the lagged acceleration, the noise, the time since
+the last choice of a lane, and, from `FIRST` on, the driver's own parameters."""
+DRAWS = 3
+QUANTILES = ("desired_speed", "time_gap", "jam_gap", "acceleration", "deceleration")
+
+
+class _Driving(NamedTuple):
+    """A population as compiled code reads it; P = 5 parameters of IDM."""
+
+    mean: Floats
+    """(P,) of their logarithms, at a speed of 1 m/s."""
+    slope: Floats
+    """(P,) change of their logarithms with the logarithm of the speed."""
+    root: Floats
+    """(P, P) Cholesky factor of their covariance at a known speed."""
+    median: Floats
+    """(P,) the median driver's parameters, with which lanes are weighed."""
+    lag_s: float
+    noise: float
+    noise_s: float
+    threshold: float
+    scale: float
+    speed_mps: float
+
+
+class Human(DriverModel):
+    """IDM along the lane and a random choice of lanes, as calibrated on recorded drivers.
+
+    Each driver has own parameters, which are correlated with each other and with the speed that the
+    driver wants when the episode starts. The acceleration follows IDM's with a lag, and correlated
+    noise is added.
+
+    Args:
+        population: The name of a population in the package, or a JSON file that
+            `charms-bench calibrate` has written.
+
+    Raises:
+        InputError: There is no such population, or it does not describe IDM drivers.
+    """
+
+    memory_width = FIRST + len(QUANTILES)
+    parameters: Mapping[str, tuple[float, float]] = MappingProxyType(
+        {**{f"{name}_quantile": (0.0, 1.0) for name in QUANTILES}, "noise_seed": (0.0, 1.0)}
+    )
+
+    def __init__(self, population: str = "i75") -> None:
+        drivers = read_population(population)
+        if drivers.model != "idm":
+            raise InputError(
+                f"human: the population '{population}' has drivers of the model {drivers.model}; "
+                "expected idm"
+            )
+        self._driving = _driving(drivers)
+        self.files_sha256 = _sha256(drivers)
+
+    def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
+        keys = (scene.parameters[vehicles][:, len(QUANTILES)] * 2.0**53).astype(np.uint64)
+        calls = scene.memory[vehicles][:, DRIVEN].astype(np.uint64)
+        draws = uniforms(keys, calls, scene.entry[vehicles].astype(np.uint64), DRAWS)
+        return _drive(scene, vehicles[0], vehicles[1], draws, self._driving)
+
+
+def _driving(drivers: Population) -> _Driving:
+    mean, covariance = drivers.arrays
+    size = len(QUANTILES)
+    own, speed = slice(size), -1  # the last number of the situation is the leader's speed
+    slope = covariance[own, speed] / covariance[speed, speed]
+    spread = covariance[own, own] - np.outer(slope, slope) * covariance[speed, speed]
+    changes = drivers.lane_changes
+    return _Driving(
+        mean=mean[own] - slope * mean[speed],
+        slope=slope,
+        root=np.linalg.cholesky(spread),
+        median=np.exp(mean[own]),
+        lag_s=drivers.lag_s,
+        noise=drivers.noise_mps2,
+        noise_s=drivers.noise_s,
+        threshold=changes.threshold_mps2 if changes else math.inf,
+        scale=changes.scale_mps2 if changes else 1.0,
+        speed_mps=changes.speed_mps if changes else 1.0,
+    )
+
+
+def _sha256(drivers: Population) -> str:
+    digest = sha256(drivers.model_dump_json().encode())
+    for module in (car_following, populations):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()
+
+
+@compiled_of_scenes
+def _drive(
+    scene: Scene, rows: Ints, places: Ints, draws: Floats, d: _Driving
+) -> tuple[Floats, Ints]:
+    c, memory, timer_s = scene.constants, scene.memory, scene.timer_s
+    limit = c.idm_mobil.imposed_braking_mps2
+    acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    for m in range(rows.size):
+        b, i = index(rows[m]), index(places[m])
+        own = memory[b, i]
+        is_first, elapsed_s = own[DRIVEN] == 0.0, timer_s[b, i]
+        p = own[FIRST:]
+        if is_first:
+            own[CLOCK] = elapsed_s  # a random part of the interval
+            _draw(p, scene.parameters[b, i], max(scene.target_speed[b, i], SLOWEST_MPS), d)
+        else:
+            own[CLOCK] += elapsed_s
+        own[DRIVEN] += 1.0
+        timer_s[b, i] = 0.0
+        lane, target = scene.lane[b, i], scene.target_lane[b, i]
+        target_lane[m] = target
+        if scene.crashed[b, i]:
+            continue
+        if lane == target and own[CLOCK] > CONSIDERS_EVERY_S - c.dt / 2:
+            own[CLOCK] = 0.0
+            kept = max(_behind(scene, b, i, scene.leaders[b, i, lane], d.median), -limit)
+            k = 0
+            for side in side_lanes(c, lane):
+                k += 1
+                if side < 0 or not is_reachable(c, side, scene.x[b, i], scene.y[b, i]):
+                    continue
+                offered = _behind(scene, b, i, scene.leaders[b, i, side], d.median)
+                follower = scene.followers[b, i, side]
+                imposed = _behind(scene, b, follower, i, d.median) if follower >= 0 else 0.0
+                if offered >= -limit and imposed >= -limit:
+                    need = (d.threshold - (offered - kept)) / d.scale
+                    odds = 1 + maths.exp(clip(need, -50.0, 50.0))
+                    if draws[m, k] * odds * d.speed_mps < scene.speed[b, i]:
+                        target = side
+        wanted = _behind(scene, b, i, scene.leaders[b, i, lane], p)
+        if lane != target:
+            wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, target], p))
+        step_s = c.dt if is_first else elapsed_s
+        is_slow = not is_first and d.lag_s > step_s
+        own[FELT] += (wanted - own[FELT]) * (step_s / d.lag_s if is_slow else 1.0)
+        kept_noise = 0.0 if is_first else maths.exp(-step_s / d.noise_s)
+        fresh = d.noise * math.sqrt(1 - kept_noise * kept_noise)
+        own[NOISE] = kept_noise * own[NOISE] + fresh * _normal(draws[m, 0])
+        acceleration[m] = clip(own[FELT] + own[NOISE], -BRAKING_LIMIT_MPS2, BRAKING_LIMIT_MPS2)
+        target_lane[m] = target
+    return acceleration, target_lane
+
+
+@inlined
+def _draw(p: Floats, quantiles: Floats, speed: float, d: _Driving) -> None:
+    """Sets a driver's parameters p (P,) from the quantiles that the driver drew."""
+    for k in range(p.size):
+        logarithm = d.mean[k]
+        for j in range(k + 1):
+            logarithm += d.root[k, j] * _normal(quantiles[j])
+        scaled = maths.power(speed, abs(d.slope[k]) + 1e-12)
+        p[k] = maths.exp(logarithm) * (scaled if d.slope[k] > 0 else 1 / scaled)
+
+
+@inlined
+def _normal(quantile: float) -> float:
+    """A standard normal number, by Tukey's lambda distribution (Joiner & Rosenblatt 1971).
+
+    Up to 3 standard deviations, it is exact to 0.03, and it lies within 5.
+    """
+    below, above = max(quantile, 1e-15), max(1 - quantile, 1e-15)
+    return (maths.power(below, 0.1349) - maths.power(above, 0.1349)) / 0.1975
+
+
+@inlined
+def _behind(scene: Scene, b: int, i: int, leader: int, p: Floats) -> float:
+    """The acceleration of vehicle i of scene b behind a leader; -1 stands for none."""
+    x, speed, length = scene.x, scene.speed, scene.length
+    gap, ahead = math.inf, speed[b, i]
+    if leader >= 0:
+        gap = gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader])
+        ahead = speed[b, leader] * scene.direction_x[b, leader]
+    return idm(max(speed[b, i], 0.0), gap, ahead, p)

@@ -1,0 +1,38 @@
+"""The likeness of drivers to recorded drivers, as a figure."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from charms_bench.people.likeness import COMPONENTS
+from charms_bench.report.figures.drawing import EDGE, MARKERS, SERIES, panels, save
+from charms_bench.runs.likeness import Likeness
+
+_LOWEST = -2.0
+
+
+def draw(rows: Sequence[Likeness], path: Path) -> None:
+    """Draws the components and the total of each row; values below -2 lie on the left edge.
+
+    Raises:
+        InputError: The file's ending names no known format, or the file cannot be written.
+    """
+    figure, (axes,) = panels(1, 7.5, 1.2 + 0.4 * len(rows))
+    names = (*COMPONENTS, "total")
+    for k, name in enumerate(names):
+        for place, row in enumerate(rows):
+            if name not in row.scores:
+                continue
+            score = row.scores[name]
+            value, low, high = (max(each, _LOWEST) for each in (score.value, score.low, score.high))
+            y = place + 0.18 * (k - 1.5)
+            axes.plot([low, high], [y, y], color=SERIES[k], linewidth=1)
+            label = name.replace("_", " ") if place == 0 else None
+            style = {"marker": MARKERS[k], "color": SERIES[k], "linestyle": "", "label": label}
+            axes.plot([value], [y], **style)
+    for value in (0.0, 1.0):
+        axes.axvline(value, color=EDGE, linewidth=0.8)
+    axes.set_yticks(range(len(rows)), [f"{row.label} ({row.kind})" for row in rows])
+    axes.set(xlim=(_LOWEST - 0.1, 2.0), xlabel="likeness: 0 is the floor, 1 the ceiling")
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    save(figure, path)

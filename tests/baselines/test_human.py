@@ -1,0 +1,57 @@
+"""The drivers that are drawn from a calibrated population."""
+
+import numpy as np
+import pytest
+from charms_baselines.human import QUANTILES, Human, _normal
+from charms_baselines.idm_mobil import IdmMobil
+from scipy import stats
+
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import DataError
+from charms_bench.people.population import read_population
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.scene import SceneSettings
+
+SETTINGS = SceneSettings(traffic_vehicles=6)
+
+
+def driven(scenes: int, decisions: int, seed: int = 0) -> Simulation:
+    agents = {"human": Human(), "idm_mobil": IdmMobil()}
+    simulation = Simulation(SETTINGS, scenes, "idm_mobil", OneAgent("human"), agents)
+    simulation.reset(np.arange(seed, seed + scenes, dtype=np.uint64))
+    for _ in range(decisions):
+        simulation.step()
+    return simulation
+
+
+def test_quantiles_become_standard_normal_numbers():
+    quantiles = np.array([0.01, 0.1, 0.5, 0.9, 0.99])
+    found = [_normal(each) for each in quantiles]
+    assert found == pytest.approx(stats.norm.ppf(quantiles), abs=0.02)
+
+
+def test_drawn_drivers_have_the_moments_of_the_population():
+    scene = driven(400, 1).scene
+    mean, covariance = read_population("i75").arrays
+    is_traffic = np.arange(SETTINGS.vehicles) != scene.ego[:, None]
+    logarithms = np.log(scene.memory[is_traffic][:, -len(QUANTILES) :])
+    speed = np.log(scene.target_speed[is_traffic])
+    slope = covariance[:5, -1] / covariance[-1, -1]
+    around = logarithms - mean[:5] - (speed - mean[-1])[:, None] * slope
+    given_speed = covariance[:5, :5] - np.outer(slope, slope) * covariance[-1, -1]
+    assert around.mean(axis=0) == pytest.approx(np.zeros(5), abs=0.04)
+    assert np.cov(around.T) == pytest.approx(given_speed, abs=0.03)
+
+
+def test_drivers_do_not_depend_on_the_other_scenes_of_a_batch():
+    both, second = driven(2, 12).scene, driven(1, 12, seed=1).scene
+    assert (both.x[1] == second.x[0]).all()
+
+
+def test_no_driver_collides_in_traffic_of_drawn_drivers():
+    assert not driven(60, 60).scene.crashed.any()
+
+
+def test_an_unknown_population_is_rejected_with_the_known_ones():
+    with pytest.raises(DataError, match=r"no population named 'i57'; .* Known: i24, i75"):
+        Human("i57")
