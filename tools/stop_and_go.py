@@ -35,6 +35,7 @@ from charms_bench.world.scene import Floats, SceneSettings
 RING_VEHICLES = 100
 SMALL_M, LARGE_M = 1e-3, 5.0
 """Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
+NO_LANE_CHANGES = {"lane_change_gain_mps2": 1e6}
 SECTION_M = (2000.0, 3000.0)
 BOTTLENECK_M = (3000.0, 3500.0)
 """Where desired speeds begin to fall, and where they have fallen."""
@@ -106,11 +107,10 @@ def ring(
     Returns:
         The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
     """
-    constants = {"lane_change_gain_mps2": 1e6}  # nobody changes lanes
     length = desired * seconds + 2e5 / densities.min()
     settings = SceneSettings.model_validate(
         {
-            "profile": {"name": profile, "road_length_m": length, "idm_mobil": constants},
+            "profile": {"name": profile, "road_length_m": length, "idm_mobil": NO_LANE_CHANGES},
             "lanes": 2,
             "traffic_vehicles": RING_VEHICLES,
             "ego_slots": 1,
@@ -155,16 +155,19 @@ class Flow(NamedTuple):
     """(T, cells) the mean speed in each cell of the road at each second, m/s; NaN if empty."""
 
 
-def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) -> Flow:
+def open_road(
+    flow: float, minutes: float, bottleneck_mps: float | None = None, changes_lanes: bool = True
+) -> Flow:
     """Simulates an open road of 5 km with 4 lanes, empty at first and with no ego.
 
-    The section is measured in the second half. The bottleneck, a highest desired speed beyond
-    3.5 km, begins after a third.
+    The section is measured in the last third. The bottleneck, a highest desired speed beyond
+    3.5 km, begins after the first third.
     """
     profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
+    idm_mobil = {"time_headway_s": 1.0} | ({} if changes_lanes else NO_LANE_CHANGES)
     settings = SceneSettings.model_validate(
         {
-            "profile": {**profile, "idm_mobil": {"time_headway_s": 1.0}},
+            "profile": {**profile, "idm_mobil": idm_mobil},
             "lanes": 4,
             "traffic_vehicles": 0,
             "ego_slots": 1,
@@ -176,7 +179,7 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
                     "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
                 }
             ],
-            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 2500},
+            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 3000},
         }
     )
     agents = {"idm_mobil": make_agent("idm_mobil")}
@@ -196,10 +199,10 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
         x, speed = scene.x[scene.present], scene.speed[scene.present]
         counts, sums = (np.histogram(x, cells, weights=w)[0] for w in (None, speed))
         profiles.append(np.where(counts, sums / np.maximum(counts, 1), np.nan))
-        if made.steps[0] >= settings.decisions / 2:
+        if made.steps[0] >= settings.decisions * 2 / 3:
             is_inside = (x >= SECTION_M[0]) & (x < SECTION_M[1])
             inside, speeds = inside + int(is_inside.sum()), speeds + float(speed[is_inside].sum())
-    lane_km_seconds = settings.duration_s / 2 * 4 * (SECTION_M[1] - SECTION_M[0]) / 1000
+    lane_km_seconds = settings.duration_s / 3 * 4 * (SECTION_M[1] - SECTION_M[0]) / 1000
     entered = scene.entry.max() + 1 - settings.vehicles
     return Flow(
         inside / lane_km_seconds,
@@ -251,7 +254,11 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     began = time.process_time()
     busiest = open_road(2000.0, 60.0)
     hour_s = time.process_time() - began
-    jams = {speed: open_road(2000.0, minutes, speed) for speed in (3.0, 5.0, 7.0)}
+    jams = {
+        speed: open_road(2000.0, minutes, speed, changes_lanes=False)
+        for speed in (None, 2.0, 3.0, 4.0)
+    }
+    free = jams.pop(None)
     rows = [
         {
             "inflow": f"{flow:.0f}",
@@ -275,7 +282,6 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
                 "crashed": each.crashed,
             }
         )
-        free = flows[2000.0]
         rankine = (each.flow_per_h - free.flow_per_h) / (each.density_per_km - free.density_per_km)
         shocks.append(
             {
