@@ -60,8 +60,8 @@ def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
     drivers = len({part.driver for part in found})
     if drivers < FEWEST_DRIVERS:
         raise DataError(
-            f"{drivers} held-out drivers keep to the profile's speeds, {low:g} to {high:g} m/s, for "
-            f"{SECONDS} s; expected {FEWEST_DRIVERS} or more, so choose a profile with a wider "
+            f"{drivers} held-out drivers keep to the profile's speeds, {low:g} to {high:g} m/s, "
+            f"for {SECONDS} s; expected {FEWEST_DRIVERS} or more, so choose a profile with a wider "
             "range of speeds, or longer recordings"
         )
     return found

@@ -18,9 +18,9 @@ from scipy.special import expit
 
 from charms_bench.foundation.compiled import compiled
 from charms_bench.people.car_following import idm
-from charms_bench.people.highd import STAY_S, read_folder
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES
+from charms_bench.world.highd import STAY_S, read_folder
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints
 

@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.people.highd import Recording, read_folder
+from charms_bench.world.highd import Recording, read_folder
 from charms_bench.world.scene import Floats
 
 RATE_HZ = 10

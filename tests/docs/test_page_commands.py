@@ -39,6 +39,8 @@ NOT_RUN = {
     "python tools/stop_and_go.py": "takes minutes; tests/engine/test_stop_and_go.py calls it",
     "charms-bench calibrate FOLDER --to my-road.json --figure my-road.png": "takes minutes, and "
     "recordings that are not public",
+    "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
+    "--figure likeness.png": "takes minutes, and recordings that are not public",
     "python ppo.py": "tests/agents/test_train_your_own.py trains it",
     "charms-bench export ppo.zip ppo.onnx": "it is not trained here",
     "charms-bench run ego --agent ppo.onnx": "it is not trained here",
