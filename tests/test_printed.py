@@ -94,6 +94,6 @@ def test_notebooks_show_bars_and_players(run: Run) -> None:
 
 def test_the_packaged_references_say_what_they_are() -> None:
     found = charms_bench.references()
-    assert list(found) == ["i24", "i75", "us101"]
+    assert list(found) == ["i24", "i75", "us101", "us101_corrected"]
     assert "997 vehicles" in repr(found["us101"])
     assert found["us101"].counts("speed").sum() == 15_542

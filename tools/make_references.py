@@ -1,7 +1,7 @@
 """Makes the references of human driving in the package: `python tools/make_references.py DATA`.
 
-DATA is a folder that holds `us101_highd_format/`, `i24_car_following.parquet` and
-`i75_lane_trajectories.parquet`.
+DATA is a folder that holds `us101_corrected/`, `us101_highd_format/`, `i24_car_following.parquet`
+and `i75_lane_trajectories.parquet`.
 """
 
 import sys
@@ -31,14 +31,15 @@ I75_START_S = 2.0
 """Time from the start of a lane change until the vehicle is in the new lane."""
 
 
-def us101(data: Path) -> Reference:
-    """US-101: congested."""
+def us101(data: Path, folder: str, name: str, markings: str) -> Reference:
+    """US-101: congested. `markings` says where the lanes' markings are in the folder."""
     return from_recordings(
-        data / "us101_highd_format",
-        name="us101",
+        data / folder,
+        name=name,
         origin="NGSIM US-101, Los Angeles, 15 June 2005, 07:50: congested, five lanes and an "
         "auxiliary lane; 32 scenes of 3 to 17 s, straightened and smoothed. Scenes overlap: a "
-        "fifth of the rows, and some of the lane changes, are in more than one scene.",
+        "fifth of the rows, and some of the lane changes, are in more than one scene."
+        f"{markings}",
         terms="U.S. Department of Transportation, Federal Highway Administration (FHWA): Next "
         "Generation Simulation (NGSIM), US-101; CC BY-SA",
     )
@@ -116,7 +117,14 @@ def _i75_lane_changes(rows: pl.DataFrame) -> pl.DataFrame:
 def main(data: Path, output: Path) -> None:
     """Writes all references into a folder."""
     output.mkdir(parents=True, exist_ok=True)
-    for reference in (us101(data), i24(data), i75(data)):
+    of_drivers = " The lanes' markings are where the drivers' lanes are."
+    made = (
+        us101(data, "us101_highd_format", "us101", ""),
+        us101(data, "us101_corrected", "us101_corrected", of_drivers),
+        i24(data),
+        i75(data),
+    )
+    for reference in made:
         path = output / f"{reference.name}.json"
         path.write_text(reference.to_json(), encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""Measures what the simulated traffic does as a flow: `python tools/stop_and_go.py --minutes 60`.
+"""Measures what the simulated traffic does as a flow: `python tools/stop_and_go.py`.
 
 - The density from which on stop-and-go waves grow, on a ring of one lane: open boundaries would
   carry the waves away before they have grown. A ring is a row of vehicles whose first one follows
@@ -35,10 +35,12 @@ from charms_bench.world.scene import Floats, SceneSettings
 RING_VEHICLES = 100
 SMALL_M, LARGE_M = 1e-3, 5.0
 """Displacements: one whose wave stays linear, and one whose wave becomes as large as it can."""
+NO_LANE_CHANGES = {"lane_change_gain_mps2": 1e6}
 SECTION_M = (2000.0, 3000.0)
 BOTTLENECK_M = (3000.0, 3500.0)
 """Where desired speeds begin to fall, and where they have fallen."""
-CELL_M = 100.0
+CELL_M, FRONT_MPS = 100.0, 15.0
+"""A jam begins with the first cell in which vehicles are slower than that."""
 DRIVERS = {"highway-env": 30.0, "naturalistic": 33.3}
 """The profiles whose IDM drives on the ring, and the desired speed there, m/s."""
 
@@ -106,11 +108,10 @@ def ring(
     Returns:
         The growth rates (D,) of the longest wave, 1/s, and the vehicles' speeds (D, N) at the end.
     """
-    constants = {"lane_change_gain_mps2": 1e6}  # nobody changes lanes
     length = desired * seconds + 2e5 / densities.min()
     settings = SceneSettings.model_validate(
         {
-            "profile": {"name": profile, "road_length_m": length, "idm_mobil": constants},
+            "profile": {"name": profile, "road_length_m": length, "idm_mobil": NO_LANE_CHANGES},
             "lanes": 2,
             "traffic_vehicles": RING_VEHICLES,
             "ego_slots": 1,
@@ -151,20 +152,24 @@ class Flow(NamedTuple):
     flow_per_h: float
     entered_per_h: float
     crashed: int
-    profiles: Floats
-    """(T, cells) the mean speed in each cell of the road at each second, m/s; NaN if empty."""
+    cells: Floats
+    """(T, cells, 2) the vehicles in each cell of the road, and the sum of their speeds, m/s, at
+    each second."""
 
 
-def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) -> Flow:
+def open_road(
+    flow: float, minutes: float, bottleneck_mps: float | None = None, changes_lanes: bool = True
+) -> Flow:
     """Simulates an open road of 5 km with 4 lanes, empty at first and with no ego.
 
-    The section is measured in the second half. The bottleneck, a highest desired speed beyond
-    3.5 km, begins after a third.
+    The section is measured in the last third. The bottleneck, a highest desired speed beyond
+    3.5 km, begins after the first third.
     """
     profile = {"name": "naturalistic", "road_length_m": 5000.0, "offroad_terminal": False}
+    idm_mobil = {"time_headway_s": 1.0} | ({} if changes_lanes else NO_LANE_CHANGES)
     settings = SceneSettings.model_validate(
         {
-            "profile": {**profile, "idm_mobil": {"time_headway_s": 1.0}},
+            "profile": {**profile, "idm_mobil": idm_mobil},
             "lanes": 4,
             "traffic_vehicles": 0,
             "ego_slots": 1,
@@ -176,7 +181,7 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
                     "desired_speed_mps": {"normal": [30.0, 2.0], "range": [25, 35]},
                 }
             ],
-            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 2500},
+            "inflow": {"vehicles_per_hour_and_lane": flow, "capacity": 3000},
         }
     )
     agents = {"idm_mobil": make_agent("idm_mobil")}
@@ -184,7 +189,7 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
     made.reset(np.zeros(1, dtype=np.uint64))
     state = made.state()
     made.restore(state.with_arrays({"present": state.present & False}))
-    scene, inside, speeds, profiles = made.scene, 0, 0.0, []
+    scene, inside, speeds, seconds = made.scene, 0, 0.0, []
     cells = np.arange(0, 5000 + CELL_M, CELL_M)
     while scene.active.any():
         if bottleneck_mps is not None and made.steps[0] >= settings.decisions / 3:
@@ -194,29 +199,38 @@ def open_road(flow: float, minutes: float, bottleneck_mps: float | None = None) 
         if made.steps[0] % settings.decision_hz:
             continue
         x, speed = scene.x[scene.present], scene.speed[scene.present]
-        counts, sums = (np.histogram(x, cells, weights=w)[0] for w in (None, speed))
-        profiles.append(np.where(counts, sums / np.maximum(counts, 1), np.nan))
-        if made.steps[0] >= settings.decisions / 2:
+        weights = (np.ones(x.size), speed)
+        seconds.append(np.stack([np.histogram(x, cells, weights=w)[0] for w in weights], axis=1))
+        if made.steps[0] >= settings.decisions * 2 / 3:
             is_inside = (x >= SECTION_M[0]) & (x < SECTION_M[1])
             inside, speeds = inside + int(is_inside.sum()), speeds + float(speed[is_inside].sum())
-    lane_km_seconds = settings.duration_s / 2 * 4 * (SECTION_M[1] - SECTION_M[0]) / 1000
+    lane_km_seconds = settings.duration_s / 3 * 4 * (SECTION_M[1] - SECTION_M[0]) / 1000
     entered = scene.entry.max() + 1 - settings.vehicles
     return Flow(
         inside / lane_km_seconds,
         speeds * 3.6 / lane_km_seconds,
         entered / 4 / minutes * 60,
         int(scene.crashed.sum()),
-        np.array(profiles),
+        np.array(seconds),
     )
 
 
-def shock_speed(free: Flow, jammed: Flow) -> float:
-    """The speed of the front of a jam, m/s, while it passes the section; negative is upstream."""
-    free_speed, jam_speed = (each.flow_per_h / each.density_per_km / 3.6 for each in (free, jammed))
-    is_slow = jammed.profiles < (free_speed + jam_speed) / 2
-    front = np.where(is_slow.any(axis=1), is_slow.argmax(axis=1) * CELL_M, np.nan)
-    passes = np.nonzero((front >= SECTION_M[0]) & (front < SECTION_M[1]))[0]
-    return float(np.polyfit(passes, front[passes], 1)[0])
+def shock_speeds(jammed: Flow) -> tuple[float, float]:
+    """The speed of a jam's upstream front, km/h, while it passes the section.
+
+    It is measured, and computed from the flows and the densities of up to 500 m on both sides of
+    the front (Rankine and Hugoniot), of which 200 m in between are left out.
+    """
+    counts, sums = jammed.cells[:, :, 0], jammed.cells[:, :, 1]
+    is_slow = (counts > 0) & (sums < FRONT_MPS * counts)
+    front = np.where(is_slow.any(axis=1), is_slow.argmax(axis=1), 0)
+    passes = np.nonzero((front * CELL_M >= SECTION_M[0]) & (front * CELL_M < SECTION_M[1]))[0]
+    measured = float(np.polyfit(passes, front[passes] * CELL_M, 1)[0]) * 3.6
+    free, jam = (
+        np.mean([jammed.cells[t, front[t] + a : front[t] + b].mean(axis=0) for t in passes], axis=0)
+        for a, b in ((-5, -1), (1, 5))
+    )
+    return measured, float((jam[1] - free[1]) / (jam[0] - free[0])) * 3.6
 
 
 def main(minutes: float, seconds: float, figure: Path) -> None:
@@ -235,9 +249,8 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
         axes[0].plot(densities / limit, 1000 * rates, "o", color=SERIES[k], ms=4)
         dense = np.linspace(0.8, 1.8, 21)
         _, speeds = ring(profile, desired, limit * dense, 2 * seconds, LARGE_M)
-        axes[1].fill_between(
-            dense, speeds.min(axis=1), speeds.max(axis=1), color=SERIES[k], alpha=0.4
-        )
+        for extreme in (speeds.min(axis=1), speeds.max(axis=1)):
+            axes[1].plot(dense, extreme, color=SERIES[k])
     axes[0].axhline(0, color=EDGE, lw=0.8)
     axes[0].set(xlabel="density / critical density", ylabel="growth of a wave, 1/1000 s")
     axes[0].legend(frameon=False)
@@ -251,7 +264,9 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
     began = time.process_time()
     busiest = open_road(2000.0, 60.0)
     hour_s = time.process_time() - began
-    jams = {speed: open_road(2000.0, minutes, speed) for speed in (3.0, 5.0, 7.0)}
+    jams = {
+        speed: open_road(2000.0, minutes, speed, changes_lanes=False) for speed in (2.0, 3.0, 4.0)
+    }
     rows = [
         {
             "inflow": f"{flow:.0f}",
@@ -275,15 +290,9 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
                 "crashed": each.crashed,
             }
         )
-        free = flows[2000.0]
-        rankine = (each.flow_per_h - free.flow_per_h) / (each.density_per_km - free.density_per_km)
-        shocks.append(
-            {
-                "bottleneck": f"{speed:.0f} m/s",
-                "front": shock_speed(free, each) * 3.6,
-                "Rankine-Hugoniot": rankine,
-            }
-        )
+        front, computed = shock_speeds(each)
+        bottleneck = f"{speed:.0f} m/s"
+        shocks.append({"bottleneck": bottleneck, "front": front, "Rankine-Hugoniot": computed})
     columns = dict.fromkeys(("entered", "density", "flow"), ".1f") | {"crashed": ".0f"}
     print(markdown(Table.plain(rows, ("inflow", "bottleneck"), columns)), end="\n\n")
     shown = dict.fromkeys(("front", "Rankine-Hugoniot"), ".1f")
@@ -307,7 +316,7 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=60.0, help="of each open road")
+    parser.add_argument("--minutes", type=float, default=20.0, help="of each open road")
     parser.add_argument("--seconds", type=float, default=1800.0, help="of each ring")
     parser.add_argument("--figure", type=Path, default=Path("docs/open-road.png"))
     arguments = parser.parse_args()

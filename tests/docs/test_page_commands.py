@@ -41,6 +41,8 @@ NOT_RUN = {
     "recordings that are not public",
     "charms-bench run suites/recorded.yaml": "tests/runs/test_recorded_suite.py runs one like it "
     "with recordings that are public",
+    "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
+    "--figure likeness.png": "takes minutes, and recordings that are not public",
     "python ppo.py": "tests/agents/test_train_your_own.py trains it",
     "charms-bench export ppo.zip ppo.onnx": "it is not trained here",
     "charms-bench run ego --agent ppo.onnx": "it is not trained here",

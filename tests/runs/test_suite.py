@@ -70,7 +70,10 @@ def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:
 @pytest.mark.parametrize(
     ("references", "message"),
     [
-        (["i42"], "no reference named 'i42'; .* Did you mean 'i24'. Known: i24, i75, us101"),
+        (
+            ["i42"],
+            "no reference named 'i42'; .* Did you mean 'i24'. Known: i24, i75, us101, us101_c",
+        ),
         ([{"name": "i24", "recordings": "highd"}], "give a name, or a folder of recordings"),
         (["i24", "us101", "i24"], "a reference is given twice"),
     ],
