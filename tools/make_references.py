@@ -1,7 +1,7 @@
 """Makes the references of human driving in the package: `python tools/make_references.py DATA`.
 
-DATA is a folder that holds `us101_corrected/`, `us101_highd_format/`, `i24_car_following.parquet` and
-`i75_lane_trajectories.parquet`.
+DATA is a folder that holds `us101_corrected/`, `us101_highd_format/`, `i24_car_following.parquet`
+and `i75_lane_trajectories.parquet`.
 """
 
 import sys

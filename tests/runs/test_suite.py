@@ -72,7 +72,7 @@ def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:
     [
         (
             ["i42"],
-            "no reference named 'i42'; .* Did you mean 'i24'. Known: i24, i75, us101, us101_corrected",
+            "no reference named 'i42'; .* Did you mean 'i24'. Known: i24, i75, us101, us101_c",
         ),
         ([{"name": "i24", "recordings": "highd"}], "give a name, or a folder of recordings"),
         (["i24", "us101", "i24"], "a reference is given twice"),
