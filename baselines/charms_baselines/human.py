@@ -25,7 +25,9 @@ from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 CONSIDERS_EVERY_S = 1.0
 """Time between two choices of a lane; `people.lane_choices` fits choices at this interval."""
 SLOWEST_MPS = 3.0
-"""Of the speed on which a driver's parameters depend."""
+"""Of the speed on which a driver's parameters depend, as in `people.calibration`."""
+SHORTEST_M, LONGEST_M = 1.0, 100.0
+"""Gaps of the trips that populations are fitted to; a leader further ahead does not count."""
 DRIVEN, FELT, NOISE, CLOCK, FIRST = range(5)
 """What a driver remembers: the number of calls, the lagged acceleration, the noise, the time since
 the last choice of a lane, and, from `FIRST` on, the driver's own parameters."""
@@ -34,14 +36,17 @@ QUANTILES = ("desired_speed", "time_gap", "jam_gap", "acceleration", "decelerati
 
 
 class _Driving(NamedTuple):
-    """A population as compiled code reads it; P = 5 parameters of IDM."""
+    """A population as compiled code reads it; P = 5 parameters of IDM.
+
+    The first index says whether the driver starts behind a leader.
+    """
 
     mean: Floats
-    """(P,) of their logarithms, at a speed of 1 m/s."""
+    """(2, P) of their logarithms, at a time gap of 1 s and a speed of 1 m/s."""
     slope: Floats
-    """(P,) change of their logarithms with the logarithm of the speed."""
+    """(2, P, 2) change of their logarithms with those of the time gap and the speed."""
     root: Floats
-    """(P, P) Cholesky factor of their covariance at a known speed."""
+    """(2, P, P) Cholesky factor of their covariance in a known situation."""
     median: Floats
     """(P,) the median driver's parameters, with which lanes are weighed."""
     lag_s: float
@@ -55,9 +60,9 @@ class _Driving(NamedTuple):
 class Human(DriverModel):
     """IDM along the lane and a random choice of lanes, as calibrated on recorded drivers.
 
-    Each driver has own parameters, which are correlated with each other and with the speed that the
-    driver wants when the episode starts. The acceleration follows IDM's with a lag, and correlated
-    noise is added.
+    Each driver has own parameters, which are correlated with each other, with the speed that the
+    driver wants when the episode starts, and with the time gap to the leader at that time. The
+    acceleration follows IDM's with a lag, and correlated noise is added.
 
     Args:
         population: The name of a population in the package, or a JSON file that
@@ -92,15 +97,20 @@ class Human(DriverModel):
 def _driving(drivers: Population) -> _Driving:
     mean, covariance = drivers.arrays
     size = len(QUANTILES)
-    own, speed = slice(size), -1  # the last number of the situation is the leader's speed
-    slope = covariance[own, speed] / covariance[speed, speed]
-    spread = covariance[own, own] - np.outer(slope, slope) * covariance[speed, speed]
+    means, slopes, roots = np.empty((2, size)), np.zeros((2, size, 2)), np.empty((2, size, size))
+    # The situation is the first time gap, which not every driver has, and the leader's speed.
+    for k, known in enumerate(([size + 1], [size, size + 1])):
+        given = covariance[np.ix_(known, known)]
+        slope = np.linalg.solve(given, covariance[known, :size]).T
+        means[k] = mean[:size] - slope @ mean[known]
+        slopes[k, :, 2 - len(known) :] = slope
+        roots[k] = np.linalg.cholesky(covariance[:size, :size] - slope @ given @ slope.T)
     changes = drivers.lane_changes
     return _Driving(
-        mean=mean[own] - slope * mean[speed],
-        slope=slope,
-        root=np.linalg.cholesky(spread),
-        median=np.exp(mean[own]),
+        mean=means,
+        slope=slopes,
+        root=roots,
+        median=np.exp(mean[:size]),
         lag_s=drivers.lag_s,
         noise=drivers.noise_mps2,
         noise_s=drivers.noise_s,
@@ -131,7 +141,14 @@ def _drive(
         p = own[FIRST:]
         if is_first:
             own[CLOCK] = elapsed_s  # a random part of the interval
-            _draw(p, scene.parameters[b, i], max(scene.target_speed[b, i], SLOWEST_MPS), d)
+            leader = scene.leaders[b, i, scene.lane[b, i]]
+            gap = LONGEST_M + 1
+            if leader >= 0:
+                gap = _gap(scene, b, i, leader)
+            time_gap = max(gap, SHORTEST_M) / max(scene.speed[b, i], SLOWEST_MPS)
+            speed = max(scene.target_speed[b, i], SLOWEST_MPS)
+            is_led = 1 if gap <= LONGEST_M else 0
+            _draw(p, scene.parameters[b, i], time_gap, speed, is_led, d)
         else:
             own[CLOCK] += elapsed_s
         own[DRIVEN] += 1.0
@@ -171,14 +188,23 @@ def _drive(
 
 
 @inlined
-def _draw(p: Floats, quantiles: Floats, speed: float, d: _Driving) -> None:
+def _draw(
+    p: Floats, quantiles: Floats, time_gap: float, speed: float, is_led: int, d: _Driving
+) -> None:
     """Sets a driver's parameters p (P,) from the quantiles that the driver drew."""
+    mean, slope, root = d.mean[is_led], d.slope[is_led], d.root[is_led]
     for k in range(p.size):
-        logarithm = d.mean[k]
+        logarithm = mean[k]
         for j in range(k + 1):
-            logarithm += d.root[k, j] * _normal(quantiles[j])
-        scaled = maths.power(speed, abs(d.slope[k]) + 1e-12)
-        p[k] = maths.exp(logarithm) * (scaled if d.slope[k] > 0 else 1 / scaled)
+            logarithm += root[k, j] * _normal(quantiles[j])
+        p[k] = maths.exp(logarithm) * _power(time_gap, slope[k, 0]) * _power(speed, slope[k, 1])
+
+
+@inlined
+def _power(base: float, exponent: float) -> float:
+    """The power of a positive base; `maths.power` needs a positive exponent."""
+    value = maths.power(base, abs(exponent) + 1e-12)
+    return value if exponent > 0 else 1 / value
 
 
 @inlined
@@ -194,9 +220,16 @@ def _normal(quantile: float) -> float:
 @inlined
 def _behind(scene: Scene, b: int, i: int, leader: int, p: Floats) -> float:
     """The acceleration of vehicle i of scene b behind a leader; -1 stands for none."""
-    x, speed, length = scene.x, scene.speed, scene.length
+    speed = scene.speed
     gap, ahead = math.inf, speed[b, i]
     if leader >= 0:
-        gap = gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader])
+        gap = _gap(scene, b, i, leader)
         ahead = speed[b, leader] * scene.direction_x[b, leader]
     return idm(max(speed[b, i], 0.0), gap, ahead, p)
+
+
+@inlined
+def _gap(scene: Scene, b: int, i: int, leader: int) -> float:
+    """The gap from vehicle i of scene b to its leader, bumper to bumper, m."""
+    x, length = scene.x, scene.length
+    return float(gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader]))
