@@ -247,14 +247,16 @@ def main(minutes: float, seconds: float, figure: Path) -> None:
         rows.append({**row, "difference": found / limit - 1})
         axes[0].plot(densities / limit, 1000 * np.array(theory), color=SERIES[k], label=profile)
         axes[0].plot(densities / limit, 1000 * rates, "o", color=SERIES[k], ms=4)
-        dense = np.linspace(0.8, 1.8, 21)
-        _, speeds = ring(profile, desired, limit * dense, 2 * seconds, LARGE_M)
-        for extreme in (speeds.min(axis=1), speeds.max(axis=1)):
-            axes[1].plot(dense, extreme, color=SERIES[k])
+    # With highway-env's constants, vehicles reverse in such waves and collide.
+    dense = np.linspace(0.8, 1.8, 21)
+    _, speeds = ring(profile, desired, limit * dense, 2 * seconds, LARGE_M)
+    for extreme, label in ((speeds.max(axis=1), "fastest"), (speeds.min(axis=1), "slowest")):
+        axes[1].plot(dense, extreme, color=SERIES[k], ls="-" if label == "fastest" else "--")
+        axes[1].text(dense[-1], extreme[-1], label, ha="right", va="bottom")
     axes[0].axhline(0, color=EDGE, lw=0.8)
     axes[0].set(xlabel="density / critical density", ylabel="growth of a wave, 1/1000 s")
     axes[0].legend(frameon=False)
-    axes[1].set(xlabel="density / critical density", ylabel="slowest to fastest after an hour, m/s")
+    axes[1].set(xlabel="density / critical density", ylabel="speeds after an hour, m/s")
     columns = {"limit of linear theory": ".2f", "on the ring": ".2f", "difference": "+.1%"}
     print(markdown(Table.plain(rows, ("profile",), columns)), end="\n\n")
 
