@@ -32,6 +32,8 @@ DRIVEN, FELT, NOISE, CLOCK, FIRST = range(5)
 """What a driver remembers: the number of calls, the lagged acceleration, the noise, the time since
 the last choice of a lane, and, from `FIRST` on, the driver's own parameters."""
 DRAWS = 3
+_DIGITS = 9
+"""The last bits of linear algebra depend on the processor; those of rounded numbers do not."""
 QUANTILES = ("desired_speed", "time_gap", "jam_gap", "acceleration", "deceleration")
 
 
@@ -107,10 +109,10 @@ def _driving(drivers: Population) -> _Driving:
         roots[k] = np.linalg.cholesky(covariance[:size, :size] - slope @ given @ slope.T)
     changes = drivers.lane_changes
     return _Driving(
-        mean=means,
-        slope=slopes,
-        root=roots,
-        median=np.exp(mean[:size]),
+        mean=means.round(_DIGITS),
+        slope=slopes.round(_DIGITS),
+        root=roots.round(_DIGITS),
+        median=np.exp(mean[:size]).round(_DIGITS),
         lag_s=drivers.lag_s,
         noise=drivers.noise_mps2,
         noise_s=drivers.noise_s,

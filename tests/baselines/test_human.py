@@ -67,3 +67,9 @@ def test_no_driver_collides_in_traffic_of_drawn_drivers():
 def test_an_unknown_population_is_rejected_with_the_known_ones():
     with pytest.raises(DataError, match=r"no population named 'i57'; .* Known: i24, i75"):
         Human("i57")
+
+
+def test_constants_have_the_same_bits_on_every_processor():
+    driving = Human()._driving
+    for each in driving[:4]:
+        assert (each == each.round(9)).all()
