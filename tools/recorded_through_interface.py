@@ -11,41 +11,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from charms_agents.human.interface import DECISION_HZ, through_interface
 
 from charms_bench.people.trips import RATE_HZ, read_trips
-from charms_bench.world.actions import FASTER, IDLE, SLOWER
-from charms_bench.world.profile import CHARMS, NATURALISTIC, Profile
-from charms_bench.world.scene import Floats
+from charms_bench.world.profile import CHARMS, NATURALISTIC
 
 FILES = {"I-24": "i24_car_following.parquet", "I-75": "i75_lane_trajectories.parquet"}
-SIMULATION_HZ, DECISION_HZ = 15, 3
 STRONG_MPS2 = 1.1
-
-
-def through_interface(recorded: Floats, profile: Profile) -> tuple[Floats, list[int]]:
-    """Speeds (D,) at decisions, and the actions between them, of a driver who follows speeds (D,).
-
-    The profile's bounds of speeds do not count.
-    """
-    steps = profile.target_speed_steps_mps or (profile.target_speed_step_mps,)
-    speed = target = recorded[0]
-    repeats, speeds, actions = 0, [speed], []
-    for wanted in recorded[1:]:
-        options = []
-        for sign, action in ((0, IDLE), (1, FASTER), (-1, SLOWER)):
-            again = abs(repeats) + 1 if sign * repeats > 0 else 1
-            aimed = target + sign * steps[min(again, len(steps)) - 1]
-            after = speed
-            held = (aimed - speed) / profile.tau_acceleration_s
-            for _ in range(SIMULATION_HZ // DECISION_HZ):
-                if profile.ego_control_rate == "simulation":
-                    held = (aimed - after) / profile.tau_acceleration_s
-                after += held / SIMULATION_HZ
-            options.append((abs(after - wanted), after, aimed, sign * again, action))
-        _, speed, target, repeats, action = min(options)
-        speeds.append(speed)
-        actions.append(action)
-    return np.array(speeds), actions
 
 
 def main(data: Path) -> None:
@@ -61,7 +33,7 @@ def main(data: Path) -> None:
             decided.append(np.interp(at, time_s, trip.speed))
         drivers = {"recorded": decided}
         for profile in (CHARMS, NATURALISTIC):
-            followed = [through_interface(each, profile)[0] for each in decided]
+            followed = [through_interface(each[:, None], profile).speed[:, 0] for each in decided]
             drivers[f"through the interface of `{profile.name}`"] = followed
         for driver, speeds in drivers.items():
             found = np.concatenate([np.diff(each) * DECISION_HZ for each in speeds])

@@ -37,6 +37,8 @@ def situations(
     Returns:
         The M rows of `Recording.tracks` at decisions, sorted by direction, frame and x, and their
         observations (M, 7, 5). Observations are zeros on a carriageway of fewer than three lanes.
+        With the option `commands`, drivers are shown the commands that would move them as they
+        move: the target speed at which the speed controller accelerates as they do.
         The rows have these further columns:
 
         lanes: Number of lanes of the carriageway.
@@ -59,7 +61,7 @@ def situations(
             ends = float(section.min()), float(section.max())
             observations, distance, cut = _seen(recording, part, lanes, ends, observation)
         else:
-            observations = np.zeros((part.height, 7, 5), dtype=np.float32)
+            observations = np.zeros((part.height, *observation.shape), dtype=np.float32)
             distance, cut = np.full(part.height, np.nan), np.zeros(part.height, dtype=np.bool_)
         observed.append(observations)
         found = (
@@ -109,8 +111,9 @@ def _seen(
         )
     x, y = rows["x"].to_numpy() - section[0], rows["y"].to_numpy()
     speed, lateral_speed = rows["speed"].to_numpy(), rows["lateral_speed"].to_numpy()
+    acceleration = rows["acceleration"].to_numpy()
     window = np.clip(rows["lane"].to_numpy() - 1, 0, lanes - LANES)
-    observations = np.zeros((rows.height, 7, 5), dtype=np.float32)
+    observations = np.zeros((rows.height, *observation.shape), dtype=np.float32)
     distance = np.full(rows.height, np.nan)
     frames = max(1, _CHUNK // int(counts.max(initial=1)))
     for first in range(0, counts.size, frames):
@@ -122,9 +125,12 @@ def _seen(
         scene.x[b, i] = x[own]
         scene.speed[b, i] = np.hypot(speed[own], lateral_speed[own])
         scene.heading[b, i] = np.arctan2(lateral_speed[own], speed[own])
+        scene.acceleration[b, i] = acceleration[own]
+        scene.target_speed[b, i] = scene.speed[b, i] + CHARMS.tau_acceleration_s * acceleration[own]
         for begin in np.unique(window[own]):
             scene.y[b, i] = y[own] - LANE_WIDTH_M * begin
             locate(scene, np.arange(chunk.size))
+            scene.target_lane[...] = scene.lane
             drivers = np.flatnonzero(window[own] == begin)
             vehicles = b[drivers], i[drivers]
             leader, present = scene.leader(vehicles, scene.lane[vehicles])

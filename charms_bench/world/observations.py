@@ -12,9 +12,15 @@ respects:
 - The range is 99 m along the road, inclusive, or the Euclidean distance below 99 m.
 - The vehicle's own x is 1, or its position along the road / 165 m, at most 1.
 
-A lane that does not exist looks like one without vehicles. With the option `action_mask`, as in
-`{type: neighbours, action_mask: true}`, there is an eighth row, `ACTION_MASK`: the vehicle's action
-mask, one column per meta-action; see `charms_bench.world.action_mask`.
+A lane that does not exist looks like one without vehicles. Two options add a row each, as in
+`{type: neighbours, commands: true}`:
+
+- `commands`: row 7, `COMMANDS`, has what the vehicle is about to do: its target speed less its
+  speed / 10 m/s, how often FASTER (or, negative, SLOWER) was its last meta-action in a row / 4, its
+  target lane less its lane, its last acceleration / 10 m/s2, and 0. With target speeds that change
+  by growing steps, the same scene calls for other actions at another place in the sequence.
+- `action_mask`: the last row, `ACTION_MASK`, is the vehicle's action mask, one column per
+  meta-action; see `charms_bench.world.action_mask`.
 
 `paper_neighbours` is the observation of the networks that the paper's authors released.
 
@@ -35,7 +41,7 @@ from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.road import side_lanes
-from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
+from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 
 class Observation(Protocol):
@@ -54,12 +60,15 @@ ObservationLike = str | Mapping[str, Any] | Observation
 
 EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
 """The rows of `neighbours` and `paper_neighbours`."""
-ACTION_MASK = 7
-"""Their row with the option `action_mask`."""
+COMMANDS, ACTION_MASK = 7, -1
+"""Their rows with the options of these names."""
 X_SCALE_M = 165.0
 Y_SCALE_M = 12.0
 SPEED_SCALE_MPS = 66.0
 RANGE_M = 99.0
+CHANGE_SCALE, REPEATS_SCALE = 10.0, 4.0
+"""The row `COMMANDS` has changes of speed over `CHANGE_SCALE` m/s and accelerations over
+`CHANGE_SCALE` m/s2."""
 
 
 class Neighbours(FrozenModel):
@@ -67,18 +76,22 @@ class Neighbours(FrozenModel):
 
     name: ClassVar[str] = "neighbours"
 
+    commands: bool = False
+    """Whether there is a row with what the vehicle is about to do."""
     action_mask: bool = False
     """Whether the last row is the vehicle's action mask."""
 
     @property
     def shape(self) -> tuple[int, int]:
         """The rows and columns of one vehicle's observation."""
-        return 7 + self.action_mask, 5
+        return 7 + self.commands + self.action_mask, 5
 
     def __call__(self, scene: Scene, vehicles: Vehicles) -> Observations:
-        """The observations of M vehicles, (M, 7, 5), or (M, 8, 5) with the action mask."""
+        """The observations of M vehicles, (M, 7, 5), and a row more for each option."""
         observations = np.zeros((vehicles[0].size, *self.shape), dtype=np.float32)
         self._fill(scene, vehicles[0], vehicles[1], observations)
+        if self.commands:
+            observations[:, COMMANDS, :4] = commands_of(scene, vehicles)
         if self.action_mask:
             observations[:, ACTION_MASK] = action_masks(scene, vehicles)
         return observations
@@ -127,8 +140,11 @@ def named_observation(like: str | Mapping[str, Any]) -> Neighbours | Kinematics:
 
 def described(observation: Neighbours | Kinematics) -> str:
     """An observation as text, for the metadata of an ONNX file."""
-    if isinstance(observation, Kinematics) or observation.action_mask:
-        return json.dumps({"type": observation.name, **observation.model_dump(mode="json")})
+    if isinstance(observation, Kinematics) or observation.action_mask or observation.commands:
+        options = observation.model_dump(mode="json")
+        if isinstance(observation, Neighbours):
+            options = {name: value for name, value in options.items() if value}
+        return json.dumps({"type": observation.name, **options})
     text = (
         f"{observation.name}: (7, 5) float32, rows self, left front, left rear, front, rear, "
         "right front, right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
@@ -153,6 +169,19 @@ def observation_described(text: str) -> Neighbours | Kinematics:
         return named_observation(json.loads(text))
     except (ValueError, RecursionError) as error:
         raise InputError(f"observation: is not JSON: {error}") from error
+
+
+def commands_of(scene: Scene, vehicles: Vehicles) -> Floats:
+    """The row `COMMANDS` of M vehicles without its last column, (M, 4)."""
+    return np.stack(
+        [
+            (scene.target_speed[vehicles] - scene.speed[vehicles]) / CHANGE_SCALE,
+            scene.repeats[vehicles] / REPEATS_SCALE,
+            scene.target_lane[vehicles] - scene.lane[vehicles],
+            scene.acceleration[vehicles] / CHANGE_SCALE,
+        ],
+        axis=1,
+    )
 
 
 @compiled_of_scenes

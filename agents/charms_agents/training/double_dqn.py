@@ -1,4 +1,10 @@
-"""Double DQN (van Hasselt et al. 2016); `DoubleDQN.step` is its loop."""
+"""Double DQN (van Hasselt et al. 2016), which can be regularised towards human driving.
+
+With a prior, the probabilities p(a | s) that people take each action, the return of a policy pi is
+less by lambda times the Kullback-Leibler divergence of pi from p at each decision (Jacob et al.
+2022, piKL). The best policy is then pi ~ p exp(Q / lambda), and the value of an observation is its
+mean of Q - lambda log(pi / p). Without a prior, it is the largest Q. `DoubleDQN.step` is the loop.
+"""
 
 import json
 from copy import deepcopy
@@ -7,19 +13,26 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 from torch.nn import Linear, Sequential
+from torch.nn.functional import log_softmax
 
 from charms_agents.training.backpropagation import squared_error
-from charms_agents.training.network import Arrays, load_state, state_arrays, untrained
+from charms_agents.training.episodes import Episodes
+from charms_agents.training.network import (
+    Arrays,
+    load_state,
+    side_by_side,
+    state_arrays,
+    untrained,
+)
 from charms_agents.training.settings import Hyperparameters
 from charms_agents.training.standardised import folded, standardise
-from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations
 
 Returns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]
 _COUNTERS = ("steps", "gradient_steps", "stored", "exploration", "loss")
-_ENDED = ("ending", "steps", "episode_return")
 
 
 class DoubleDQN:
@@ -32,14 +45,23 @@ class DoubleDQN:
         episodes: B environments; their observations are flattened.
         seed: Seed of the initial weights, of exploration and of replay.
         total: Number of steps of the training, which the schedules follow.
+        prior: Gives the logits of the actions that people take, from observations in the form that
+            the network takes; it has as many layers. None leaves the policy to the values alone.
     """
 
     def __init__(
-        self, episodes: HighwayVectorEnv[Any], h: Hyperparameters, seed: int, total: int
+        self,
+        episodes: Episodes,
+        h: Hyperparameters,
+        seed: int,
+        total: int,
+        prior: Sequential | None = None,
     ) -> None:
-        self.h, self.total, self._episodes = h, total, episodes
+        self.h, self.total, self.prior, self._episodes = h, total, prior, episodes
+        self.observed = episodes.reset()
+        """(B, rows, columns) the last observations."""
         self.rng = np.random.default_rng([seed, 2])
-        self.online = untrained(h.hidden_layers, seed)
+        self.online = untrained(h.hidden_layers, seed, self.observed[0].size)
         self.target = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
         self.steps = self.gradient_steps = self.stored = 0
@@ -47,8 +69,6 @@ class DoubleDQN:
         """Probability of a random action."""
         self.loss = float("nan")
         """Mean loss of the last gradient steps."""
-        self.observed, _ = episodes.reset()
-        """(B, 7, 5) the last observations."""
         shape = (max(h.replay_buffer // h.scenes, 1), h.scenes)
         seen = np.zeros((*shape, *self.observed.shape[1:]), dtype=np.float32)
         self.replay: Arrays = {
@@ -64,23 +84,27 @@ class DoubleDQN:
     def step(self) -> list[dict[str, Any]]:
         """Takes a step in each environment and learns; returns facts about ended episodes."""
         h, actions = self.h, self.actions()
-        observed, rewards, failed, is_over, infos = self._episodes.step(actions)
-        following, ended = observed.copy(), np.flatnonzero(failed | is_over)
-        for row in ended:
-            following[row] = infos["final_obs"][row]
-        self.remember(self.observed, following, actions, rewards, failed, failed | is_over)
-        self.observed = observed
+        step = self._episodes.step(actions)
+        self.remember(self.observed, step.following, actions, step.rewards, step.failed, step.ended)
+        self.observed = step.observed
         self.steps += h.scenes
         if self.steps % h.target_update_steps == 0:
             self._update_target()
         self.exploration = h.exploration_at(self._remaining)
         if self.steps > h.learning_starts:
             self.learn(h.scenes // h.steps_per_gradient_step)
-        return [{name: infos["final_info"][name][row].item() for name in _ENDED} for row in ended]
+        return step.facts
 
     def actions(self) -> NDArray[np.int64]:
-        """The actions (B,): random before learning starts, then with a chance for each of them."""
+        """The actions (B,): random before learning starts, then with a chance for each of them.
+
+        With a prior, they are drawn from the policy, and random ones are not needed at the start.
+        """
         actions = self.rng.integers(len(ACTIONS), size=self.h.scenes)
+        if self.prior is not None:
+            logits = self.logits(self.observed)
+            chosen = (logits + self.rng.gumbel(size=logits.shape)).argmax(axis=1)
+            return np.where(self.rng.random(self.h.scenes) < self.exploration, actions, chosen)
         if self.steps >= self.h.learning_starts:
             greedy = self.values(self.observed).argmax(axis=1)
             explores = self.rng.random(self.h.scenes) < self.exploration
@@ -115,11 +139,17 @@ class DoubleDQN:
             group["lr"] = self.h.learning_rate_at(self._remaining)
         with torch.no_grad():  # the target network does not change in between
             next_values = self.target(following)
+            log_prior = None if self.prior is None else log_softmax(self.prior(following), -1)
         losses = np.empty(gradient_steps)
         for k in range(gradient_steps):
             with torch.no_grad():
-                best = self.online(following[k]).argmax(dim=1, keepdim=True)
-                wanted = rewards[k] + factors[k] * next_values[k].gather(1, best)[:, 0]
+                online = self.online(following[k])
+                if log_prior is None:
+                    best = online.argmax(dim=1, keepdim=True)
+                    value = next_values[k].gather(1, best)[:, 0]
+                else:
+                    value = regularised(online, next_values[k], log_prior[k], self.h.prior_weight)
+                wanted = rewards[k] + factors[k] * value
             losses[k] = squared_error(self.online, observations[k], actions[k], wanted)
             torch.nn.utils.clip_grad_norm_(parameters, self.h.max_gradient_norm)
             self.optimizer.step()
@@ -171,18 +201,32 @@ class DoubleDQN:
         return 1 - self.steps / self.total
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The online network's values (M, 5) of observations (M, 7, 5)."""
+        """The online network's values (M, 5) of M observations."""
         with torch.no_grad():
             values: NDArray[np.float32] = self.online(self._seen(observations)).numpy()
         return values
 
+    def logits(self, observations: Observations) -> NDArray[np.float32]:
+        """The logits (M, 5) of the policy that has a prior."""
+        assert self.prior is not None
+        seen = self._seen(observations)
+        with torch.no_grad():
+            logits = self.online(seen) / self.h.prior_weight + self.prior(seen)
+        return np.asarray(logits.numpy())
+
     @property
     def network(self) -> Sequential:
-        """The online network, made to take plain observations."""
-        return folded(self.online) if self.h.standardised else self.online
+        """The online network, made to take plain observations.
+
+        With a prior, its outputs are the logits of the policy.
+        """
+        network = self.online
+        if self.prior is not None:
+            network = side_by_side(network, 1 / self.h.prior_weight, self.prior)
+        return folded(network) if self.h.standardised else network
 
     def _seen(self, observations: Observations) -> torch.Tensor:
-        """Observations (..., 7, 5) in the form that the networks take, (..., 35)."""
+        """Observations (..., rows, columns) in the form that the networks take, flattened."""
         flat = torch.from_numpy(observations).flatten(-2)
         return standardise(flat) if self.h.standardised else flat
 
@@ -207,3 +251,17 @@ class DoubleDQN:
         for name, array in self.remembered.items():
             array[:] = arrays[f"replay/{name}"]
         self.rng.bit_generator.state = numbers["rng"]
+
+
+def regularised(online: Tensor, target: Tensor, log_prior: Tensor, weight: float) -> Tensor:
+    """The values (M,) of observations under the policy that a prior regularises.
+
+    Args:
+        online: (M, 5) the values that decide the policy.
+        target: (M, 5) the values of the actions.
+        log_prior: (M, 5) logarithms of the probabilities of the prior.
+        weight: lambda.
+    """
+    log_policy = log_softmax(online / weight + log_prior, dim=1)
+    regret = target - weight * (log_policy - log_prior)
+    return (log_policy.exp() * regret).sum(dim=1)

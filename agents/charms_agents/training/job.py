@@ -11,7 +11,8 @@ from typing import Any
 
 from torch.nn import Sequential
 
-from charms_agents.human.samples import SampleStore
+from charms_agents.human.samples import Samples, SampleStore
+from charms_agents.human.simulated import simulated_samples
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
@@ -21,22 +22,15 @@ from charms_agents.training.settings import (
     Supervised,
     TrainingSuite,
 )
-from charms_agents.training.standardised import folded
+from charms_agents.training.standardised import folded, unfolded
 from charms_agents.training.supervised import Fit
 from charms_bench.foundation.files import write_bytes
-from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.scene import Observations
 
-_OPTIONS = {
-    "safety_horizon_s",
-    "safe_headway_m",
-    "safe_in_both_lanes",
-    "lane_change_cost",
-    "failure_reward",
-    "validation",
-}
+_OPTIONS = {"conditions", "reward"}
 """The settings of a stage that the paper lacks."""
 
 
@@ -62,6 +56,10 @@ class Job:
     """Everything that decides the resulting network, ready for JSON."""
     make_learner: Callable[[], Reinforcement | Fit]
     """Makes the learner, before it has learnt anything."""
+    speed_steps_mps: tuple[float, ...] = ()
+    """The speed steps with which the network has learnt; empty for those of its profile."""
+    draws: bool = False
+    """Whether the network's values are logits, by which its actions are drawn."""
 
     @cached_property
     def key(self) -> str:
@@ -96,9 +94,17 @@ class Job:
 
 
 def reinforcement_job(
-    output: Path, seed_folder: str, name: str, suite: TrainingSuite, drivers: Mapping[str, Agent]
+    output: Path,
+    seed_folder: str,
+    name: str,
+    suite: TrainingSuite,
+    drivers: Mapping[str, Agent],
+    prior: Path | None = None,
 ) -> Job:
-    """The job of the suite's stage `name`, whose traffic `drivers` drive, in a run folder."""
+    """The job of the suite's stage `name`, whose traffic `drivers` drive, in a run folder.
+
+    `prior` is the network of the stage's prior, if it has one.
+    """
     stage = suite.stages[name]
     first_seed = suite.first_episode_seed
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
@@ -106,6 +112,8 @@ def reinforcement_job(
     options = stage.model_dump(mode="json", include=_OPTIONS, exclude_defaults=True)
     observation = suite.model_dump(include={"observation"}, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
+    if prior is not None:
+        options["prior_sha256"] = hashlib.sha256(prior.read_bytes()).hexdigest()
     inputs = {
         "stage": name,
         "steps": stage.steps,
@@ -129,8 +137,21 @@ def reinforcement_job(
         total=stage.steps,
         decision_hz=Policy.decision_hz,
         inputs=inputs,
-        make_learner=partial(Reinforcement, suite, stage, drivers, first_seed),
+        make_learner=partial(_reinforcement, suite, stage, drivers, first_seed, prior),
+        speed_steps_mps=stage.scene.profile.target_speed_steps_mps,
+        draws=prior is not None,
     )
+
+
+def _reinforcement(
+    suite: TrainingSuite,
+    stage: Stage,
+    drivers: Mapping[str, Agent],
+    first_seed: int,
+    prior: Path | None,
+) -> Reinforcement:
+    network = None if prior is None else unfolded(read_network(prior))
+    return Reinforcement(suite, stage, drivers, first_seed, network)
 
 
 def _traffic_inputs(stage: Stage, drivers: Mapping[str, Agent]) -> dict[str, Any]:
@@ -151,20 +172,25 @@ def human_job(
     seed_folder: str,
     name: str,
     suite: TrainingSuite,
-    samples: SampleStore,
+    samples: SampleStore | None,
     start: Path | None,
     drivers: Mapping[str, Agent],
 ) -> Job:
-    """The job of the suite's stage `name`, which learns from samples of human driving.
+    """The job of the suite's stage `name`, which learns from human driving.
 
-    It fine-tunes the network `start`, which was trained among `drivers`; None is imitation.
+    Args:
+        samples: Those of the recordings; None if the stage learns from simulated drivers.
+        start: The network to fine-tune; None is imitation.
+        drivers: Those among which `start` was trained, or among which simulated drivers drive.
     """
     assert suite.human is not None
     stage = suite.human.stages[name]
-    settings, layers = suite.human.settings_of(stage), suite.hyperparameters.hidden_layers
+    settings = suite.human.settings_of(stage)
+    layers = stage.hidden_layers or suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
-    style, standardised = "human", True
-    rehearsed: dict[str, Any] = {}
+    style, standardised, draws = "human", True, settings.loss == "cross_entropy"
+    steps: tuple[float, ...] = ()
+    learnt: dict[str, Any] = {}
     drive: Callable[[Sequential], Observations] | None = None
     if stage.fine_tunes is not None and start is not None:
         sha256 = hashlib.sha256(start.read_bytes()).hexdigest()
@@ -172,10 +198,13 @@ def human_job(
         tuned = suite.stages[stage.fine_tunes]
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
         standardised = suite.hyperparameters_of(tuned).standardised
+        steps = tuned.scene.profile.target_speed_steps_mps
+        draws = tuned.prior is not None
         if settings.rehearsal:
-            scene, first_seed = tuned.scene, suite.first_episode_seed
-            rehearsed["rehearsed"] = {
-                "scene": scene.model_dump(mode="json"),
+            first_seed = suite.first_episode_seed
+            learnt["rehearsed"] = {
+                "scene": tuned.scene.model_dump(mode="json"),
+                **tuned.model_dump(mode="json", include={"conditions"}, exclude_defaults=True),
                 "traffic": _traffic_inputs(tuned, drivers),
                 "episodes": EPISODES,
                 "first_episode_seed": first_seed,
@@ -183,12 +212,30 @@ def human_job(
             }
             drive = partial(
                 own_driving,
-                scene=scene,
-                traffic=suite.traffic_of(tuned),
+                places=[(scene, suite.traffic_of(spec)) for scene, spec in tuned.all_conditions],
                 drivers=drivers,
                 first_seed=first_seed,
                 observation=suite.observed,
             )
+    if samples is not None:
+        load: Callable[[], Samples] = samples.load
+        learnt["samples"] = {
+            "fingerprint": samples.fingerprint,
+            "settings": samples.settings.model_dump(mode="json"),
+        }
+        decision_hz = samples.settings.decision_hz
+    else:
+        assert suite.human.simulated is not None
+        steps = suite.human.simulated.scene.profile.target_speed_steps_mps
+        load, decision_hz = (
+            partial(_simulated, suite, drivers),
+            suite.human.simulated.scene.decision_hz,
+        )
+        learnt["simulated"] = {
+            **suite.human.simulated.model_dump(mode="json", exclude_defaults=True),
+            "files_sha256": [_files_sha256(each.make({})) for each in suite.human.simulated.agents],
+            "first_episode_seed": suite.first_simulated_seed,
+        }
     inputs = {
         "stage": name,
         "starts_from": starts_from,
@@ -196,11 +243,8 @@ def human_job(
         "seed": suite.seed,
         "supervised": settings.model_dump(mode="json"),
         "standardised": standardised,
-        **rehearsed,
-        "samples": {
-            "fingerprint": samples.fingerprint,
-            "settings": samples.settings.model_dump(mode="json"),
-        },
+        **suite.model_dump(include={"observation"}, exclude_defaults=True),
+        **learnt,
         "charms_bench": version("charms-bench"),
     }
     return Job(
@@ -210,23 +254,44 @@ def human_job(
         suite,
         style=style,
         total=settings.epochs,
-        decision_hz=samples.settings.decision_hz,
+        decision_hz=decision_hz,
         inputs=inputs,
-        make_learner=partial(
-            _fit, start, layers, samples, settings, suite.seed, standardised, drive
-        ),
+        make_learner=partial(_fit, start, layers, load, settings, suite, standardised, drive),
+        speed_steps_mps=steps,
+        draws=draws,
+    )
+
+
+def _files_sha256(agent: Agent) -> str:
+    return agent.files_sha256 if isinstance(agent, DriverModel) else agent.weights_sha256
+
+
+def _simulated(suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Samples:
+    """The samples of the suite's simulated drivers among others."""
+    assert suite.human is not None
+    simulated = suite.human.simulated
+    assert simulated is not None
+    return simulated_samples(
+        [each.make({}) for each in simulated.agents],
+        [(scene, suite.traffic_of(spec)) for scene, spec in simulated.all_conditions],
+        drivers,
+        simulated.episodes,
+        suite.first_simulated_seed,
+        suite.observed,
     )
 
 
 def _fit(
     start: Path | None,
     layers: Sequence[int],
-    samples: SampleStore,
+    load: Callable[[], Samples],
     settings: Supervised,
-    seed: int,
+    suite: TrainingSuite,
     standardised: bool,
     drive: Callable[[Sequential], Observations] | None,
 ) -> Fit:
-    network = read_network(start) if start else folded(untrained(layers, seed))
+    rows, columns = suite.observed.shape
+    fresh = folded(untrained(layers, suite.seed, rows * columns))
+    network = read_network(start) if start else fresh
     driven = drive(network) if drive else None
-    return Fit(network, samples.load(), settings, seed, standardised, driven)
+    return Fit(network, load(), settings, suite.seed, standardised, driven)

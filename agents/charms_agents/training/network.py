@@ -12,9 +12,6 @@ from torch.optim import Optimizer
 
 from charms_bench.world.actions import ACTIONS, ActionKind
 
-OBSERVED = 35
-"""Size of the observation `neighbours`, 7 rows of 5 numbers."""
-
 ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
 """The activations that are allowed between layers, by their ONNX name."""
 
@@ -24,9 +21,9 @@ Arrays = dict[str, NDArray[Any]]
 """The content of a checkpoint: plain arrays, which are read without running any code."""
 
 
-def untrained(hidden_layers: Sequence[int], seed: int) -> Sequential:
+def untrained(hidden_layers: Sequence[int], seed: int, inputs: int = 35) -> Sequential:
     """A network with torch's initial weights for a seed."""
-    sizes = (OBSERVED, *hidden_layers, len(ACTIONS))
+    sizes = (inputs, *hidden_layers, len(ACTIONS))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return _alternating([Linear(before, after) for before, after in pairwise(sizes)], ReLU)
@@ -48,6 +45,28 @@ def network_of(
         modules.append(module)
     network = _alternating(modules, activation)
     return network if kind == "meta" else network.append(Tanh())
+
+
+def side_by_side(network: Sequential, factor: float, other: Sequential) -> Sequential:
+    """One network with ReLUs, whose values are `factor` times those of one plus those of another.
+
+    Both take the same inputs and have equally many layers.
+    """
+    joined: Layers = []
+    pairs = list(zip(layers_of(network), layers_of(other), strict=True))
+    for index, ((weight, bias), (other_weight, other_bias)) in enumerate(pairs):
+        if index == len(pairs) - 1:
+            whole = np.hstack([weight * np.float32(factor), other_weight])
+            joined.append((whole, bias * np.float32(factor) + other_bias))
+            continue
+        if index == 0:
+            whole = np.vstack([weight, other_weight])
+        else:
+            (rows, columns), (other_rows, other_columns) = weight.shape, other_weight.shape
+            whole = np.zeros((rows + other_rows, columns + other_columns), dtype=np.float32)
+            whole[:rows, :columns], whole[rows:, columns:] = weight, other_weight
+        joined.append((whole, np.concatenate([bias, other_bias])))
+    return network_of(joined)
 
 
 def kind_of(network: Sequential) -> ActionKind:

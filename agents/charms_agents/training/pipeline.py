@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -61,7 +61,9 @@ def run(
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     samples = None
-    if suite.human is not None and set(names) & set(suite.human.stages):
+    if any(
+        suite.human_stages[name].drivers == "recorded" for name in {*names} & {*suite.human_stages}
+    ):
         samples = _sample_store(suite_file, suite, output, recordings)
 
     needs = {
@@ -115,9 +117,9 @@ def _make_job(
     def network(stage: str) -> Path:
         return finished[title_of(seed_folder, stage)].file(".onnx")
 
-    def drivers(stage: str) -> dict[str, Agent]:
+    def made(names: Iterable[str]) -> dict[str, Agent]:
         found: dict[str, Agent] = {}
-        for driver in suite.traffic_of(suite.stages[stage]).agents:
+        for driver in names:
             if driver in suite.names:
                 found[driver] = OnnxPolicy(network(driver))
             elif is_network(driver):
@@ -126,12 +128,20 @@ def _make_job(
                 found[driver] = make_agent(driver)
         return found
 
-    if name not in suite.human_stages:
-        return reinforcement_job(output, seed_folder, name, suite, drivers(name))
-    assert samples is not None
+    if (stage := suite.stages.get(name)) is not None:
+        prior = network(stage.prior) if stage.prior else None
+        drivers = made(suite.drivers_of(stage))
+        return reinforcement_job(output, seed_folder, name, suite, drivers, prior)
+    assert suite.human is not None
     start = suite.human_stages[name].fine_tunes
-    started, traffic = (network(start), drivers(start)) if start else (None, {})
-    return human_job(output, seed_folder, name, suite, samples, started, traffic)
+    if suite.human_stages[name].drivers == "simulated":
+        assert suite.human.simulated is not None
+        drivers = made(suite.drivers_of(suite.human.simulated))
+        return human_job(output, seed_folder, name, suite, None, None, drivers)
+    assert samples is not None
+    started = network(start) if start else None
+    drivers = made(suite.drivers_of(suite.stages[start])) if start else {}
+    return human_job(output, seed_folder, name, suite, samples, started, drivers)
 
 
 @contextmanager

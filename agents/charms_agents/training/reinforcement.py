@@ -1,4 +1,4 @@
-"""Stages that learn by reinforcement: Double DQN in the stage's traffic."""
+"""Stages that learn by reinforcement: Double DQN in the stage's scenes and traffic."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -10,36 +10,54 @@ from torch.nn import Sequential
 
 from charms_agents.training.curve import Point, point_of
 from charms_agents.training.double_dqn import DoubleDQN
+from charms_agents.training.episodes import Episodes
 from charms_agents.training.network import Arrays
-from charms_agents.training.settings import Stage, TrainingSuite
-from charms_agents.training.validation import Keeper
-from charms_bench.engine.state_file import check_state
-from charms_bench.envs.vector_env import EpisodesState, HighwayVectorEnv
+from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
+from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.agent import Agent
 from charms_bench.world.scene import Observations
 
 
 class Reinforcement:
-    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds."""
+    """Learns a stage's network by Double DQN among `drivers`; episodes have successive seeds.
+
+    Args:
+        prior: The logits of the stage's prior, from observations in the form that the network
+            takes; None without a prior.
+    """
 
     point = Point
 
     def __init__(
-        self, suite: TrainingSuite, stage: Stage, drivers: Mapping[str, Agent], first_seed: int
+        self,
+        suite: TrainingSuite,
+        stage: Stage,
+        drivers: Mapping[str, Agent],
+        first_seed: int,
+        prior: Sequential | None = None,
     ) -> None:
         self._steps, self._curve_steps = stage.steps, suite.curve_steps
         self.curve: list[Point] = []
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
-        reward = stage.reward(suite.weights[stage.weights])
-        h, traffic = suite.hyperparameters_of(stage), suite.traffic_of(stage)
-        self._episodes = HighwayVectorEnv(
-            stage.scene, h.scenes, traffic, drivers, reward, first_seed, suite.observed
-        )
-        self._agent = DoubleDQN(self._episodes, h, suite.seed, stage.steps)
-        self._keeper = stage.validation and Keeper(
-            stage.validation, stage.scene, stage.steps, suite.observed
-        )
+        reward, h = stage.reward_of(suite.weights[stage.weights]), suite.hyperparameters_of(stage)
+        conditions = stage.all_conditions
+        environments = []
+        for k, (scene, spec) in enumerate(conditions):
+            traffic = suite.traffic_of(spec)
+            environments.append(
+                HighwayVectorEnv(
+                    scene,
+                    h.scenes // len(conditions),
+                    traffic,
+                    {name: drivers[name] for name in traffic.agents},
+                    reward,
+                    first_seed + k * (EPISODES_OF_A_SEED // len(conditions)),
+                    suite.observed,
+                )
+            )
+        self._episodes = Episodes(environments)
+        self._agent = DoubleDQN(self._episodes, h, suite.seed, stage.steps, prior)
 
     @property
     def done(self) -> int:
@@ -48,12 +66,13 @@ class Reinforcement:
     @property
     def network(self) -> Sequential:
         """The network that is kept if the training ends now."""
-        return (self._keeper and self._keeper.network) or self._agent.network
+        return self._agent.network
 
     @property
     def observations(self) -> Observations:
         """The observations in the replay buffer."""
-        return self._agent.remembered["observations"].reshape(-1, 7, 5)
+        observed = self._agent.remembered["observations"]
+        return observed.reshape(-1, *observed.shape[2:])
 
     def learn(self, pause: Callable[[], None]) -> None:
         """Learns until the stage's last step; calls `pause` before each step."""
@@ -64,23 +83,16 @@ class Reinforcement:
         self._measure()
 
     def _measure(self) -> None:
-        """Adds a point to the curve and validates the network, if either is due."""
+        """Adds a point to the curve, if one is due."""
         last = self.curve[-1].steps if self.curve else 0
         if self.done - last >= self._curve_steps:
             agent = self._agent
             self.curve.append(point_of(self._ended, self.done, agent.loss, agent.exploration))
             self._ended = []
-        if self._keeper and self._keeper.due(self.done):
-            self._keeper.show(self._agent.network, self.done)
 
     def arrays(self) -> Arrays:
         """Everything that further learning depends on, as plain arrays."""
-        arrays = self._agent.arrays() | (self._keeper.arrays() if self._keeper else {})
-        episodes = self._episodes.get_state()
-        arrays["episodes/next_seed"] = np.array(episodes.next_seed)
-        arrays["episodes/returns"] = episodes.returns
-        for name, array in episodes.scenes.arrays().items():
-            arrays[f"scenes/{name}"] = array
+        arrays = self._agent.arrays() | self._episodes.arrays()
         curve = {"points": [asdict(point) for point in self.curve], "ended": self._ended}
         arrays["curve"] = np.array(json.dumps(curve))
         return arrays
@@ -90,13 +102,7 @@ class Reinforcement:
         curve = json.loads(str(arrays["curve"]))
         self.curve, self._ended = [Point(**point) for point in curve["points"]], curve["ended"]
         self._agent.load_arrays(arrays)
-        if self._keeper:
-            self._keeper.load_arrays(arrays)
-        own = self._episodes.get_state().scenes
-        scenes = own.with_arrays({name: arrays[f"scenes/{name}"] for name in own.arrays()})
-        check_state(scenes)
-        state = EpisodesState(scenes, arrays["episodes/returns"], int(arrays["episodes/next_seed"]))
-        self._agent.observed = self._episodes.set_state(state)
+        self._agent.observed = self._episodes.load_arrays(arrays)
 
     def results(self, wall_s: float) -> dict[str, Any]:
         """What the manifest says of the learning: gradient steps, points and speed."""
@@ -106,10 +112,8 @@ class Reinforcement:
             best = max(points, key=lambda point: point.return_mean or 0.0)
             chosen = {"first": points[0], "best": best, "last": points[-1]}
             curve = {name: asdict(point) for name, point in chosen.items()}
-        kept = self._keeper and self._keeper.kept
         return {
             "gradient_steps": self._agent.gradient_steps,
             "curve": curve,
-            **({"kept": kept and asdict(kept)} if self._keeper else {}),
             "steps_per_s": round(self.done / wall_s, 1),
         }

@@ -15,7 +15,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
-from charms_bench.world.scene import Bools, Floats, Ints, Scene
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
 SVO_ANGLES_RAD: dict[Svo, float] = {
@@ -27,7 +27,7 @@ SVO_ANGLES_RAD: dict[Svo, float] = {
 """Social value orientations (SVO) as angles; they weigh the own reward against that of others."""
 
 SAFE_TTC_S = 3.0
-"""Default horizon of r_s, eq. 4: a later collision does not count."""
+"""Horizon of r_s, eq. 4: a later collision does not count."""
 SPEED_LOW_MPS, SPEED_HIGH_MPS = 23.0, 33.0
 FAILURE = -10.0
 """The paper's reward of the decision in which the ego crashes or leaves the road."""
@@ -53,17 +53,23 @@ class Weights(FrozenModel):
         return self.safety + self.efficiency + self.comfort
 
 
-class Prepared(NamedTuple):
-    """What a reward needs to know of the scenes before a decision."""
+class Affected(NamedTuple):
+    """What r_o, eq. 7, needs to know of the scenes before a decision."""
 
-    consistent: Bools
-    """(B,) whether the action equals the previous one."""
     lane: Ints
-    target_lane: Ints
+    """(B,) the egos' lanes."""
     followers: Ints
     """(B, L) the follower of the ego on each lane; -1 without one."""
     expected: Floats
     """(B, L) the followers' expected accelerations, m/s2."""
+
+
+class Prepared(NamedTuple):
+    """What the reward needs to know of the scenes before a decision."""
+
+    consistent: Bools
+    """(B,) whether the action equals the previous one."""
+    affected: Affected
 
 
 @dataclass(frozen=True)
@@ -72,82 +78,56 @@ class StyleReward:
 
     The own reward is divided by its largest value, and r_o is mapped from [-6, 6] to [0, 1], so
     both have the same range. For an egoist R_2 is R_1, eq. 6. If the ego crashes or leaves the
-    road, the reward is `failure`.
+    road, the reward is `FAILURE`.
 
     Args:
         weights: a, b and c.
         angle_rad: phi, for example from `SVO_ANGLES_RAD`.
-        safety_horizon_s, safe_headway_m, safe_in_both_lanes: See `safety`.
-        lane_change_cost: Subtracted when a decision changes the target lane; highway-env's
-            `lane_change_reward` with the opposite sign.
-        failure: The reward of the decision in which the ego crashes or leaves the road.
     """
 
     weights: Weights
     angle_rad: float
-    safety_horizon_s: float = SAFE_TTC_S
-    safe_headway_m: float = 0.0
-    safe_in_both_lanes: bool = False
-    lane_change_cost: float = 0.0
-    failure: float = FAILURE
 
     def prepare(self, simulation: Simulation, actions: Actions) -> Prepared:
         """Observes the scenes before the egos' actions (B,) are executed."""
-        scene = simulation.scene
-        rows, ego = simulation.ego_vehicles
-        followers = scene.followers[rows, ego]
-        expected = (
-            _expected(scene, followers) if math.sin(self.angle_rad) else np.zeros(followers.shape)
-        )
-        consistent = simulation.has_action[rows, ego] & (simulation.action[rows, ego] == actions)
-        lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
-        return Prepared(consistent, lane, target_lane, followers, expected)
+        egos = simulation.ego_vehicles
+        consistent = simulation.has_action[egos] & (simulation.action[egos] == actions)
+        others_count = bool(math.sin(self.angle_rad))
+        return Prepared(consistent, affected(simulation.scene, egos, others_count))
 
     def __call__(self, simulation: Simulation, prepared: Prepared) -> Floats:
         """The rewards (B,) of the decisions."""
         scene, weights = simulation.scene, self.weights
         own_share, others_share = math.cos(self.angle_rad), math.sin(self.angle_rad)
-        safe = safety(scene, self.safety_horizon_s, self.safe_headway_m, self.safe_in_both_lanes)
         own = (
-            weights.safety * safe
+            weights.safety * safety(scene)
             + weights.efficiency * efficiency(scene)
             + weights.comfort * prepared.consistent
         )
         rewards = own_share * own / weights.largest
         if others_share:
-            rewards += others_share * (others(scene, prepared) + 6) / 12
-        if self.lane_change_cost:
-            changed = scene.target_lane[simulation.ego_vehicles] != prepared.target_lane
-            rewards -= self.lane_change_cost * changed
-        return np.where(simulation.failed, self.failure, rewards)
+            rewards += others_share * (others(scene, prepared.affected) + 6) / 12
+        return np.where(simulation.failed, FAILURE, rewards)
 
 
 @compiled
-def safety(
-    scene: Scene, horizon_s: float = SAFE_TTC_S, headway_m: float = 0.0, in_both_lanes: bool = False
-) -> Floats:
-    """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `horizon_s` away.
+def safety(scene: Scene) -> Floats:
+    """r_s (B,), eq. 4, from 0 to 1; 1 if no collision is less than `SAFE_TTC_S` away.
 
-    It is the time to collision with the leader in the ego's lane, as a share of `horizon_s`. During
-    a lane change it is the mean of the shares for the leader and the follower in the target lane.
-    A missing or departing vehicle counts as safe. If `headway_m` is given, which eq. 4 does not
-    have, each share is multiplied by the distance as a share of `headway_m`, at most 1. If
-    `in_both_lanes`, it is at most the share for the leader in the lane that the ego leaves: eq. 4
-    leaves this vehicle out, so an ego that changes lanes just before a collision counts as safe.
+    It is the time to collision with the leader in the ego's lane, as a share of `SAFE_TTC_S`.
+    During a lane change it is the mean of the shares for the leader and the follower in the target
+    lane. A missing or departing vehicle counts as safe.
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = _safe(scene, b, ego, scene.leaders[b, ego, target], horizon_s, headway_m)
+        front = _safe(scene, b, ego, scene.leaders[b, ego, target])
         if lane == target:
             result[b] = front
         else:
-            rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
+            rear = _safe(scene, b, scene.followers[b, ego, target], ego)
             result[b] = 0.5 * front + 0.5 * rear
-            if in_both_lanes:
-                left = _safe(scene, b, ego, scene.leaders[b, ego, lane], horizon_s, headway_m)
-                result[b] = min(result[b], left)
     return result
 
 
@@ -159,8 +139,15 @@ def efficiency(scene: Scene) -> Floats:
     return share.clip(0.0, 1.0)
 
 
+def affected(scene: Scene, egos: Vehicles, others_count: bool) -> Affected:
+    """What r_o needs of the scenes before a decision; without expectations if it has no weight."""
+    followers = scene.followers[egos]
+    expected = _expected(scene, followers) if others_count else np.zeros(followers.shape)
+    return Affected(scene.lane[egos], followers, expected)
+
+
 @compiled
-def others(scene: Scene, prepared: Prepared) -> Floats:
+def others(scene: Scene, before: Affected) -> Floats:
     """r_o (B,), eq. 7: gain in acceleration of the followers in both lanes, from -6 to 6 m/s2.
 
     The followers are the vehicles behind the ego in its lane and in its target lane; without a
@@ -171,10 +158,10 @@ def others(scene: Scene, prepared: Prepared) -> Floats:
     """
     result = np.empty(scene.ego.size)
     for b in range(result.size):
-        lane, target = prepared.lane[b], scene.target_lane[b, scene.ego[b]]
-        result[b] = _increase(scene, b, lane, prepared)
+        lane, target = before.lane[b], scene.target_lane[b, scene.ego[b]]
+        result[b] = _increase(scene, b, lane, before)
         if target != lane:
-            result[b] += _increase(scene, b, target, prepared)
+            result[b] += _increase(scene, b, target, before)
     return result
 
 
@@ -184,24 +171,15 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 
 
 @compiled
-def _safe(
-    scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, headway_m: float
-) -> float:
-    """Time to collision over `horizon_s`, times distance over `headway_m`; each from 0 to 1.
-
-    -1 means that there is no vehicle.
-    """
+def _safe(scene: Scene, b: int, behind: int, ahead: int) -> float:
+    """Time to collision over `SAFE_TTC_S`, from 0 to 1; -1 means that there is no vehicle."""
     if behind < 0 or ahead < 0:
         return 1.0
     safe = 1.0
-    distance = scene.x[b, ahead] - scene.x[b, behind]
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
     if closing > 0.0:
-        safe = distance / closing / horizon_s
-    safe = min(max(safe, 0.0), 1.0)
-    if headway_m > 0.0:
-        safe *= min(distance / headway_m, 1.0)
-    return float(safe)
+        safe = (scene.x[b, ahead] - scene.x[b, behind]) / closing / SAFE_TTC_S
+    return float(min(max(safe, 0.0), 1.0))
 
 
 @compiled
@@ -239,9 +217,9 @@ def _expected(scene: Scene, followers: Ints) -> Floats:
 
 
 @compiled
-def _increase(scene: Scene, b: int, lane: int, prepared: Prepared) -> float:
-    follower = prepared.followers[b, lane]
+def _increase(scene: Scene, b: int, lane: int, before: Affected) -> float:
+    follower = before.followers[b, lane]
     if follower < 0:
         return 0.0
-    gain = expected_acceleration(scene, b, follower, lane) - prepared.expected[b, lane]
+    gain = expected_acceleration(scene, b, follower, lane) - before.expected[b, lane]
     return float(min(max(gain, -INCREASE_LIMIT_MPS2), INCREASE_LIMIT_MPS2))

@@ -1,37 +1,37 @@
 """Training suites: which networks are trained, and how, from YAML."""
 
 import math
+from collections.abc import Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from charms_agents.human.samples import SampleSettings
-from charms_agents.training.rewards import (
-    FAILURE,
-    SAFE_TTC_S,
-    SVO_ANGLES_RAD,
-    StyleReward,
-    Svo,
-    Weights,
-)
+from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
 from charms_bench.errors import InputError, RegistryError
+from charms_bench.envs.learners import Reward
 from charms_bench.foundation.fields import FilePath, FrozenModel, Line, NonNegative, Positive
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
-from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.runs.document import Document
-from charms_bench.world.observations import Neighbours, neighbours, paper_neighbours
+from charms_bench.world.observations import Neighbours, named_observation
 from charms_bench.world.scene import SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
 """Trainings use seeds from here on; evaluations use seeds below 10^9, so none coincide."""
 EPISODES_OF_A_SEED = 2**32
 """The seed of training episode k is FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED + k."""
-FIRST_VALIDATION_SEED = 950_000_000
-"""Seed of the first validation episode of every training; evaluation suites use other seeds."""
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -39,27 +39,6 @@ Width = Annotated[int, Field(ge=1, le=4096)]
 """Number of neurons in a layer."""
 Share = Annotated[float, Field(ge=0, le=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**23)]
-
-
-class Validation(FrozenModel):
-    """Which network a stage keeps, of those that it has at the end of its training.
-
-    Each of these networks drives the ego of the same validation episodes. The stage keeps the
-    fastest network within both limits. If no network is within both, it compares crashed episodes
-    first, and then `ttc_below_3s`. Networks within a limit count as equal there.
-    """
-
-    last_steps: Count
-    """Steps at the end of the training whose networks are compared."""
-    every_steps: Count
-    """Steps between two compared networks."""
-    episodes: Annotated[int, Field(ge=1, le=10_000)]
-    traffic: TrafficSpec
-    """The traffic of the validation episodes; their scene is the stage's."""
-    ttc_below_3s: Share
-    """Limit of the metric of this name in the set `paper`."""
-    crashed_episodes: Share
-    """Limit of the share of episodes crashed."""
 
 
 class Hyperparameters(FrozenModel):
@@ -91,6 +70,8 @@ class Hyperparameters(FrozenModel):
     """Share of all steps, at the end, over which the learning rate falls to 0."""
     standardised: bool = False
     """Whether the network takes standardised observations, of order 1."""
+    prior_weight: NonNegative = 0.0
+    """Lambda: what a stage with a `prior` pays per nat that its policy departs from the prior."""
     starts_at_mean_reward: bool = False
     """Whether the untrained network's values are raised to the mean reward of the first, random
     steps divided by 1 - discount. From 0, values rise slowly, because each target has the value of
@@ -137,6 +118,7 @@ OPTIONS = {
     "learning_rate_decay",
     "standardised",
     "starts_at_mean_reward",
+    "prior_weight",
 }
 """The options that the paper's Double DQN lacks; the default of each turns it off."""
 
@@ -155,11 +137,47 @@ class Supervised(FrozenModel):
     """Weight of the change of Q in the network's own driving; 0 in the paper."""
     learning_rate_decay: Share = 0.0
     """Share of all epochs, at the end, over which the learning rate falls to 0; 0 in the paper."""
+    loss: Literal["divergence", "cross_entropy"] = "divergence"
+    """The divergence of the policy from the labels, as in eq. 11, or the cross-entropy, which is
+    smallest where the policy has the labels' probabilities."""
+
+    @model_serializer(mode="wrap")
+    def _without_the_papers_loss(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there was another loss: stages with the paper's keep their keys."""
+        fields: dict[str, Any] = dump(self)
+        if self.loss == "divergence":
+            del fields["loss"]
+        return fields
 
     def learning_rate_at(self, epoch: int) -> float:
         """The learning rate of an epoch; epochs are counted from 1."""
         remaining = 1 - (epoch - 1) / self.epochs
         return self.learning_rate * min(1.0, remaining / (self.learning_rate_decay or remaining))
+
+
+class Condition(FrozenModel):
+    """What differs from a stage's scene and traffic in a part of its episodes."""
+
+    lanes: Annotated[int, Field(ge=2, le=8)] | None = None
+    density: Positive | None = None
+    duration_s: Positive | None = None
+    traffic: TrafficSpec | None = None
+
+    def applied(self, scene: SceneSettings, traffic: TrafficSpec) -> "ScenesAndTraffic":
+        """The scene and traffic of these episodes."""
+        changes = self.model_dump(include={"lanes", "density", "duration_s"}, exclude_none=True)
+        merged = SceneSettings.model_validate({**scene.model_dump(), **changes})
+        return merged, self.traffic or traffic
+
+
+ScenesAndTraffic = tuple[SceneSettings, TrafficSpec]
+
+
+def _applied(
+    conditions: Sequence[Condition], scene: SceneSettings, traffic: TrafficSpec
+) -> list[ScenesAndTraffic]:
+    """The scenes and traffics of all conditions; without conditions, these ones."""
+    return [each.applied(scene, traffic) for each in conditions or (Condition(),)]
 
 
 class Stage(FrozenModel):
@@ -177,30 +195,23 @@ class Stage(FrozenModel):
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
-    safety_horizon_s: Positive = SAFE_TTC_S
-    """Time to collision from which r_s counts the ego as safe."""
-    safe_headway_m: NonNegative = 0.0
-    """Headway from which r_s counts the ego as safe; 0, as in the paper, ignores headways."""
-    safe_in_both_lanes: bool = False
-    """Whether r_s also counts the leader in the lane that the ego leaves in a lane change."""
-    lane_change_cost: NonNegative = 0.0
-    """Cost of a decision to change lanes; 0 in the paper."""
-    failure_reward: Annotated[float, Field(ge=-1e6, le=0)] = FAILURE
-    """Reward of the decision in which the ego crashes or leaves the road."""
-    validation: Validation | None = None
-    """Which network is kept; by default the last one."""
+    conditions: Annotated[tuple[Condition, ...], Field(strict=False, max_length=100)] = ()
+    """If given, the environments are divided equally among these conditions."""
+    prior: Name | None = None
+    """The stage under `human` whose network is the prior that regularises this one."""
+    reward: RewardScales | None = None
+    """What completes the paper's reward; without it, the reward is the paper's."""
 
-    def reward(self, weights: Weights) -> StyleReward:
+    def reward_of(self, weights: Weights) -> Reward[Any]:
         """The reward of this stage with the weights that it names."""
-        return StyleReward(
-            weights,
-            self.angle_rad,
-            self.safety_horizon_s,
-            self.safe_headway_m,
-            self.safe_in_both_lanes,
-            self.lane_change_cost,
-            self.failure_reward,
-        )
+        if self.reward is None:
+            return StyleReward(weights, self.angle_rad)
+        return CompletedReward(weights, self.angle_rad, self.reward)
+
+    @property
+    def all_conditions(self) -> list[ScenesAndTraffic]:
+        """The scenes and traffics in which the network learns."""
+        return _applied(self.conditions, self.scene, self.traffic)
 
     @property
     def angle_rad(self) -> float:
@@ -215,6 +226,27 @@ class HumanStage(FrozenModel):
     """The stage whose network is fine-tuned; by default an untrained network imitates."""
     settings: Supervised | None = None
     """By default, `fine_tuning` or `imitation` of the suite."""
+    drivers: Literal["recorded", "simulated"] = "recorded"
+    """Whether it learns from the recordings, or from simulated calibrated drivers."""
+    hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] | None = None
+    """Of an untrained network; by default, those of the suite's `hyperparameters`."""
+
+
+class SimulatedDrivers(FrozenModel):
+    """Calibrated drivers who drive the egos of simulated episodes; see `human.simulated`."""
+
+    agents: Annotated[tuple[AgentSpec, ...], Field(strict=False, min_length=1, max_length=20)]
+    """Installed driver models."""
+    scene: SceneSettings
+    traffic: TrafficSpec
+    conditions: Annotated[tuple[Condition, ...], Field(strict=False, max_length=100)] = ()
+    episodes: Annotated[int, Field(ge=2, le=10_000)]
+    """Episodes of each agent in each condition; a tenth of them is held out."""
+
+    @property
+    def all_conditions(self) -> list[ScenesAndTraffic]:
+        """The scenes and traffics in which the drivers drive."""
+        return _applied(self.conditions, self.scene, self.traffic)
 
 
 class Human(FrozenModel):
@@ -223,6 +255,8 @@ class Human(FrozenModel):
     recordings: FilePath
     """Folder of recordings; a relative path starts at the suite file's folder."""
     samples: SampleSettings = SampleSettings()
+    simulated: SimulatedDrivers | None = None
+    """For the stages that learn from simulated drivers."""
     fine_tuning: Supervised = Supervised()
     imitation: Supervised = Supervised(learning_rate=3e-4, epochs=40, pull=0.0)
     stages: Annotated[dict[Name, HumanStage], Field(min_length=1, max_length=100)]
@@ -230,6 +264,17 @@ class Human(FrozenModel):
     def settings_of(self, stage: HumanStage) -> Supervised:
         """The settings of a stage."""
         return stage.settings or (self.fine_tuning if stage.fine_tunes else self.imitation)
+
+
+def _learnt(observation: str | dict[str, Any]) -> str | dict[str, Any]:
+    """Refuses an observation from which the pipeline's networks cannot learn."""
+    try:
+        found = named_observation(observation)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    if not isinstance(found, Neighbours) or found.action_mask:
+        raise ValueError("expected neighbours or paper_neighbours, without an action mask")
+    return observation
 
 
 class TrainingSuite(FrozenModel):
@@ -241,8 +286,9 @@ class TrainingSuite(FrozenModel):
     seeds: Annotated[tuple[Seed, ...], Field(strict=False, max_length=100)] = ()
     """If given, every stage is trained once with each of these seeds instead of `seed`; the stages
     of a seed need only stages of the same seed."""
-    observation: Literal["neighbours", "paper_neighbours"] = "neighbours"
-    """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`."""
+    observation: Annotated[str | dict[str, Any], AfterValidator(_learnt)] = "neighbours"
+    """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`, each with
+    the option `commands`."""
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
     """Further hyperparameters, which stages can name."""
@@ -263,13 +309,20 @@ class TrainingSuite(FrozenModel):
 
     @property
     def observed(self) -> Neighbours:
-        """The observation of the name `observation`."""
-        return paper_neighbours if self.observation == "paper_neighbours" else neighbours
+        """The observation that `observation` describes."""
+        found = named_observation(self.observation)
+        assert isinstance(found, Neighbours)
+        return found
 
     @property
     def first_episode_seed(self) -> int:
         """Seed of the first training episode of each stage."""
         return FIRST_TRAINING_SEED + self.seed * EPISODES_OF_A_SEED
+
+    @property
+    def first_simulated_seed(self) -> int:
+        """Seed of the first episode of simulated drivers, beyond those of the stages."""
+        return self.first_episode_seed + EPISODES_OF_A_SEED - 2**27
 
     @property
     def by_seed(self) -> dict[str, "TrainingSuite"]:
@@ -295,23 +348,29 @@ class TrainingSuite(FrozenModel):
         """The names of all stages."""
         return {*self.stages, *self.human_stages}
 
-    def traffic_of(self, stage: Stage) -> Traffic:
+    def traffic_of(self, traffic: TrafficSpec) -> Traffic:
         """The traffic of a stage.
 
         Raises:
             InputError: The traffic is not installed, or does not take the options.
         """
-        if stage.traffic.name in self.names and not stage.traffic.options:
-            return OneAgent(stage.traffic.name)
-        return stage.traffic.make()
+        if traffic.name in self.names and not traffic.options:
+            return OneAgent(traffic.name)
+        return traffic.make()
+
+    def drivers_of(self, stage: Stage | SimulatedDrivers) -> tuple[str, ...]:
+        """The names of all agents in the traffic of a stage; see `traffic_of`."""
+        made = (self.traffic_of(traffic) for _, traffic in stage.all_conditions)
+        return tuple(dict.fromkeys(name for traffic in made for name in traffic.agents))
 
     @property
     def needs(self) -> dict[str, tuple[str, ...]]:
         """All stages, with the stages whose networks each of them needs."""
-        needed = {
-            name: tuple(driver for driver in self.traffic_of(stage).agents if driver in self.names)
-            for name, stage in self.stages.items()
-        }
+        needed = {}
+        for name, stage in self.stages.items():
+            needed[name] = tuple(each for each in self.drivers_of(stage) if each in self.names)
+            if stage.prior is not None:
+                needed[name] += (stage.prior,)
         for name, human in self.human_stages.items():
             needed[name] = (human.fine_tunes,) if human.fine_tunes else ()
         return needed
@@ -350,18 +409,21 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if stage.variant is not None and stage.variant not in suite.variants:
             there = f"this file has: {', '.join(suite.variants) or 'none'}"
             raise document.error((*at, "variant"), f"no variant named '{stage.variant}'; {there}")
-        scenes = suite.hyperparameters_of(stage).scenes
+        h = suite.hyperparameters_of(stage)
         counts = [(stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))]
-        if stage.validation is not None:
-            counts.append((stage.validation.every_steps, (*at, "validation", "every_steps")))
         for steps, where in counts:
-            if steps % scenes:
-                raise document.error(where, f"{steps} is not a multiple of scenes {scenes}")
+            if steps % h.scenes:
+                raise document.error(where, f"{steps} is not a multiple of scenes {h.scenes}")
+        if stage.conditions and h.scenes % len(stage.conditions):
+            what = f"scenes {h.scenes} is not a multiple of {len(stage.conditions)} conditions"
+            raise document.error((*at, "conditions"), what)
+        if stage.prior is not None:
+            _check_prior(document, suite, name)
         if stage.weights not in suite.weights:
             there = f"this file has: {', '.join(suite.weights) or 'none'}"
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
         try:
-            for driver in suite.traffic_of(stage).agents:
+            for driver in suite.drivers_of(stage):
                 if is_network(driver):
                     OnnxPolicy(path.parent / driver)
                 elif driver not in suite.names:
@@ -379,12 +441,29 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             there = f"this file has: {', '.join(suite.stages)}"
             what = f"no stage named '{human.fine_tunes}' under stages; {there}"
             raise document.error((*place, "fine_tunes"), what)
+        if human.drivers == "simulated" and suite.human and suite.human.simulated is None:
+            raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
         what = f"stages depend on each other: {' <- '.join(error.args[1])}"
         raise document.error(("stages",), what) from error
     return suite
+
+
+def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
+    """Refuses a stage whose prior cannot regularise it."""
+    stage = suite.stages[name]
+    at, h = ("stages", name, "prior"), suite.hyperparameters_of(stage)
+    if (prior := suite.human_stages.get(str(stage.prior))) is None:
+        there = f"this file has: {', '.join(suite.human_stages) or 'none'}"
+        raise document.error(at, f"no stage named '{stage.prior}' under human.stages; {there}")
+    if not h.prior_weight or not h.standardised:
+        raise document.error(at, "needs hyperparameters with a prior_weight, and standardised")
+    layers = prior.hidden_layers or suite.hyperparameters.hidden_layers
+    if len(layers) != len(h.hidden_layers):
+        what = f"has {len(layers)} hidden layers; expected as many as the stage has"
+        raise document.error(at, f"{what}, {len(h.hidden_layers)}")
 
 
 def _resolve_likeness(document: Document) -> None:

@@ -11,24 +11,35 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import Linear, Sequential
 
-from charms_bench.world.observations import EGO, SPEED_SCALE_MPS, X_SCALE_M, Y_SCALE_M
+from charms_bench.world.observations import (
+    CHANGE_SCALE,
+    COMMANDS,
+    EGO,
+    SPEED_SCALE_MPS,
+    X_SCALE_M,
+    Y_SCALE_M,
+)
 
-ROWS, COLUMNS = 7, 5
+ROWS, COLUMNS = 8, 5
+"""Of `neighbours` with the option `commands`; without it, there are only the first 7 rows."""
 PRESENCE, X, Y, VX, VY = range(COLUMNS)
 DISTANCE_M, LANE_M, SPEED_MPS, LATERAL_MPS = 40.0, 4.0, 6.0, 3.0
 """The units: distance along and across the road, speed along and across the road."""
 EGO_Y_M, EGO_SPEED_MPS = 4.0, 28.0
 """The zeros of the ego's own row: the middle of three lanes, a typical speed."""
+COMMANDED_MPS, COMMANDED_MPS2 = 1.0, 3.0
+"""The units of the row `COMMANDS`: the change of speed that is left, and the acceleration."""
 
 
 def _units() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Factors (35,) and offsets (35,): standardised = observed * factor + offset."""
+    """Factors (40,) and offsets (40,): standardised = observed * factor + offset."""
     factors = np.ones((ROWS, COLUMNS), dtype=np.float32)
     factors[:, X] = X_SCALE_M / DISTANCE_M
     factors[:, Y] = Y_SCALE_M / LANE_M
     factors[:, VX] = SPEED_SCALE_MPS / SPEED_MPS
     factors[:, VY] = SPEED_SCALE_MPS / LATERAL_MPS
     factors[EGO, [PRESENCE, X]] = 0.0  # these are always 1
+    factors[COMMANDS] = CHANGE_SCALE / COMMANDED_MPS, 1, 1, CHANGE_SCALE / COMMANDED_MPS2, 0
     offsets = np.zeros((ROWS, COLUMNS), dtype=np.float32)
     offsets[EGO, Y] = -EGO_Y_M / LANE_M
     offsets[EGO, VX] = -EGO_SPEED_MPS / SPEED_MPS
@@ -39,8 +50,9 @@ FACTORS, OFFSETS = (torch.from_numpy(array) for array in _units())
 
 
 def standardise(observations: torch.Tensor) -> torch.Tensor:
-    """Observations (..., 35), standardised."""
-    return observations * FACTORS + OFFSETS
+    """Observations (..., 35) or, with commands, (..., 40), standardised."""
+    inputs = observations.shape[-1]
+    return observations * FACTORS[:inputs] + OFFSETS[:inputs]
 
 
 def folded(network: Sequential) -> Sequential:
@@ -48,9 +60,10 @@ def folded(network: Sequential) -> Sequential:
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)
+    factors, offsets = FACTORS[: first.in_features], OFFSETS[: first.in_features]
     with torch.no_grad():
-        first.bias.add_(first.weight @ OFFSETS)
-        first.weight.mul_(FACTORS)
+        first.bias.add_(first.weight @ offsets)
+        first.weight.mul_(factors)
     return result
 
 
@@ -62,7 +75,8 @@ def unfolded(network: Sequential) -> Sequential:
     result = deepcopy(network)
     first = result[0]
     assert isinstance(first, Linear)
+    factors, offsets = FACTORS[: first.in_features], OFFSETS[: first.in_features]
     with torch.no_grad():
-        first.weight.copy_(torch.where(FACTORS == 0, 0, first.weight / FACTORS))
-        first.bias.sub_(first.weight @ OFFSETS)
+        first.weight.copy_(torch.where(factors == 0, 0, first.weight / factors))
+        first.bias.sub_(first.weight @ offsets)
     return result

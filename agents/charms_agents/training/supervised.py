@@ -18,11 +18,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import Sequential
-from torch.nn.functional import log_softmax
+from torch.nn.functional import cross_entropy, log_softmax
 
 from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
-from charms_agents.training.network import OBSERVED, Arrays, load_state, state_arrays
+from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.settings import Supervised
 from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.temperature import fitted_temperature, log_likelihood
@@ -67,7 +67,9 @@ class Fit:
         self._training = observations[~held_out], labels[~held_out]
         self._held_out = observations[held_out], labels[held_out]
         with torch.no_grad():
-            self._temperature = spread(self._network(self._training[0]))
+            self._temperature = 1.0  # of logits, which a cross-entropy makes of any values
+            if settings.loss == "divergence":
+                self._temperature = spread(self._network(self._training[0]))
             if own_driving is not None:
                 rehearsed = self._seen(own_driving)
                 self._rehearsed = rehearsed, self._network(rehearsed)
@@ -106,13 +108,16 @@ class Fit:
         self.curve.append(self._measured(epoch))
 
     def _seen(self, observations: Observations) -> Tensor:
-        flat = torch.from_numpy(observations.reshape(-1, OBSERVED).copy())
+        flat = torch.from_numpy(observations.copy()).flatten(1)
         return standardise(flat) if self._standardised else flat
 
     def _loss(self, observations: Tensor, labels: Tensor) -> Tensor:
-        """L_total, eq. 11."""
+        """L_total, eq. 11, or with the cross-entropy in place of its first term."""
         logits = self._network(observations) / self._temperature
-        kl = divergence(logits, labels, self._settings.label_floor)
+        if self._settings.loss == "divergence":
+            kl = divergence(logits, labels, self._settings.label_floor)
+        else:
+            kl = cross_entropy(logits, labels)
         if not self._settings.pull:
             return kl
         return kl + self._settings.pull * squared_distance(self._parameters, self._pretrained)

@@ -1,0 +1,99 @@
+"""Samples of simulated drivers: what a prior is learnt from where there are too few recordings.
+
+Calibrated drivers drive the egos of simulated episodes. At each decision, a sample has what the
+driver sees and the meta-action that comes closest to what it does: a lane command while it moves to
+another lane, otherwise the action after which the speed is the nearest to the driver's
+(`interface.through_interface`). With the option `commands`, the observation shows the commands that
+the meta-actions before have led to.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import polars as pl
+
+from charms_agents.human.interface import through_interface
+from charms_agents.human.samples import Samples
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.traffic import Traffic
+from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
+from charms_bench.world.observations import (
+    CHANGE_SCALE,
+    COMMANDS,
+    REPEATS_SCALE,
+    Neighbours,
+)
+from charms_bench.world.scene import Observations, SceneSettings
+
+HELD_OUT = 0.1
+"""Share of the episodes whose samples are kept from training."""
+SETTLING_S = 2.0
+"""The first part of an episode, in which drivers recover from the spawn, is left out."""
+_EGO = "the driver"
+
+
+def simulated_samples(
+    drivers: Sequence[Agent],
+    places: Sequence[tuple[SceneSettings, Traffic]],
+    others: Mapping[str, Agent],
+    episodes: int,
+    first_seed: int,
+    observation: Neighbours,
+) -> Samples:
+    """The samples of each of the drivers in each of the places.
+
+    Args:
+        drivers: Drive the egos.
+        places: Scenes and traffics.
+        others: All agents that the traffics name, by name.
+        episodes: Of each driver in each place; their seeds follow `first_seed`.
+        observation: What the samples have.
+    """
+    observed, actions, held_out = [], [], []
+    for driver in drivers:
+        for scene, traffic in places:
+            seeds = np.arange(first_seed, first_seed + episodes, dtype=np.uint64)
+            seen, taken, running = _driven(driver, scene, traffic, others, seeds, observation)
+            last = np.arange(episodes) >= episodes - max(1, round(HELD_OUT * episodes))
+            observed.append(seen[running])
+            actions.append(taken[running])
+            held_out.append(np.broadcast_to(last, running.shape)[running])
+            first_seed += episodes
+    labels = np.eye(len(ACTIONS), dtype=np.float32)[np.concatenate(actions)]
+    return Samples(np.concatenate(observed), labels, np.concatenate(held_out), pl.DataFrame())
+
+
+def _driven(
+    driver: Agent,
+    scene: SceneSettings,
+    traffic: Traffic,
+    others: Mapping[str, Agent],
+    seeds: np.ndarray[tuple[int], np.dtype[np.uint64]],
+    observation: Neighbours,
+) -> tuple[Observations, np.ndarray, np.ndarray]:
+    """Observations (D, B, rows, columns), actions (D, B), and which of them are samples (D, B)."""
+    agents = {name: others[name] for name in traffic.agents} | {_EGO: driver}
+    simulation = Simulation(scene, seeds.size, _EGO, traffic, agents)
+    simulation.reset(seeds)
+    egos, now = simulation.ego_vehicles, simulation.scene
+    speeds, seen, running, lanes, targets = [now.speed[egos]], [], [], [], []
+    for _ in range(scene.decisions):
+        running.append(now.active.copy())
+        seen.append(observation(now, egos))
+        lanes.append(now.lane[egos])
+        simulation.step()
+        speeds.append(now.speed[egos])
+        targets.append(now.target_lane[egos])
+    driven = through_interface(np.array(speeds), scene.profile)
+    observed, lane, target = np.array(seen), np.array(lanes), np.array(targets)
+    if observation.commands:
+        commands = observed[:, :, COMMANDS]
+        commands[..., 0] = (driven.target_speed - driven.speed[:-1]) / CHANGE_SCALE
+        commands[..., 1] = driven.repeats / REPEATS_SCALE
+        commands[..., 3] = driven.acceleration / CHANGE_SCALE
+    actions = np.where(target < lane, LANE_LEFT, driven.actions)
+    actions = np.where(target > lane, LANE_RIGHT, actions)
+    is_sample = np.array(running)
+    is_sample[: round(SETTLING_S * scene.decision_hz)] = False
+    return observed, actions, is_sample
