@@ -1,27 +1,31 @@
-"""Recorded speeds, driven by meta-actions: `python tools/recorded_through_interface.py DATA`.
+"""Recorded speeds by meta-actions: `python tools/recorded_through_interface.py DATA [POLICY ...]`.
 
 DATA is a folder that holds `i24_car_following.parquet` and `i75_lane_trajectories.parquet`. At each
 decision, 3 times a second, the driver chooses the one of FASTER, SLOWER and IDLE after which its
 speed is the nearest to the recorded one at the next decision. The table has the proportion of
 decisions whose mean acceleration is above 1.1 m/s2 and the standard deviation of the accelerations,
-of the recorded drivers and of those through the interface of each profile.
+of the recorded drivers and of those through the interface of each profile. Each POLICY, the name of
+an agent or the path of a network, adds the interface of `charms` with that policy's speed steps.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from charms_agents.human.interface import DECISION_HZ, through_interface
 
 from charms_bench.people.trips import RATE_HZ, read_trips
+from charms_bench.plugins.registry import make_agent
 from charms_bench.world.profile import CHARMS, NATURALISTIC
 
 FILES = {"I-24": "i24_car_following.parquet", "I-75": "i75_lane_trajectories.parquet"}
 STRONG_MPS2 = 1.1
 
 
-def main(data: Path) -> None:
+def main(data: Path, policies: Sequence[str]) -> None:
     """Prints the table."""
+    steps_of = {name: getattr(make_agent(name), "target_speed_steps_mps", ()) for name in policies}
     print("| recording | driver | above 1.1 m/s² | standard deviation, m/s² |")
     print("|---|---|---:|---:|")
     for name, file in FILES.items():
@@ -32,9 +36,13 @@ def main(data: Path) -> None:
             at = np.arange(0.0, time_s[-1], 1 / DECISION_HZ)
             decided.append(np.interp(at, time_s, trip.speed))
         drivers = {"recorded": decided}
-        for profile in (CHARMS, NATURALISTIC):
+        interfaces = {f"`{profile.name}`": profile for profile in (CHARMS, NATURALISTIC)}
+        for policy, steps in steps_of.items():
+            own = CHARMS.model_copy(update={"target_speed_steps_mps": steps})
+            interfaces[f"`charms` and `{policy}`"] = own if steps else CHARMS
+        for name_of_interface, profile in interfaces.items():
             followed = [through_interface(each[:, None], profile).speed[:, 0] for each in decided]
-            drivers[f"through the interface of `{profile.name}`"] = followed
+            drivers[f"through the interface of {name_of_interface}"] = followed
         for driver, speeds in drivers.items():
             found = np.concatenate([np.diff(each) * DECISION_HZ for each in speeds])
             strong = (np.abs(found) > STRONG_MPS2).mean()
@@ -42,6 +50,6 @@ def main(data: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python tools/recorded_through_interface.py DATA")
-    main(Path(sys.argv[1]))
+    if len(sys.argv) < 2:
+        sys.exit("usage: python tools/recorded_through_interface.py DATA [POLICY ...]")
+    main(Path(sys.argv[1]), sys.argv[2:])

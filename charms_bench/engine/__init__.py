@@ -15,6 +15,7 @@ processor, NumPy, OpenBLAS and the C library.
 """
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Literal, Protocol
 
 import numpy as np
@@ -75,18 +76,20 @@ def make_engine(
     continuous: Collection[int] = (),
     memory: int = 0,
     prescribed: Collection[int] = (),
+    own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
 ) -> Engine:
     """An engine of B scenes by name; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
     actions, and the scenario moves the vehicles of `prescribed`. `memory` is the width of the
-    scene's memory.
+    scene's memory. `own_steps` are the steps of FASTER and SLOWER of the agents that have their
+    own, m/s.
     """
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed)
+        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed, own_steps)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed)
+    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed, own_steps)

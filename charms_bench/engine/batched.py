@@ -1,6 +1,7 @@
 """The default engine: thousands of scenes at once, compiled."""
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class BatchedEngine:
         continuous: Collection[int] = (),
         memory: int = 0,
         prescribed: Collection[int] = (),
+        own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -37,6 +39,7 @@ class BatchedEngine:
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)
         self._command_rule = command_rule(settings.profile)
+        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
         self._models = models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
@@ -70,8 +73,10 @@ class BatchedEngine:
         seat(rows, scene.ego, agents, *seats)
         self._vehicles.clear()
         if self._command_rule.speeds.size:
-            speeds = self._command_rule.speeds
-            choose_target_speeds(scene, rows, self._is_modelled, speeds)
+            free = self._is_modelled
+            if self._own_rules:
+                free = free | np.isin(self.drivers, list(self._own_rules))
+            choose_target_speeds(scene, rows, free, self._command_rule.speeds)
         self._mark(rows)
 
     def _mark(self, rows: Ints) -> None:
@@ -97,7 +102,14 @@ class BatchedEngine:
             control = controls_of(actions)
             self.scene.acceleration[vehicles], self.scene.steering[vehicles] = control
             return
-        command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
+        if not self._own_rules:
+            command(self.scene, vehicles[0], vehicles[1], actions, self._command_rule)
+            return
+        drivers = self.drivers[vehicles]
+        for agent in np.unique(drivers).tolist():
+            its = np.nonzero(drivers == agent)[0]
+            rule = self._own_rules.get(agent, self._command_rule)
+            command(self.scene, vehicles[0][its], vehicles[1][its], actions[its], rule)
 
     def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
         scene = self.scene

@@ -1,5 +1,6 @@
 """How meta-actions and the answers of driver models become targets and accelerations."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,11 +25,12 @@ class CommandRule(NamedTuple):
     """Whether lane commands count from the target lane; otherwise from the current lane."""
 
 
-def command_rule(profile: Profile) -> CommandRule:
-    """How a profile's vehicles carry out meta-actions."""
+def command_rule(profile: Profile, own_steps: Sequence[float] = ()) -> CommandRule:
+    """How a profile's vehicles carry out meta-actions, with the steps that their policy may own."""
+    steps = own_steps or profile.target_speed_steps_mps or (profile.target_speed_step_mps,)
     return CommandRule(
-        speeds=np.array(profile.target_speeds_mps, dtype=np.float64),
-        steps=np.array(profile.target_speed_steps_mps or [profile.target_speed_step_mps]),
+        speeds=np.array(() if own_steps else profile.target_speeds_mps, dtype=np.float64),
+        steps=np.array(steps, dtype=np.float64),
         lowest=profile.target_speed_min_mps,
         highest=profile.target_speed_max_mps,
         from_target_lane=profile.lane_command_from == "target_lane",
@@ -84,11 +86,11 @@ def nearest_target_speed(speed: float, change: int, speeds: Floats) -> float:
 
 
 @compiled_of_scenes
-def choose_target_speeds(scene: Scene, rows: Ints, modelled: Bools, speeds: Floats) -> None:
-    """Gives the commanded vehicles of new scenes one of the target speeds."""
+def choose_target_speeds(scene: Scene, rows: Ints, free: Bools, speeds: Floats) -> None:
+    """Gives the vehicles of new scenes one of the target speeds, except those that are free."""
     for b in rows:
         for i in range(scene.x.shape[1]):
-            if not modelled[b, i]:
+            if not free[b, i]:
                 nearest = nearest_target_speed(scene.target_speed[b, i], 0, speeds)
                 scene.target_speed[b, i] = nearest
 

@@ -6,6 +6,7 @@ its highway-env class, this engine uses that class; any other model gets each sc
 
 from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class HighwayEnvEngine:
         continuous: Collection[int] = (),
         memory: int = 0,
         prescribed: Collection[int] = (),
+        own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -59,10 +61,14 @@ class HighwayEnvEngine:
         self._classes = {
             agent: _reference_class(model, settings.profile) for agent, model in models.items()
         }
+        for agent, steps in own_steps.items():
+            self._classes[agent] = _with_steps(settings.profile, steps)
         speeds = settings.profile.target_speeds_mps
-        commanded = MDPVehicle if speeds else _RelativeMetaVehicle
-        self._commanded = _with_constants(commanded, settings.profile)
-        self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
+        if speeds:
+            self._commanded = _with_constants(MDPVehicle, settings.profile)
+            self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
+        else:
+            self._commanded = _with_steps(settings.profile)
         self._plain = _with_constants(Vehicle, settings.profile)
         """Spawns vehicles, and is the class of those with continuous actions."""
         self._continuous = list(continuous)
@@ -124,7 +130,8 @@ class HighwayEnvEngine:
             vehicle.act(ACTIONS[action])
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
-            self.scene.repeats[row, place] = getattr(vehicle, "repeats", 0)
+            if hasattr(vehicle, "repeats"):
+                self.scene.repeats[row, place] = vehicle.repeats
 
     def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
         active = np.nonzero(self.scene.active)[0]
@@ -263,8 +270,9 @@ class HighwayEnvEngine:
 
     def _class_of(self, agent: int) -> Any:
         """highway-env's class of the vehicles that an agent drives."""
-        default = self._plain if agent in self._continuous else self._commanded
-        return self._classes.get(agent, default)
+        if agent in self._continuous:
+            return self._plain
+        return self._classes.get(agent, self._commanded)
 
     def _draw_temperament(
         self, row: int, place: int, vehicle: ControlledVehicle, rng: RandomSource
@@ -314,7 +322,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
         self.repeats = 0
 
     def act(self, action: str | None = None) -> None:
-        if action is not None and self.STEPS:
+        if action is not None and len(self.STEPS) > 1:
             sign = {"FASTER": 1, "SLOWER": -1}.get(action, 0)
             again = abs(self.repeats) if sign * self.repeats > 0 else 0
             self.repeats = sign * min(again + 1, len(self.STEPS))
@@ -391,6 +399,14 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
         return _with_constants(_ModelledVehicle, profile)
     module, name = model.highway_env_class.split(":")
     return _with_constants(getattr(import_module(module), name), profile)
+
+
+def _with_steps(profile: Profile, own_steps: tuple[float, ...] = ()) -> Any:
+    """The class that obeys meta-actions, with steps of a policy's own instead of the profile's."""
+    commanded = _with_constants(_RelativeMetaVehicle, profile)
+    if own_steps:
+        commanded.STEPS, commanded.DELTA_SPEED = own_steps, own_steps[0]
+    return commanded
 
 
 def _with_constants(vehicle_class: Any, profile: Profile) -> Any:

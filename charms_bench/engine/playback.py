@@ -60,6 +60,8 @@ class Playback:
         self._played = Played(np.full(shape, -1), np.zeros(shape[0], np.int64), np.ones(shape[0]))
         models = [(k, a) for k, a in simulation.made.items() if isinstance(a, DriverModel)]
         self._models = [k for k, _ in models]
+        self._unrounded = [*self._models, *simulation.own_steps]
+        """Agents whose vehicles do not start at one of the profile's target speeds."""
         self._followers = [k for k, model in models if model.follows_recording]
         agents = simulation.agents
         self._successor = agents.index(after_deviation) if after_deviation else -1
@@ -130,7 +132,7 @@ class Playback:
         now = np.zeros_like(made.steps) if is_start else self._now()
         drivers = made.engine.drivers
         follows, modelled = np.isin(drivers, self._followers), np.isin(drivers, self._models)
-        seated = follows, modelled
+        seated = follows, modelled, np.isin(drivers, self._unrounded)
         return appear(made.scene, self._played, tracks, rows, now, is_start, *seated, self._speeds)
 
     def _hand_over(self) -> Bools:
@@ -144,7 +146,8 @@ class Playback:
             drivers[taken] = self._successor
             scene.repeats[taken] = 0
             if self._successor not in self._models:
-                wanted = [nearest_target_speed(v, 0, self._speeds) if self._speeds.size else v
+                rounds = self._speeds.size and self._successor not in self._unrounded
+                wanted = [nearest_target_speed(v, 0, self._speeds) if rounds else v
                           for v in scene.speed[taken]]  # fmt: skip
                 scene.target_speed[taken] = wanted
         return np.asarray(taken.any(axis=1))
@@ -205,6 +208,7 @@ def appear(
     is_start: bool,
     follows: Bools,
     modelled: Bools,
+    unrounded: Bools,
     speeds: Floats,
 ) -> Bools:
     """Places the vehicles that appear in the scenes `rows` (R,) at the step `steps` [B].
@@ -232,7 +236,7 @@ def appear(
             scene.acceleration[b, i] = scene.steering[b, i] = 0.0
             scene.target_lane[b, i] = closest_lane(c, x, y, heading)
             wanted = tracks.fastest[track] if modelled[b, i] else speed
-            if speeds.size and not modelled[b, i]:
+            if speeds.size and not unrounded[b, i]:
                 wanted = nearest_target_speed(speed, 0, speeds)
             scene.target_speed[b, i] = wanted
             phase = (x + y) * math.pi  # as IDMVehicle.__init__

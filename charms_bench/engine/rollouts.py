@@ -110,8 +110,9 @@ class Futures:
             others, actions = self._planner.rollouts_with, self._planner.actions
             agents, simulation = {others: others_of(self._planner)}, type(self._made)
             self._beside = simulation(
-                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
-            )
+                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions,
+                outside_steps_mps=self._planner.target_speed_steps_mps,
+            )  # fmt: skip
             self._beside.playback = None  # a planner does not know what was recorded next
         return self._beside  # type: ignore[no-any-return]
 
@@ -148,9 +149,12 @@ class Futures:
         rows, places = vehicles
         unique, which = np.unique(rows, return_inverse=True)
         state = state_of(self._made, unique).take(which)
-        repeats = state.repeats  # those of the planner's own vehicle decide what its plans do
+        own = np.arange(rows.size), places
+        counted = state.repeats[own]  # decides what the first action of a plan does
         everyone = np.ones(state.drivers.shape, dtype=np.bool_)
         state = state.driven_by(self._planner.rollouts_with, everyone).seated(places, "")
+        repeats = state.repeats.copy()
+        repeats[own] = counted
         index = [self._simulation.agents.index(name) if name in self._simulation.agents else 0
                  for name in state.agents]  # fmt: skip
         return SceneState(

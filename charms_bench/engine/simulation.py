@@ -53,6 +53,8 @@ class Simulation:
         agents: All agents that `ego` and `traffic` name, by name.
         engine: `batched` or `highway-env`.
         actions: The kind of the actions given to `step`.
+        outside_steps_mps: The speed steps of vehicles that are driven from outside, as
+            `Policy.target_speed_steps_mps`; by default, the profile's.
 
     Raises:
         InputError: A policy's rate does not fit the simulation rate, or its observation or its kind
@@ -68,6 +70,7 @@ class Simulation:
         agents: Mapping[str, Agent],
         engine: EngineName = "batched",
         actions: ActionKind = "meta",
+        outside_steps_mps: tuple[float, ...] = (),
     ) -> None:
         self.settings = settings
         self.seeds = np.zeros(scenes, dtype=np.uint64)
@@ -121,11 +124,17 @@ class Simulation:
         continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
         if actions == "continuous":
             continuous += [k for k, name in enumerate(self.agents) if not name]
+        steps = {k: policy.target_speed_steps_mps for k, policy in self._policies.items()}
+        steps |= {k: outside_steps_mps for k, name in enumerate(self.agents) if not name}
+        self.own_steps = {k: tuple(map(float, own)) for k, own in steps.items() if own}
+        """The speed steps of agents that have their own, by the index of the agent."""
         self._kept_widths = {k: kept_width(policy) for k, policy in self._policies.items()}
         widths = (*self._kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
         prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
-        self.engine = make_engine(engine, settings, scenes, models, continuous, memory, prescribed)
+        self.engine = make_engine(
+            engine, settings, scenes, models, continuous, memory, prescribed, self.own_steps
+        )
         self._futures = {
             k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
         }

@@ -21,6 +21,7 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.profile import STEPS_LIMIT
 from charms_bench.world.scene import SceneSettings
 
 FORMAT, VERSION = "charms-bench scene state", 5
@@ -167,7 +168,6 @@ def check_state(state: SceneState) -> None:
         InputError: A shape is wrong or a number out of range; the message names the field.
     """
     settings, scenes = state.settings, state.seeds.size
-    repeats = len(settings.profile.target_speed_steps_mps)
     for name, array in state.arrays().items():
         of_vehicles = (settings.vehicles, *(array.shape[2:3] if name == "memory" else ()))
         shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
@@ -185,7 +185,7 @@ def check_state(state: SceneState) -> None:
         "collision": (0, len(COLLISIONS) - 1),
         "entry": (0, ENTRIES),
         "target_lane": (0, settings.lanes - 1),
-        "repeats": (-repeats, repeats),
+        "repeats": (-STEPS_LIMIT, STEPS_LIMIT),  # a policy can have steps of its own
         "temperament": (0.0, 1.0),
         "memory": (-np.inf, np.inf),
         "length": (min(lengths), max(lengths)),

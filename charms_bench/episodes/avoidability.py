@@ -130,11 +130,17 @@ def _usable(settings: SceneSettings) -> tuple[str, ...]:
 class _Always(Policy):
     """Takes one action whatever it sees."""
 
-    def __init__(self, action: int, decision_hz: float) -> None:
+    def __init__(self, action: int, decision_hz: float, steps_mps: tuple[float, ...]) -> None:
         self._action, self.decision_hz = action, decision_hz
+        self.target_speed_steps_mps = steps_mps
 
     def decide(self, observations: Observations) -> Actions:
         return np.full(len(observations), self._action)
+
+
+def _override(action: int, steps_mps: tuple[float, ...]) -> str:
+    """The name of the agent that always takes an action, with these speed steps of its own."""
+    return f"always {ACTIONS[action]} {list(steps_mps)}"
 
 
 class _Chunk:
@@ -178,8 +184,9 @@ class _Chunk:
             tell(1)
         avoids = self._who_avoids(tried, [last for _, last, _ in searched])
         override = {
-            f"always {name}": _Always(k, self._settings.decision_hz)
-            for k, name in enumerate(ACTIONS)
+            _override(k, steps): _Always(k, self._settings.decision_hz, steps)
+            for steps in dict.fromkeys([(), *outside.own_steps.values()])
+            for k in range(len(ACTIONS))
         }
         overridden = self._simulation(_SCENES, override)
         found = []
@@ -198,7 +205,7 @@ class _Chunk:
                     last_step=last,
                     avoided_by=tuple(name for name, does in own.items() if does),
                     hit_by=tuple(name for name, does in own.items() if not does),
-                    replacement=self._replacement(episode, overridden, len(override)),
+                    replacement=self._replacement(episode, overridden),
                     nodes=nodes,
                 )
             )
@@ -240,9 +247,7 @@ class _Chunk:
             simulation.step()
         return ~simulation.failed[rows] | (simulation.steps[rows] > until)
 
-    def _replacement(
-        self, episode: int, simulation: Simulation, overrides: int
-    ) -> Replacement | None:
+    def _replacement(self, episode: int, simulation: Simulation) -> Replacement | None:
         """The latest replacement; of several vehicles, that of the nearest to the ego."""
         for step in range(int(self._last[episode]), 0, -1):
             state = self._before(episode, step)
@@ -252,7 +257,9 @@ class _Chunk:
                 rows = np.arange(len(others))
                 start = replace(state.take(np.zeros_like(rows)), agents=simulation.agents)
                 replaced = start.drivers.copy()
-                replaced[:, place] = len(start.agents) - overrides + np.array(others)
+                steps_mps = simulation.own_steps.get(int(state.drivers[0, place]), ())
+                names = [_override(action, steps_mps) for action in others]
+                replaced[:, place] = [simulation.agents.index(name) for name in names]
                 simulation.scene.active[:] = False
                 simulation.restore(start.with_arrays({"drivers": replaced}), rows)
                 simulation.step()
@@ -263,8 +270,8 @@ class _Chunk:
                     agent = state.agents[state.drivers[0, place]]
                     was, instead = taken[place], others[int(avoids.argmax())]
                     is_ego = bool(place == state.ego[0])
-                    names = (agent, ACTIONS[was], ACTIONS[instead])
-                    return Replacement(step, int(place), is_ego, *names)
+                    said = (agent, ACTIONS[was], ACTIONS[instead])
+                    return Replacement(step, int(place), is_ego, *said)
         return None
 
     def _deciding(self, state: SceneState) -> Ints:

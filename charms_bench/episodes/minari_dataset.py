@@ -68,6 +68,12 @@ def check_policy(recorded: RecordedCell) -> Policy:
             f"{path}: {title} decides {policy.decision_hz:g} times per second and the "
             f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates"
         )
+    steps = tuple(policy.target_speed_steps_mps)
+    if steps and steps != chosen.scene.profile.target_speed_steps_mps:
+        raise InputError(
+            f"{path}: {title} has speed steps of its own, {list(steps)} m/s, and the environments "
+            "have those of the profile; expected a policy with the profile's steps"
+        )
     return policy
 
 

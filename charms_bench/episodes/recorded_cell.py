@@ -69,14 +69,24 @@ class RecordedCell:
             scenes: How many scenes.
             guests: Agents beside those of the cell, by name; they act after these.
             settings: Other settings than the suite's.
-            is_ego_outside: Whether the actions given to `Simulation.step` drive the ego.
+            is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. It keeps
+                the speed steps of its agent.
         """
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
             traffic = _WithGuests(traffic, tuple({**agents, **guests}))
-        key = None if is_ego_outside else cell.ego.agent.key
-        return Simulation(settings or cell.scene, scenes, key, traffic, {**guests, **agents})
+        key, steps = cell.ego.agent.key, ()
+        if is_ego_outside:
+            steps = getattr(agents[key], "target_speed_steps_mps", ())
+        return Simulation(
+            settings or cell.scene,
+            scenes,
+            None if is_ego_outside else key,
+            traffic,
+            {**guests, **agents},
+            outside_steps_mps=steps,
+        )
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:
         """The step rows of these episodes in the run folder; raises a `RunFolderError`."""

@@ -31,6 +31,11 @@ class Policy(ABC):
     decision_hz: float = 3.0
     """Decisions per second; the suite's simulation rate must be a multiple of this rate."""
 
+    target_speed_steps_mps: tuple[float, ...] = ()
+    """By how much FASTER and SLOWER change the target speeds of its vehicles, m/s: by the first
+    step and, while the same command is repeated, by the second one and so on to the last. At most
+    100; if there are none, the profile's steps or target speeds count."""
+
     history_length: int = 1
     """The number K of observations that it receives. If it is above 1, `observations` is
     (M, K, ...), the latest last, with zeros for the time before the first decision."""

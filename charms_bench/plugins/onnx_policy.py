@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, ModelError
-from charms_bench.foundation.files import read_limited
+from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.foundation.workers import is_child
 from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.deciding import SPEED_STEPS, are_speed_steps
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
@@ -53,7 +54,8 @@ class OnnxPolicy(Policy):
     and its first output has the values; all are float32. The output is `(batch, 5)`, or
     `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
     The metadata also name the observation; the default is `neighbours`. With `history: K`, the
-    input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last.
+    input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last. With
+    `target_speed_steps_mps`, a JSON list, FASTER and SLOWER add these steps.
 
     Further inputs receive action masks and noise, or are states; see `onnx_ports`.
 
@@ -108,6 +110,8 @@ class OnnxPolicy(Policy):
         if decision_hz is None:
             decision_hz = _decision_hz(said.get("decision_hz", "3"))
         self.decision_hz = decision_hz
+        if (steps := said.get("target_speed_steps_mps")) is not None:
+            self.target_speed_steps_mps = _speed_steps(steps)
         if found.problem:
             raise ModelError(found.problem)
         return *history, *self.observation.shape
@@ -201,6 +205,14 @@ def _decision_hz(said: str) -> float:
         if 0 < (hz := float(said)) <= 1000:
             return hz
     raise ModelError(f"metadata: decision_hz is '{said}'; expected a positive rate")
+
+
+def _speed_steps(said: str) -> tuple[float, ...]:
+    with suppress(ValueError):
+        if are_speed_steps(found := json_of(said.encode())):
+            return tuple(map(float, found))
+    what = f"expected a JSON list of {SPEED_STEPS}"
+    raise ModelError(f"metadata: target_speed_steps_mps is '{said[:80]}'; {what}")
 
 
 def _history(said: str) -> int:

@@ -237,7 +237,8 @@ def _problem_of(made: object, *kinds: type) -> str:
         found = "both" if any(is_one) else f"a {type(made).__name__}"
         return f"is {found}, not a {expected}"
     if isinstance(made, Policy):
-        _ = made.observation, made.actions, made.decision_hz  # properties may raise here
+        # Properties may raise here.
+        _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
     if isinstance(made, Policy) and not isinstance(made.weights_sha256, str):
         return f"has weights_sha256 {made.weights_sha256!r}; expected a text"
     if isinstance(made, Traffic):

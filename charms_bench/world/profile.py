@@ -18,6 +18,9 @@ from pydantic import (
 
 from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
 
+STEPS_LIMIT = 100
+"""Most steps by which repeated speed commands grow."""
+
 
 class IdmMobilConstants(FrozenModel):
     """IDM (Treiber et al. 2000) and MOBIL (Kesting et al. 2007) as `IDMVehicle` combines them."""
@@ -84,9 +87,12 @@ class Profile(FrozenModel):
     """The lane that LANE_LEFT and LANE_RIGHT refer to."""
     target_speed_step_mps: Positive = 5.0
     """FASTER and SLOWER change the target speed by this, unless one of the next two is given."""
-    target_speed_steps_mps: tuple[Positive, ...] = Field(default=(), strict=False, max_length=100)
+    target_speed_steps_mps: tuple[Positive, ...] = Field(
+        default=(), strict=False, max_length=STEPS_LIMIT
+    )
     """Changes that grow while a vehicle repeats FASTER or SLOWER: the first by which it changes its
-    target speed, then the second, and so on to the last. Any other meta-action begins anew."""
+    target speed, then the second, and so on to the last. Any other meta-action begins anew. A
+    policy may have steps of its own; see `plugins.agent.Policy`."""
     target_speed_min_mps: Finite
     target_speed_max_mps: Positive
     target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)

@@ -1,34 +1,34 @@
 """Recorded speeds can be followed by meta-actions as the engine carries them out."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
+from charms_agents.human.interface import through_interface
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
 
-TOOL = Path(__file__).parents[2] / "tools" / "recorded_through_interface.py"
 
-
-@pytest.mark.parametrize("name", ["charms", "naturalistic"])
-def test_speeds_are_those_of_the_engine(name: str) -> None:
-    spec = importlib.util.spec_from_file_location("recorded_through_interface", TOOL)
-    assert spec is not None
-    assert spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
+@pytest.mark.parametrize(
+    ("name", "own"), [("charms", ()), ("naturalistic", ()), ("charms", (0.25, 0.5, 1.0, 2.0))]
+)
+def test_speeds_and_commands_are_those_of_the_engine(name: str, own: tuple[float, ...]) -> None:
     profile = PROFILES[name]
-    recorded = profile.ego_speed_mps + 3.0 * np.sin(np.arange(60) / 8)
-    expected, actions = tool.through_interface(recorded, profile)
+    steps = own or profile.target_speed_steps_mps
+    recorded = profile.ego_speed_mps + 2.0 * np.sin(np.arange(60) / 8)
+    commanded = profile.model_copy(update={"target_speed_steps_mps": steps})
+    driven = through_interface(recorded[:, None], commanded)
     settings = SceneSettings(profile=profile, traffic_vehicles=0, ego_slots=1, duration_s=30.0)
-    made = Simulation(settings, 1, None, OneAgent(""), {})
+    made = Simulation(settings, 1, None, OneAgent(""), {}, outside_steps_mps=own)
     made.reset(np.zeros(1, dtype=np.uint64))
-    for action, speed in zip(actions, expected[1:], strict=True):
+    for k, action in enumerate(driven.actions[:, 0]):
+        scene = made.scene
+        assert scene.target_speed[0, 0] == pytest.approx(driven.target_speed[k, 0], abs=1e-9)
+        assert scene.repeats[0, 0] == driven.repeats[k, 0] * bool(steps)
+        if k:  # the engine's vehicles have no acceleration before they move
+            assert scene.acceleration[0, 0] == pytest.approx(driven.acceleration[k, 0], abs=1e-9)
         made.step(np.array([action]))
-        assert made.scene.speed[0, 0] == pytest.approx(speed, abs=1e-9)
-    assert len(set(actions)) == 3
-    assert np.abs(expected - recorded).max() < 1.0
+        assert made.scene.speed[0, 0] == pytest.approx(driven.speed[k + 1, 0], abs=1e-9)
+    assert len(set(driven.actions[:, 0])) == 3
+    assert np.abs(driven.speed[:, 0] - recorded).max() < 1.0

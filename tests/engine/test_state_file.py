@@ -77,6 +77,10 @@ def edited(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
         (edited(lambda f: f["ego"].__setitem__(0, 5)), "ego: found 5, expected 0 to 4"),
         (edited(lambda f: f["ego"].__setitem__(0, 0.5)), "ego: expected integers"),
         (edited(lambda f: f["drivers"][0].__setitem__(0, 1)), "drivers: found 1, expected 0 to 0"),
+        (
+            edited(lambda f: f["repeats"][0].__setitem__(0, 101)),
+            "repeats: found 101, .*-100 to 100",
+        ),
         (edited(lambda f: f["crashed"][0].__setitem__(0, 2)), "crashed: expected true or false"),
         (
             edited(lambda f: f["seeds"].__setitem__(0, "3")),

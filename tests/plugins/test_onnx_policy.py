@@ -1,6 +1,7 @@
 """Networks from files: checked before they are loaded, and the action of the highest value."""
 
 import hashlib
+import json
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -62,6 +63,30 @@ def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None
     path = with_metadata(network_file(), decision_hz="5")
     assert OnnxPolicy(path).decision_hz == 5.0
     assert OnnxPolicy(path, decision_hz=1.0).decision_hz == 1.0
+
+
+def test_it_has_the_speed_steps_that_the_file_says(network_file: NetworkFile) -> None:
+    assert OnnxPolicy(network_file()).target_speed_steps_mps == ()
+    path = with_metadata(network_file(), target_speed_steps_mps="[0.25, 0.5, 1, 2]")
+    policy = OnnxPolicy(path)
+    assert policy.target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    assert pickle.loads(pickle.dumps(policy)).target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    path = with_metadata(network_file(), target_speed_steps_mps=json.dumps([1.0] * 100))
+    assert OnnxPolicy(path).target_speed_steps_mps == (1.0,) * 100
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["", "[]", "1.0", "[0]", "[-1]", "[1, NaN]", "[Infinity]", "[1e999]", "[true]", '["1"]',
+     "[[1]]", "{}", "null", "[1", "[" * 100_000, json.dumps([1.0] * 101), f"[{10**400}]"],
+)  # fmt: skip
+def test_speed_steps_that_are_not_possible_are_refused(
+    network_file: NetworkFile, said: str
+) -> None:
+    path = with_metadata(network_file(), target_speed_steps_mps=said)
+    what = "expected a JSON list of 1 to 100 positive finite numbers"
+    with pytest.raises(ModelError, match=rf"metadata: target_speed_steps_mps is '.*'; {what}"):
+        OnnxPolicy(path)
 
 
 def test_continuous_actions_are_the_output_within_their_range(network_file: NetworkFile) -> None:

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import polars as pl
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from charms_agents.human.drivers import drivers, moments
 from charms_agents.human.manoeuvres import manoeuvres
@@ -26,9 +26,10 @@ from charms_agents.human.soft_labels import (
     lateral_intents,
     longitudinal_intents,
     soft_labels,
+    step_labels,
 )
 from charms_bench.errors import DataError
-from charms_bench.foundation.fields import FrozenModel, NonNegative
+from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
 from charms_bench.foundation.files import read_limited, write_bytes
 from charms_bench.people.situations import LANES, situations
 from charms_bench.people.survey import Learnable
@@ -52,18 +53,22 @@ REASONS = (
 _REVISION = 2
 """Grows when the same recordings and settings give other samples."""
 _SOURCE = ("recording", "direction", "vehicle", "frame", "driver")
-_SAMPLES = pl.Schema(
-    {
-        "recording": pl.Int64(),
-        "direction": pl.Int8(),
-        "vehicle": pl.Int64(),
-        "frame": pl.Int64(),
-        "driver": pl.Int64(),
-        "held_out": pl.Boolean(),
-        "observation": pl.Array(pl.Float32, 35),
-        "label": pl.Array(pl.Float32, 5),
-    }
-)
+_DRIVER = {
+    "recording": pl.Int64(),
+    "direction": pl.Int8(),
+    "vehicle": pl.Int64(),
+    "frame": pl.Int64(),
+    "driver": pl.Int64(),
+    "held_out": pl.Boolean(),
+}
+_LABEL = pl.Array(pl.Float32, len(ACTIONS))
+
+
+def _columns(observation: Neighbours) -> pl.Schema:
+    """The columns of the Parquet file."""
+    rows, columns = observation.shape
+    observed = pl.Array(pl.Float32, rows * columns)
+    return pl.Schema({**_DRIVER, "observation": observed, "label": _LABEL})
 
 
 class SampleSettings(FrozenModel):
@@ -72,6 +77,11 @@ class SampleSettings(FrozenModel):
     labels: Literal["moment", "manoeuvre"] = "moment"
     """What labels follow from: the acceleration and the drift at the moment of a decision, as in
     the paper, or what the driver goes on to do; see `manoeuvres`."""
+    step_mps: Positive | None = None
+    """If given, with `labels: manoeuvre`, FASTER and SLOWER have the probability with which steps
+    of this size, one per decision at most, give the driver's mean acceleration. Without it, as in
+    the paper, they are certain above 0.2 m/s2; a driver who takes such a label at its word
+    accelerates far more than people."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     cars_only: bool = True
     min_neighbours: Annotated[int, Field(ge=0, le=6)] = 1
@@ -89,7 +99,15 @@ class SampleSettings(FrozenModel):
         fields: dict[str, Any] = dump(self)
         if self.labels == "moment":
             del fields["labels"]
+        if self.step_mps is None:
+            del fields["step_mps"]
         return fields
+
+    @model_validator(mode="after")
+    def _steps_have_manoeuvres(self) -> "SampleSettings":
+        if self.step_mps is not None and self.labels != "manoeuvre":
+            raise ValueError("step_mps is for labels: manoeuvre")
+        return self
 
 
 @dataclass(frozen=True)
@@ -136,17 +154,17 @@ class SampleStore:
         if not path.exists():
             samples = collect(self.recordings, self.settings, self.observation)
             written = BytesIO()
-            _table(samples).write_parquet(written)
+            _table(samples, _columns(self.observation)).write_parquet(written)
             write_bytes(path, written.getvalue())
         try:
             content = BytesIO(read_limited(path, SIZE_LIMIT_BYTES))
             table = pl.scan_parquet(content).head(ROW_LIMIT + 1).collect()
-            if table.schema != _SAMPLES or table.height > ROW_LIMIT:
+            if table.schema != _columns(self.observation) or table.height > ROW_LIMIT:
                 raise DataError(
                     f"{path}: holds other columns or too many rows; delete it and try again"
                 )
             return Samples(
-                observations=table["observation"].to_numpy().reshape(-1, 7, 5),
+                observations=table["observation"].to_numpy().reshape(-1, *self.observation.shape),
                 labels=table["label"].to_numpy(),
                 held_out=table["held_out"].to_numpy(),
                 rows=table.select(_SOURCE),
@@ -237,9 +255,15 @@ class CharmsSampler:
         accepted = decisions["rejected"].is_null()
         rows = decisions.filter(accepted)
         labels = np.zeros((decisions.height, 5), dtype=np.float32)
-        measured = rows["longitudinal", "lateral", "acceleration", "lateral_speed"]
-        labels[accepted.to_numpy()] = soft_labels(*(column.to_numpy() for column in measured))
-        label = pl.Series(labels, dtype=_SAMPLES["label"])
+        if self.settings.step_mps is None:
+            measured = rows["longitudinal", "lateral", "acceleration", "lateral_speed"]
+            found = soft_labels(*(column.to_numpy() for column in measured))
+        else:
+            strongest = self.settings.step_mps * self.settings.decision_hz
+            measured = rows["lateral", "acceleration"]
+            found = step_labels(*(column.to_numpy() for column in measured), strongest)
+        labels[accepted.to_numpy()] = found
+        label = pl.Series(labels, dtype=_LABEL)
         return decisions.with_columns(label=pl.when(accepted).then(label))
 
     def samples(self, decisions: pl.DataFrame) -> Samples:
@@ -334,10 +358,10 @@ def _held_out(driver: pl.Series, settings: SampleSettings) -> Bools:
     return np.isin(driver.to_numpy(), drawn)
 
 
-def _table(samples: Samples) -> pl.DataFrame:
+def _table(samples: Samples, columns: pl.Schema) -> pl.DataFrame:
     flat = samples.observations.reshape(len(samples.observations), -1)
     return samples.rows.with_columns(
         pl.Series("held_out", samples.held_out),
-        pl.Series("observation", flat, dtype=_SAMPLES["observation"]),
-        pl.Series("label", samples.labels, dtype=_SAMPLES["label"]),
+        pl.Series("observation", flat, dtype=columns["observation"]),
+        pl.Series("label", samples.labels, dtype=_LABEL),
     )

@@ -56,3 +56,24 @@ def soft_labels(
     labels[:, LANE_RIGHT] = np.where(lateral > 0, p_lane, 0.0)
     labels[:, IDLE] = (longitudinal == 0) & (lateral == 0)
     return labels
+
+
+def step_labels(lateral: Intents, acceleration: Floats, strongest_mps2: float) -> Labels:
+    """(M, 5) probabilities of `ACTIONS` for drivers whose speed commands are small steps.
+
+    A lane change is certain. Otherwise, FASTER or SLOWER has the probability |a| / `strongest_mps2`
+    (at most 1), so that on average the steps accelerate as the driver does.
+
+    Args:
+        lateral: (M,) 1 for a move to the right, -1 for a move to the left, 0 for neither.
+        acceleration: (M,) the mean acceleration that follows, m/s2.
+        strongest_mps2: The acceleration if every decision is a step.
+    """
+    stays = lateral == 0
+    p = np.minimum(np.abs(acceleration) / strongest_mps2, 1.0)
+    labels = np.zeros((lateral.size, len(ACTIONS)), dtype=np.float32)
+    labels[:, LANE_LEFT], labels[:, LANE_RIGHT] = lateral < 0, lateral > 0
+    labels[:, FASTER] = np.where(stays & (acceleration > 0), p, 0.0)
+    labels[:, SLOWER] = np.where(stays & (acceleration < 0), p, 0.0)
+    labels[:, IDLE] = np.where(stays, 1.0 - p, 0.0)
+    return labels

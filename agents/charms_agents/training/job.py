@@ -18,6 +18,7 @@ from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
 from charms_agents.training.settings import (
+    SimulatedDrivers,
     Stage,
     Supervised,
     TrainingSuite,
@@ -29,9 +30,6 @@ from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
 from charms_bench.world.scene import Observations
-
-_OPTIONS = {"conditions", "reward"}
-"""The settings of a stage that the paper lacks."""
 
 
 def title_of(seed_folder: str, name: str) -> str:
@@ -109,7 +107,8 @@ def reinforcement_job(
     first_seed = suite.first_episode_seed
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
-    options = stage.model_dump(mode="json", include=_OPTIONS, exclude_defaults=True)
+    options = stage.model_dump(mode="json", include={"reward"}, exclude_defaults=True)
+    options |= _conditions(suite, stage)
     observation = suite.model_dump(include={"observation"}, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     if prior is not None:
@@ -141,6 +140,14 @@ def reinforcement_job(
         speed_steps_mps=stage.scene.profile.target_speed_steps_mps,
         draws=prior is not None,
     )
+
+
+def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[str, Any]:
+    """The conditions in which a stage learns, for its inputs; nothing if there is only one."""
+    if stage.conditions is None:
+        return {}
+    found = suite.conditions_of(stage)
+    return {"conditions": [each.model_dump(mode="json", exclude_none=True) for each in found]}
 
 
 def _reinforcement(
@@ -204,7 +211,7 @@ def human_job(
             first_seed = suite.first_episode_seed
             learnt["rehearsed"] = {
                 "scene": tuned.scene.model_dump(mode="json"),
-                **tuned.model_dump(mode="json", include={"conditions"}, exclude_defaults=True),
+                **_conditions(suite, tuned),
                 "traffic": _traffic_inputs(tuned, drivers),
                 "episodes": EPISODES,
                 "first_episode_seed": first_seed,
@@ -212,7 +219,7 @@ def human_job(
             }
             drive = partial(
                 own_driving,
-                places=[(scene, suite.traffic_of(spec)) for scene, spec in tuned.all_conditions],
+                places=suite.places_of(tuned),
                 drivers=drivers,
                 first_seed=first_seed,
                 observation=suite.observed,
@@ -233,6 +240,7 @@ def human_job(
         )
         learnt["simulated"] = {
             **suite.human.simulated.model_dump(mode="json", exclude_defaults=True),
+            **_conditions(suite, suite.human.simulated),
             "files_sha256": [_files_sha256(each.make({})) for each in suite.human.simulated.agents],
             "first_episode_seed": suite.first_simulated_seed,
         }
@@ -273,7 +281,7 @@ def _simulated(suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Samples:
     assert simulated is not None
     return simulated_samples(
         [each.make({}) for each in simulated.agents],
-        [(scene, suite.traffic_of(spec)) for scene, spec in simulated.all_conditions],
+        suite.places_of(simulated),
         drivers,
         simulated.episodes,
         suite.first_simulated_seed,

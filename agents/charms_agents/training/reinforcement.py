@@ -41,18 +41,16 @@ class Reinforcement:
         """The points so far, one every `curve_steps`."""
         self._ended: list[dict[str, Any]] = []
         reward, h = stage.reward_of(suite.weights[stage.weights]), suite.hyperparameters_of(stage)
-        conditions = stage.all_conditions
-        environments = []
-        for k, (scene, spec) in enumerate(conditions):
-            traffic = suite.traffic_of(spec)
+        places, environments = suite.places_of(stage), []
+        for k, (scene, traffic) in enumerate(places):
             environments.append(
                 HighwayVectorEnv(
                     scene,
-                    h.scenes // len(conditions),
+                    h.scenes // len(places),
                     traffic,
                     {name: drivers[name] for name in traffic.agents},
                     reward,
-                    first_seed + k * (EPISODES_OF_A_SEED // len(conditions)),
+                    first_seed + k * (EPISODES_OF_A_SEED // len(places)),
                     suite.observed,
                 )
             )

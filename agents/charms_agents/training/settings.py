@@ -1,7 +1,6 @@
 """Training suites: which networks are trained, and how, from YAML."""
 
 import math
-from collections.abc import Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,8 +16,8 @@ from pydantic import (
 from charms_agents.human.samples import SampleSettings
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
-from charms_bench.errors import InputError, RegistryError
 from charms_bench.envs.learners import Reward
+from charms_bench.errors import InputError, RegistryError
 from charms_bench.foundation.fields import FilePath, FrozenModel, Line, NonNegative, Positive
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
@@ -163,21 +162,10 @@ class Condition(FrozenModel):
     duration_s: Positive | None = None
     traffic: TrafficSpec | None = None
 
-    def applied(self, scene: SceneSettings, traffic: TrafficSpec) -> "ScenesAndTraffic":
-        """The scene and traffic of these episodes."""
+    def applied(self, scene: SceneSettings) -> SceneSettings:
+        """The scene of these episodes."""
         changes = self.model_dump(include={"lanes", "density", "duration_s"}, exclude_none=True)
-        merged = SceneSettings.model_validate({**scene.model_dump(), **changes})
-        return merged, self.traffic or traffic
-
-
-ScenesAndTraffic = tuple[SceneSettings, TrafficSpec]
-
-
-def _applied(
-    conditions: Sequence[Condition], scene: SceneSettings, traffic: TrafficSpec
-) -> list[ScenesAndTraffic]:
-    """The scenes and traffics of all conditions; without conditions, these ones."""
-    return [each.applied(scene, traffic) for each in conditions or (Condition(),)]
+        return SceneSettings.model_validate({**scene.model_dump(), **changes})
 
 
 class Stage(FrozenModel):
@@ -195,8 +183,8 @@ class Stage(FrozenModel):
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
-    conditions: Annotated[tuple[Condition, ...], Field(strict=False, max_length=100)] = ()
-    """If given, the environments are divided equally among these conditions."""
+    conditions: Name | None = None
+    """A name in the suite's `conditions`, among which the environments are divided equally."""
     prior: Name | None = None
     """The stage under `human` whose network is the prior that regularises this one."""
     reward: RewardScales | None = None
@@ -207,11 +195,6 @@ class Stage(FrozenModel):
         if self.reward is None:
             return StyleReward(weights, self.angle_rad)
         return CompletedReward(weights, self.angle_rad, self.reward)
-
-    @property
-    def all_conditions(self) -> list[ScenesAndTraffic]:
-        """The scenes and traffics in which the network learns."""
-        return _applied(self.conditions, self.scene, self.traffic)
 
     @property
     def angle_rad(self) -> float:
@@ -239,14 +222,10 @@ class SimulatedDrivers(FrozenModel):
     """Installed driver models."""
     scene: SceneSettings
     traffic: TrafficSpec
-    conditions: Annotated[tuple[Condition, ...], Field(strict=False, max_length=100)] = ()
+    conditions: Name | None = None
+    """A name in the suite's `conditions`."""
     episodes: Annotated[int, Field(ge=2, le=10_000)]
     """Episodes of each agent in each condition; a tenth of them is held out."""
-
-    @property
-    def all_conditions(self) -> list[ScenesAndTraffic]:
-        """The scenes and traffics in which the drivers drive."""
-        return _applied(self.conditions, self.scene, self.traffic)
 
 
 class Human(FrozenModel):
@@ -297,6 +276,10 @@ class TrainingSuite(FrozenModel):
     checkpoint_s: Positive = 60.0
     """Seconds between two checkpoints."""
     weights: dict[Name, Weights]
+    conditions: dict[
+        Name, Annotated[tuple[Condition, ...], Field(strict=False, min_length=1, max_length=100)]
+    ] = Field(default={})
+    """Conditions in which stages learn side by side, which they can name."""
     stages: Annotated[dict[Name, Stage], Field(min_length=1, max_length=100)]
     """Stages of reinforcement learning; `like` names a stage to copy missing settings from."""
     human: Human | None = None
@@ -358,10 +341,21 @@ class TrainingSuite(FrozenModel):
             return OneAgent(traffic.name)
         return traffic.make()
 
+    def conditions_of(self, stage: Stage | SimulatedDrivers) -> tuple[Condition, ...]:
+        """What differs between the episodes in which a stage learns."""
+        return self.conditions[stage.conditions] if stage.conditions else (Condition(),)
+
+    def places_of(self, stage: Stage | SimulatedDrivers) -> list[tuple[SceneSettings, Traffic]]:
+        """The scenes and traffics in which a stage learns; see `traffic_of`."""
+        return [
+            (each.applied(stage.scene), self.traffic_of(each.traffic or stage.traffic))
+            for each in self.conditions_of(stage)
+        ]
+
     def drivers_of(self, stage: Stage | SimulatedDrivers) -> tuple[str, ...]:
-        """The names of all agents in the traffic of a stage; see `traffic_of`."""
-        made = (self.traffic_of(traffic) for _, traffic in stage.all_conditions)
-        return tuple(dict.fromkeys(name for traffic in made for name in traffic.agents))
+        """The names of all agents in the traffics of a stage; see `traffic_of`."""
+        agents = (traffic.agents for _, traffic in self.places_of(stage))
+        return tuple(dict.fromkeys(name for names in agents for name in names))
 
     @property
     def needs(self) -> dict[str, tuple[str, ...]]:
@@ -414,9 +408,14 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         for steps, where in counts:
             if steps % h.scenes:
                 raise document.error(where, f"{steps} is not a multiple of scenes {h.scenes}")
-        if stage.conditions and h.scenes % len(stage.conditions):
-            what = f"scenes {h.scenes} is not a multiple of {len(stage.conditions)} conditions"
-            raise document.error((*at, "conditions"), what)
+        if stage.conditions is not None:
+            if stage.conditions not in suite.conditions:
+                there = f"this file has: {', '.join(suite.conditions) or 'none'}"
+                what = f"no conditions named '{stage.conditions}'; {there}"
+                raise document.error((*at, "conditions"), what)
+            if h.scenes % (count := len(suite.conditions[stage.conditions])):
+                what = f"scenes {h.scenes} is not a multiple of {count} conditions"
+                raise document.error((*at, "conditions"), what)
         if stage.prior is not None:
             _check_prior(document, suite, name)
         if stage.weights not in suite.weights:
@@ -441,8 +440,12 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             there = f"this file has: {', '.join(suite.stages)}"
             what = f"no stage named '{human.fine_tunes}' under stages; {there}"
             raise document.error((*place, "fine_tunes"), what)
-        if human.drivers == "simulated" and suite.human and suite.human.simulated is None:
+        simulated = suite.human and suite.human.simulated
+        if human.drivers == "simulated" and not simulated:
             raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
+        if simulated and simulated.conditions not in (None, *suite.conditions):
+            what = f"no conditions named '{simulated.conditions}'"
+            raise document.error(("human", "simulated", "conditions"), what)
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
