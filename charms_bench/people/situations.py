@@ -13,7 +13,7 @@ from charms_bench.engine.neighbours import locate
 from charms_bench.errors import DataError
 from charms_bench.world.following import FOLLOWING_RANGE_M
 from charms_bench.world.highd import LANE_WIDTH_M, Recording
-from charms_bench.world.observations import EGO, RANGE_M, Neighbours, neighbours
+from charms_bench.world.observations import COMMANDS, EGO, RANGE_M, Neighbours, neighbours
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints, Observations, Scene, SceneSettings
 
@@ -139,7 +139,7 @@ def _seen(
             observations[own.start + drivers] = observation(scene, vehicles)
             distance[own.start + drivers] = np.where(following, ahead, np.nan)
     observations[:, EGO, 1] = 1.0  # the road begins long before the recorded section
-    empty = observations[:, 1:, 0].reshape(-1, 3, 2) == 0
+    empty = observations[:, 1:COMMANDS, 0].reshape(-1, 3, 2) == 0
     lane_in_window = rows["lane"].to_numpy() - window
     side_lane = lane_in_window[:, None] + np.arange(-1, 2)
     exists = (side_lane >= 0) & (side_lane < LANES)

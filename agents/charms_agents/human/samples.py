@@ -36,7 +36,7 @@ from charms_bench.people.survey import Learnable
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
 from charms_bench.world.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
-from charms_bench.world.observations import Neighbours, neighbours
+from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
 from charms_bench.world.scene import Bools, Observations
 
 REASONS = (
@@ -260,8 +260,8 @@ class CharmsSampler:
             found = soft_labels(*(column.to_numpy() for column in measured))
         else:
             strongest = self.settings.step_mps * self.settings.decision_hz
-            measured = rows["lateral", "acceleration"]
-            found = step_labels(*(column.to_numpy() for column in measured), strongest)
+            lateral, acceleration = (rows[name].to_numpy() for name in ("lateral", "acceleration"))
+            found = step_labels(lateral, acceleration, strongest)
         labels[accepted.to_numpy()] = found
         label = pl.Series(labels, dtype=_LABEL)
         return decisions.with_columns(label=pl.when(accepted).then(label))
@@ -326,7 +326,7 @@ def _judged(
         ~rows["on_road"].to_numpy(),
         (aimed_at < 0) | (aimed_at >= rows["lanes"].to_numpy()),
         rows["view_cut"].to_numpy(),
-        observations[:, 1:, 0].sum(axis=1) < settings.min_neighbours,
+        observations[:, 1:COMMANDS, 0].sum(axis=1) < settings.min_neighbours,
         repeated,
     )
     rejected = np.select(applies, range(len(REASONS)), -1)

@@ -239,7 +239,7 @@ def human_job(
             suite.human.simulated.scene.decision_hz,
         )
         learnt["simulated"] = {
-            **suite.human.simulated.model_dump(mode="json", exclude_defaults=True),
+            **suite.human.simulated.model_dump(mode="json", exclude={"conditions"}),
             **_conditions(suite, suite.human.simulated),
             "files_sha256": [_files_sha256(each.make({})) for each in suite.human.simulated.agents],
             "first_episode_seed": suite.first_simulated_seed,

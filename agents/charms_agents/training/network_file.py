@@ -29,20 +29,25 @@ actions that differ by less are equal."""
 MASKED = 1e8
 """What a masked action loses of its value, as in sb3-contrib."""
 SMALLEST_DRAW, LARGEST_DRAW = 1e-20, 1 - 2**-24
-"""The range of random numbers whose double logarithm is finite."""
+DRAW_RANGE = {"smallest": SMALLEST_DRAW, "largest": LARGEST_DRAW}
+"""The range of random numbers whose double logarithm is finite, and its names in a file."""
 STEPS = 4
 """Decisions in a row for which a network with memory is compared."""
 
 
 def read_network(path: Path) -> Sequential:
-    """The network of a file that `export` wrote; raises a `ModelError` for any other file."""
+    """The network of a file that `export` wrote, without what draws its actions from its values.
+
+    Raises a `ModelError` for any other file.
+    """
     try:
         graph = onnx.load(path, load_external_data=False).graph
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
     except DecodeError as error:
         raise ModelError(f"{path}: not an ONNX file: {error}") from error
-    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    tensors = (tensor for tensor in graph.initializer if tensor.name not in DRAW_RANGE)
+    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in tensors}
     names = [(f"weight_{index}", f"bias_{index}") for index in range(len(arrays) // 2)]
     if set(arrays) != {name for pair in names for name in pair} or not names:
         raise ModelError(f"{path}: was not written by this pipeline; it holds {list(arrays)}")
@@ -171,7 +176,7 @@ def _serialised(
     if stochastic:
         # With -log(-log(u)) added, each logit is the largest with its probability (Gumbel-max).
         inputs.append(_port(NOISE_INPUT, "batch", len(ACTIONS)))
-        constants |= {"smallest": SMALLEST_DRAW, "largest": LARGEST_DRAW}
+        constants |= DRAW_RANGE
         nodes.append(helper.make_node("Clip", [NOISE_INPUT, "smallest", "largest"], ["drawn"]))
         nodes.append(helper.make_node("Log", ["drawn"], ["log_drawn"]))
         nodes.append(helper.make_node("Neg", ["log_drawn"], ["exponential"]))
