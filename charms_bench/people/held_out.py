@@ -6,7 +6,6 @@ import numpy as np
 
 from charms_bench.people.calibration import Fit, of_drivers, ou_noise, situation_of
 from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.suited import suited
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.profile import CHARMS
@@ -32,11 +31,10 @@ def profile_idm(time_headway_s: float) -> Floats:
 
 
 def drawn(fit: Fit, noise: tuple[float, float], draws: int = DRAWS) -> Predictor:
-    """Drivers drawn from the population in the trip's situation, who suit its start."""
+    """Drivers drawn from the population in the trip's situation."""
 
     def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        situation = situation_of([trip])
-        p = suited(fit.model, trip, draws, lambda count: fit.draw(rng, count, situation), rng)
+        p = fit.draw(rng, draws, situation_of([trip]))
         pushes = ou_noise(rng, (draws, trip.gap.size), *noise)
         return drive(fit.model, trip, p, fit.lag_s, pushes)
 

@@ -133,6 +133,16 @@ def test_both_engines_agree(tmp_path: Path, ego: str | None, traffic: str, episo
     assert found.steps > 30 * episodes
 
 
+def test_both_engines_agree_on_a_vehicle_that_is_recorded_rolling_back(tmp_path: Path) -> None:
+    standing = [Row(frame=k + 1, x=100.0, vx=-0.001) for k in range(21)]
+    driving = driven(Row(vehicle=2, x=120.0, vx=20.0), 21, rate=10)
+    settings = scene_of(tmp_path, standing + driving, profile="naturalistic")
+    same = {"ego": AgentSpec(name="recorded"), "traffic": TrafficSpec(name="recorded")}
+    found = compare(Case(scene=settings, **same), 0, 1)
+    assert (found.differences, found.largest) == ((), 0.0)
+    assert -0.001 in simulation_of(settings, scenes=1).scene.speed
+
+
 def touching(simulation: Simulation) -> int:
     """Pairs of vehicles whose boxes along the road overlap."""
     scene, found = simulation.scene, 0
