@@ -16,8 +16,10 @@ from charms_bench.foundation.compiled import clip, compiled_of_scenes, index, in
 from charms_bench.foundation.philox import uniforms
 from charms_bench.people import car_following
 from charms_bench.people import population as populations
+from charms_bench.people import suited as suiting
 from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
 from charms_bench.people.population import Population, read_population
+from charms_bench.people.suited import DEVIATION_MPS2, TRIES
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -32,9 +34,12 @@ DRIVEN, FELT, NOISE, CLOCK, FIRST = range(5)
 """What a driver remembers: the number of calls, the lagged acceleration, the noise, the time since
 the last choice of a lane, and, from `FIRST` on, the driver's own parameters."""
 DRAWS = 3
+"""Random numbers of each call: one of the noise and one of each side lane."""
 _DIGITS = 9
 """The last bits of linear algebra depend on the processor; those of rounded numbers do not."""
 QUANTILES = ("desired_speed", "time_gap", "jam_gap", "acceleration", "deceleration")
+_OF_A_TRY = 1 + len(QUANTILES)
+"""Random numbers of each driver that is drawn: whether it is kept, and the next one's quantiles."""
 
 
 class _Driving(NamedTuple):
@@ -63,8 +68,10 @@ class Human(DriverModel):
     """IDM along the lane and a random choice of lanes, as calibrated on recorded drivers.
 
     Each driver has own parameters, which are correlated with each other, with the speed that the
-    driver wants when the episode starts, and with the time gap to the leader at that time. The
-    acceleration follows IDM's with a lag, and correlated noise is added.
+    driver wants when the episode starts, and with the time gap to the leader at that time. Drivers
+    who would brake or accelerate hard at once are drawn again; see `people.suited`. Then the
+    parameters that end in `_quantile` are those of the first driver drawn. The acceleration follows
+    IDM's with a lag, and correlated noise is added.
 
     Args:
         population: The name of a population in the package, or a JSON file that
@@ -92,7 +99,8 @@ class Human(DriverModel):
     def drive(self, scene: Scene, vehicles: Vehicles) -> tuple[Floats, Ints]:
         keys = (scene.parameters[vehicles][:, len(QUANTILES)] * 2.0**53).astype(np.uint64)
         calls = scene.memory[vehicles][:, DRIVEN].astype(np.uint64)
-        draws = uniforms(keys, calls, scene.entry[vehicles].astype(np.uint64), DRAWS)
+        count = DRAWS if calls.all() else DRAWS + _OF_A_TRY * TRIES
+        draws = uniforms(keys, calls, scene.entry[vehicles].astype(np.uint64), count)
         return _drive(scene, vehicles[0], vehicles[1], draws, self._driving)
 
 
@@ -124,7 +132,7 @@ def _driving(drivers: Population) -> _Driving:
 
 def _sha256(drivers: Population) -> str:
     digest = sha256(drivers.model_dump_json().encode())
-    for module in (car_following, populations):
+    for module in (car_following, populations, suiting):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()
 
@@ -136,6 +144,7 @@ def _drive(
     c, memory, timer_s = scene.constants, scene.memory, scene.timer_s
     limit = c.idm_mobil.imposed_braking_mps2
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
+    median = d.median.copy()
     for m in range(rows.size):
         b, i = index(rows[m]), index(places[m])
         own = memory[b, i]
@@ -143,14 +152,7 @@ def _drive(
         p = own[FIRST:]
         if is_first:
             own[CLOCK] = elapsed_s  # a random part of the interval
-            leader = scene.leaders[b, i, scene.lane[b, i]]
-            gap = LONGEST_M + 1
-            if leader >= 0:
-                gap = _gap(scene, b, i, leader)
-            time_gap = max(gap, SHORTEST_M) / max(scene.speed[b, i], SLOWEST_MPS)
-            speed = max(scene.target_speed[b, i], SLOWEST_MPS)
-            is_led = 1 if gap <= LONGEST_M else 0
-            _draw(p, scene.parameters[b, i], time_gap, speed, is_led, d)
+            _choose(p, scene, b, i, draws[m, DRAWS:], d)
         else:
             own[CLOCK] += elapsed_s
         own[DRIVEN] += 1.0
@@ -161,15 +163,15 @@ def _drive(
             continue
         if lane == target and own[CLOCK] > CONSIDERS_EVERY_S - c.dt / 2:
             own[CLOCK] = 0.0
-            kept = max(_behind(scene, b, i, scene.leaders[b, i, lane], d.median), -limit)
+            kept = max(_weighed(scene, b, i, scene.leaders[b, i, lane], median, d), -limit)
             k = 0
             for side in side_lanes(c, lane):
                 k += 1
                 if side < 0 or not is_reachable(c, side, scene.x[b, i], scene.y[b, i]):
                     continue
-                offered = _behind(scene, b, i, scene.leaders[b, i, side], d.median)
+                offered = _weighed(scene, b, i, scene.leaders[b, i, side], median, d)
                 follower = scene.followers[b, i, side]
-                imposed = _behind(scene, b, follower, i, d.median) if follower >= 0 else 0.0
+                imposed = _weighed(scene, b, follower, i, median, d) if follower >= 0 else 0.0
                 if offered >= -limit and imposed >= -limit:
                     need = (d.threshold - (offered - kept)) / d.scale
                     odds = 1 + maths.exp(clip(need, -50.0, 50.0))
@@ -187,6 +189,29 @@ def _drive(
         acceleration[m] = clip(own[FELT] + own[NOISE], -BRAKING_LIMIT_MPS2, BRAKING_LIMIT_MPS2)
         target_lane[m] = target
     return acceleration, target_lane
+
+
+@inlined
+def _choose(p: Floats, scene: Scene, b: int, i: int, draws: Floats, d: _Driving) -> None:
+    """Sets the parameters p (P,) of a driver that suits the start, as `people.suited` does."""
+    leader = scene.leaders[b, i, scene.lane[b, i]]
+    gap = LONGEST_M + 1
+    if leader >= 0:
+        gap = _gap(scene, b, i, leader)
+    time_gap = max(gap, SHORTEST_M) / max(scene.speed[b, i], SLOWEST_MPS)
+    speed = max(scene.target_speed[b, i], SLOWEST_MPS)
+    is_led = 1 if gap <= LONGEST_M else 0
+    best, smallest = 0, math.inf
+    for attempt in range(TRIES + 1):
+        k = attempt if attempt < TRIES else best
+        quantiles = draws[_OF_A_TRY * k - len(QUANTILES) :] if k > 0 else scene.parameters[b, i]
+        _draw(p, quantiles, time_gap, speed, is_led, d)
+        first = abs(_behind(scene, b, i, leader, p))
+        share = min(first / DEVIATION_MPS2, 10.0)
+        if attempt == TRIES or draws[_OF_A_TRY * k] < maths.exp(-share * share / 2):
+            break
+        if first < smallest:
+            best, smallest = k, first
 
 
 @inlined
@@ -217,6 +242,16 @@ def _normal(quantile: float) -> float:
     """
     below, above = max(quantile, 1e-15), max(1 - quantile, 1e-15)
     return (maths.power(below, 0.1349) - maths.power(above, 0.1349)) / 0.1975
+
+
+@inlined
+def _weighed(scene: Scene, b: int, i: int, leader: int, median: Floats, d: _Driving) -> float:
+    """The acceleration of the median driver, with which lanes are weighed, in vehicle i's place.
+
+    The desired speed is at least the vehicle's speed, as in `people.lane_choices`.
+    """
+    median[0] = max(d.median[0], scene.speed[b, i])
+    return _behind(scene, b, i, leader, median)
 
 
 @inlined

@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
     interruptible,
     print_json,
     print_records,
+    print_table,
     say,
     shown,
 )
@@ -187,6 +188,14 @@ def likeness(
             "`charms-bench calibrate`."
         ),
     ],
+    controls: Annotated[
+        bool,
+        typer.Option(
+            "--controls",
+            help="Also score drivers with known faults, such as copied accelerations, to see what "
+            "the score tells apart on these recordings.",
+        ),
+    ] = False,
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
@@ -195,9 +204,10 @@ def likeness(
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.likeness import draw
+    from charms_bench.report.likeness_table import likeness_tables
     from charms_bench.report.progress import note
     from charms_bench.runs.likeness import likeness as scored
-    from charms_bench.runs.likeness import standard
+    from charms_bench.runs.likeness import likeness_of_controls, standard
     from charms_bench.runs.packaged import suite_file
     from charms_bench.runs.suite import load_suite
 
@@ -205,27 +215,22 @@ def likeness(
         check_figure(figure)
         figure = absolute(figure)
     read = load_suite(suite_file(suite))
-    rows = []
+    rows, of_controls = [], []
     with interruptible():
         against = standard(read, absolute(recordings), read_population(population))
         for each in scored(read, against):
             note(f"{each.kind} {each.label}")
             rows.append(each)
+        if controls:
+            note("controls")
+            of_controls = list(likeness_of_controls(against))
     if figure is not None:
         draw(rows, figure)
     if as_json:
-        print_json([asdict(each) for each in rows])
+        print_json([asdict(each) for each in (*rows, *of_controls)])
         return
-    records = [
-        {"driver": each.label, "kind": each.kind}
-        | {
-            name: f"{score.value:.2f} [{score.low:.2f}, {score.high:.2f}]"
-            for name, score in each.scores.items()
-        }
-        for each in rows
-    ]
-    forms = dict.fromkeys(("kind", *rows[0].scores), "")
-    print_records("driver", [dict.fromkeys(forms, "") | each for each in records], forms)
+    for table in likeness_tables(rows, of_controls):
+        print_table(table)
     if figure is not None:
         say(f"Figure: {shown(figure)}")
 

@@ -420,9 +420,10 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
 
     def step(self: Any, dt: float) -> None:
-        """[`Vehicle.step`] without reversing."""
+        """[`Vehicle.step`] without reversing, unless a recording says so."""
+        is_put = getattr(self, "put", None) is not None
         vehicle_class.step(self, dt)
-        if self.speed < 0.0:
+        if self.speed < 0.0 and not is_put:
             self.action["acceleration"] -= self.speed / dt
             self.speed = 0.0
 

@@ -4,9 +4,10 @@ Once per second, a driver changes to a side lane with probability v / (1 + exp((
 scale)), where v is the driver's speed divided by the mean speed of the recording: published rates
 of lane changes are rates per distance. The gain is the acceleration of IDM in that lane minus that
 in the driver's own lane; an acceleration below -2 m/s2 counts as -2. A lane in which the driver or
-the new follower would have to brake harder is not open. MOBIL's other constants are not identified
-by a few dozen lane changes, so the politeness is 0 and the limit of braking is the profile's. Lane
-changes to and from exits are left out.
+the new follower would have to brake harder is not open. IDM's desired speed is at least the speed
+of the driver, or no lane would be open to drivers who are faster than the median driver wants to
+be. MOBIL's other constants are not identified by a few dozen lane changes, so the politeness is 0
+and the limit of braking is the profile's. Lane changes to and from exits are left out.
 """
 
 from pathlib import Path
@@ -214,7 +215,7 @@ def _weigh(
     `places` are moments, lanes and chosen sides, `states` are x, speeds and lengths.
     """
     (moment, lane, chosen), (x, speed, length), (gain, changed, speeds) = places, states, answers
-    count = 0
+    count, median, own = 0, p[0], p.copy()
     for i in range(x.size):
         if abs(chosen[i]) > 1:
             continue  # the vehicle already moves to the new lane
@@ -230,14 +231,16 @@ def _weigh(
                 is_led = j < x.size and moment[j] == moment[i]
                 gap = x[j] - x[i] - (length[i] + length[j]) / 2 if is_led else 1e9
                 ahead = speed[j] if is_led else speed[i]
-                accelerations[k] = idm(speed[i], gap, ahead, p)
+                own[0] = max(median, speed[i])
+                accelerations[k] = idm(speed[i], gap, ahead, own)
             j = i - 1
             while j >= 0 and moment[j] == moment[i] and lane[j] != new:
                 j -= 1
             braking = 0.0
             if j >= 0 and moment[j] == moment[i]:
                 gap = x[i] - x[j] - (length[i] + length[j]) / 2
-                braking = -idm(speed[j], gap, speed[i], p) if gap > 0 else 1e9
+                own[0] = max(median, speed[j])
+                braking = -idm(speed[j], gap, speed[i], own) if gap > 0 else 1e9
             if braking <= limit and accelerations[1] >= -limit:
                 gain[count] = accelerations[1] - max(accelerations[0], -limit)
                 changed[count] = chosen[i] == side

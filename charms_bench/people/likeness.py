@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from charms_bench.people.driven import HARD_BRAKING_MPS2, SHORT_HEADWAY_S, Driven, reversals
 from charms_bench.people.held_out import HORIZONS_S, SEED
-from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.statistics.energy_score import energy_score
-from charms_bench.world.scene import Floats, Ints
+from charms_bench.world.scene import Bools, Floats, Ints
 
 COMPONENTS = ("closed_loop", "given_scene", "events")
 SPEEDS_MPS = (0.0, 10.0, 22.0, 28.0, 100.0)
@@ -32,51 +32,17 @@ CLOSING_MPS = (-100.0, -0.5, 0.5, 100.0)
 """Edges of the strata of speed, of density by its time gap, and of closing speed."""
 ACCELERATIONS_MPS2 = (-100.0, -1.5, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 1.5, 100.0)
 JERKS_MPS3 = (-100.0, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 100.0)
-REVERSAL_MPS2 = 0.15
-"""An acceleration reverses if its sign changes between two seconds and both exceed this."""
-HARD_BRAKING_MPS2 = 1.5
-SHORT_HEADWAY_S = 1.0
-PRIOR_EVENTS = 0.5
-"""Added to each number of events, so that the logarithm of no event is finite."""
+PRIOR_EVENTS = 5.0
+"""Added to each number of events, so that one event of one driver does not decide a score."""
 EVENTS = ("hard_braking", "short_headway", "lane_change", "undone_lane_change")
 LEAST_SPAN = np.log(2)
 """A rate twice as high or half as high costs at most 1, even where the floor has the right rate.
 Twice the distance between halves of the recorded drivers costs at most 1, too."""
-HALVES, HALVES_OF_RESAMPLE = 100, 5
-RESAMPLES = 200
+HALVES = 200
 SMALLEST_STRATUM_S = 30
 """Seconds of recorded driving; smaller strata are left out."""
 _STRATA = (len(SPEEDS_MPS) - 1) * (len(TIME_GAPS_S) - 1) * (len(CLOSING_MPS) - 1)
 _BINS = (len(ACCELERATIONS_MPS2) - 1, len(JERKS_MPS3) - 1, 2)
-
-
-@dataclass(frozen=True, eq=False)
-class Driven:
-    """What M repetitions of a driver did in S recorded situations of 30 s, at 1 Hz."""
-
-    driver: Ints
-    """(S,) the recorded driver whose place was taken."""
-    gap: Floats
-    """(S, M, 31) bumper to bumper, m."""
-    speed: Floats
-    """(S, M, 31) m/s."""
-    leader_speed: Floats
-    """(S, 31) m/s."""
-    lanes: Floats
-    """(L, 3) kilometres, lane changes and undone lane changes of independent units: recorded
-    vehicles or episodes. (0, 3) where lanes are unknown."""
-
-
-def recorded(parts: Sequence[Trip], lanes: Floats) -> Driven:
-    """What the recorded drivers did."""
-    every = slice(None, None, RATE_HZ)
-    return Driven(
-        np.array([part.driver for part in parts]),
-        np.array([part.gap[None, every] for part in parts]),
-        np.array([part.speed[None, every] for part in parts]),
-        np.array([part.leader_speed[every] for part in parts]),
-        lanes,
-    )
 
 
 @dataclass(frozen=True)
@@ -89,24 +55,53 @@ class Score:
 
 
 class _Sums:
-    """What is added up of a driver, by recorded driver (D)."""
+    """What is added up of a driver, by repetition (M) and by recorded driver (D)."""
 
-    def __init__(self, driven: Driven, human: Driven, scales: Floats) -> None:
-        drivers, number = np.unique(driven.driver, return_inverse=True)
-        count = drivers.size
-        energy = _energy_scores(driven, human, scales)
-        self.energy = np.array([np.bincount(number, each, count) for each in energy.T]).T
-        # One repetition, as many seconds as the recorded drivers have.
-        self.strata = [np.zeros((count, _STRATA, bins)) for bins in _BINS]
-        self.events = np.zeros((count, 2))
-        self.seconds = np.zeros(count)
-        for d in range(count):
+    def __init__(self, driven: Driven, drivers: int = 0) -> None:
+        """With a number of `drivers`, only the first ones count, or further ones drove nothing."""
+        found, number = np.unique(driven.driver, return_inverse=True)
+        shape = driven.speed.shape[1], drivers or found.size
+        self.strata = [np.zeros((*shape, _STRATA, bins)) for bins in _BINS]
+        self.events = np.zeros((*shape, 2))
+        self.seconds = np.zeros(shape[1])
+        for d in range(shape[1]):
             own = number == d
-            parts = driven.speed[own, 0], driven.gap[own, 0], driven.leader_speed[own]
-            for total, counts in zip(self.strata, _histograms(*parts), strict=True):
-                total[d] = counts
-            self.events[d], self.seconds[d] = _events(*parts[:2])
+            leader_speed = driven.leader_speed[own]
+            for m in range(shape[0]):
+                speed, gap = driven.speed[own, m], driven.gap[own, m]
+                for total, counts in zip(
+                    self.strata, _histograms(speed, gap, leader_speed), strict=True
+                ):
+                    total[m, d] = counts
+                self.events[m, d], self.seconds[d] = _events(speed, gap)
         self.lanes = driven.lanes
+
+
+class _Halves:
+    """Recorded drivers with weights (D,), split into halves H times."""
+
+    def __init__(self, human: _Sums, weights: Floats, is_first: Bools, lanes: Floats) -> None:
+        """`is_first` (H, D) are the first halves, and `lanes` (H, 2, 3) are sums of lane counts."""
+        self.weights, self._lanes = weights, lanes
+        one, self._other = weights * is_first, weights * ~is_first
+        self._recorded = [np.tensordot(one, each[0], 1) for each in human.strata]
+        self._expected = _rates(human, one, lanes[:, 0], lanes[:, 0, 0])
+
+    def distances(self, tested: _Sums, lanes: Floats | None = None) -> Floats:
+        """(H, 5) of scene and events, of a driver in the second half from people in the first.
+
+        They are means over the repetitions. `lanes` (3,) are the driver's sums of lane counts;
+        people have those of their second half.
+        """
+        km = self._lanes[:, 0, 0]
+        own = self._lanes[:, 1] if lanes is None else np.broadcast_to(lanes, (km.size, 3))
+        found = np.zeros((km.size, 1 + len(EVENTS)))
+        for m in range(len(tested.events)):
+            driven = [np.tensordot(self._other, each[m], 1) for each in tested.strata]
+            found[:, 0] += _apart(self._recorded, driven)
+            rates = _rates(tested, self._other, own, km, m)
+            found[:, 1:] += np.abs(np.log(rates / self._expected))
+        return found / len(tested.events)
 
 
 class Yardstick:
@@ -123,91 +118,111 @@ class Yardstick:
     def __init__(
         self, human: Driven, constant: Driven, spawn_only: Driven, own: Driven, scales: Floats
     ) -> None:
-        self._driven, self._scales = human, scales
-        self._human, self._constant, self._spawn_only, self._own = (
-            _Sums(each, human, scales) for each in (human, constant, spawn_only, own)
-        )
-        self._drivers = np.unique(human.driver).size
-        every, rng = np.ones(self._drivers), np.random.default_rng(SEED)
-        _, of_people, *others = self._distances(self._human, every, HALVES, rng)
-        self._span = np.minimum(*others) - of_people
-        """(5,) the distances that a score from 0 to 1 stands for."""
-        self._span[1:] = np.maximum(self._span[1:], np.maximum(of_people[1:], LEAST_SPAN))
+        self._human, self._scales = human, scales
+        drivers, self._number = np.unique(human.driver, return_inverse=True)
+        self._drivers = drivers.size
+        self._energy = [self._energy_of(each) for each in (constant, own)]
+        people, *others = (_Sums(each) for each in (human, constant, spawn_only))
+        rng, every = np.random.default_rng(SEED), np.tile(np.arange(self._drivers), (HALVES, 1))
+        is_first = rng.permuted(every, axis=1) < self._drivers / 2
+        units = len(human.lanes)
+        drawn = rng.integers(max(units, 1), size=(HALVES, 2, units // 2))
+        self._parts = []
+        """All drivers, then all but one."""
+        self._of_people, self._span = np.empty((2, 1 + self._drivers, 1 + len(EVENTS)))
+        """Distances of halves of people, and those that scores from 0 to 1 stand for, by part."""
+        for part, weights in enumerate(self._weights()):
+            lanes = self._without(human.lanes, part)[drawn].sum(axis=2)
+            halves = _Halves(people, weights, is_first, lanes)
+            self._parts.append(halves)
+            splits = halves.distances(people)
+            if part == 0:
+                self._splits = splits
+            floor = np.min(
+                [
+                    halves.distances(each, self._without(each.lanes, part).sum(axis=0)).mean(axis=0)
+                    for each in others
+                ],
+                axis=0,
+            )
+            self._of_people[part] = splits.mean(axis=0)
+            self._span[part] = floor - self._of_people[part]
+        least = np.maximum(self._of_people[:, 1:], LEAST_SPAN)
+        self._span[:, 1:] = np.maximum(self._span[:, 1:], least)
 
     def scores(self, tested: Driven) -> dict[str, Score]:
         """The components and the total of a driver in the same situations."""
-        return self._with_intervals(self._resampled(tested))
+        return _with_intervals(self._of(tested))
 
     def differences(self, tested: Driven, other: Driven) -> dict[str, Score]:
-        """How much higher the other driver scores, over the same resampled drivers."""
-        return self._with_intervals(self._resampled(other) - self._resampled(tested))
+        """How much higher the other driver scores, over the same recorded drivers."""
+        return _with_intervals(self._of(other) - self._of(tested))
 
     def ceiling(self) -> dict[str, Score]:
         """What one half of the recorded drivers scores against the other: 1, with an interval.
 
         The closed loop has none, because a driver has driven each situation once.
         """
-        rng, every = np.random.default_rng(SEED), np.ones(self._drivers)
-        splits = [self._distances(self._human, every, 1, rng)[1] for _ in range(HALVES)]
-        scores = 1 - (np.array(splits) - np.mean(splits, axis=0)) / self._span
-        found = {"given_scene": scores[:, 0], "events": np.nanmin(scores[:, 1:], axis=1)}
+        splits = 1 - (self._splits - self._of_people[0]) / self._span[0]
+        found = {"given_scene": splits[:, 0], "events": np.nanmin(splits[:, 1:], axis=1)}
         bounds = {name: np.quantile(each, [0.025, 0.975]) for name, each in found.items()}
-        return {
-            name: Score(float(each.mean()), *map(float, bounds[name]))
-            for name, each in found.items()
-        }
+        return {name: Score(1.0, *map(float, each)) for name, each in bounds.items()}
 
-    def _resampled(self, tested: Driven) -> Floats:
-        """(1 + R, 4) components and total: of all drivers, then of resampled drivers."""
-        rng = np.random.default_rng(SEED)
-        sums = _Sums(tested, self._driven, self._scales)
-        every = np.ones(self._drivers)
-        found = [self._components(sums, every, HALVES, rng)]
-        for _ in range(RESAMPLES):
-            drawn = rng.integers(self._drivers, size=self._drivers)
-            weights = np.bincount(drawn, minlength=self._drivers).astype(np.float64)
-            found.append(self._components(sums, weights, HALVES_OF_RESAMPLE, rng))
-        components = np.array(found)
-        return np.column_stack([components, components.min(axis=1)])
+    def of_others(self, people: Driven) -> dict[str, Score]:
+        """What other recorded drivers score, who drove in other situations.
 
-    def _with_intervals(self, resampled: Floats) -> dict[str, Score]:
-        low, high = np.nanquantile(resampled[1:], [0.025, 0.975], axis=0)
-        return {
-            name: Score(float(resampled[0, k]), float(low[k]), float(high[k]))
-            for k, name in enumerate((*COMPONENTS, "total"))
-        }
-
-    def _components(
-        self, tested: _Sums, weights: Floats, halves: int, rng: np.random.Generator
-    ) -> Floats:
-        of_constant, of_own, of_tested = (
-            weights @ each.energy for each in (self._constant, self._own, tested)
-        )
-        closed_loop = np.mean((of_constant - of_tested) / (of_constant - of_own))
-        of_tested, of_people, *_ = self._distances(tested, weights, halves, rng)
-        scores = 1 - (of_tested - of_people) / self._span
-        return np.array([closed_loop, scores[0], np.nanmin(scores[1:])])
-
-    def _distances(
-        self, tested: _Sums, weights: Floats, halves: int, rng: np.random.Generator
-    ) -> Floats:
-        """(4, 5) distances of scene and events, of contestants in one half from people in another.
-
-        The contestants are the tested driver, people, constant velocity and spawn-only IDM.
+        The closed loop compares drivers in one situation, so it has no score.
         """
-        contestants = tested, self._human, self._constant, self._spawn_only
-        distances = np.zeros((len(contestants), 1 + len(EVENTS)))
-        for _ in range(halves):
-            is_first = rng.permutation(self._drivers) < self._drivers / 2
-            one, other = weights * is_first, weights * ~is_first
-            lanes = _half_rates(self._human.lanes, rng)
-            for k, contestant in enumerate(contestants):
-                own = lanes[1] if k == 1 else contestant.lanes.sum(axis=0)
-                rates = _rates(contestant, other, own, lanes[0, 0])
-                expected = _rates(self._human, one, lanes[0], lanes[0, 0])
-                distances[k, 0] += _apart(self._human, one, contestant, other)
-                distances[k, 1:] += np.abs(np.log(rates / expected))
-        return distances / halves
+        found = self._by_part(_Sums(people, self._drivers), self._energy[1], people.lanes)
+        return {
+            name: each for name, each in _with_intervals(found).items() if name in COMPONENTS[1:]
+        }
+
+    def _of(self, tested: Driven) -> Floats:
+        return self._by_part(_Sums(tested), self._energy_of(tested), tested.lanes)
+
+    def _by_part(self, sums: _Sums, energy: Floats, units: Floats) -> Floats:
+        """(1 + D, 4) components and total: of all drivers, then without each of them."""
+        found = np.empty((1 + self._drivers, 1 + len(COMPONENTS)))
+        for part, halves in enumerate(self._parts):
+            lanes = self._without(units, part).sum(axis=0)
+            apart = halves.distances(sums, lanes).mean(axis=0)
+            scores = 1 - (apart - self._of_people[part]) / self._span[part]
+            constant, own, of_tested = (halves.weights @ each for each in (*self._energy, energy))
+            closed_loop = np.mean((constant - of_tested) / (constant - own))
+            found[part, :3] = closed_loop, scores[0], np.nanmin(scores[1:])
+        found[:, 3] = found[:, :3].min(axis=1)
+        return found
+
+    def _energy_of(self, driven: Driven) -> Floats:
+        """(D, H) sums of energy scores by recorded driver."""
+        energy = _energy_scores(driven, self._human, self._scales)
+        return np.array([np.bincount(self._number, each) for each in energy.T]).T
+
+    def _weights(self) -> Floats:
+        """(1 + D, D) weights of the drivers in each part."""
+        return np.concatenate([np.ones((1, self._drivers)), 1 - np.eye(self._drivers)])
+
+    def _without(self, lanes: Floats, part: int) -> Floats:
+        """(L, 3) lane counts of a part; without a driver, every D-th unit is left out, too."""
+        left_out = (np.arange(len(lanes)) % self._drivers == part - 1) & (part > 0)
+        return np.where(left_out[:, None], 0.0, lanes)
+
+
+def _with_intervals(found: Floats) -> dict[str, Score]:
+    """Scores (1 + D, 4) of all drivers, with intervals from those without each of them.
+
+    The jackknife, with Student's distribution (Efron & Tibshirani 1993, section 11.2).
+    """
+    from scipy.stats import t
+
+    value, others = found[0], found[1:]
+    apart = ((others - others.mean(axis=0)) ** 2).sum(axis=0) * (1 - 1 / len(others))
+    size = t.ppf(0.975, len(others) - 1) * np.sqrt(apart)
+    return {
+        name: Score(float(value[k]), float(value[k] - size[k]), float(value[k] + size[k]))
+        for k, name in enumerate((*COMPONENTS, "total"))
+    }
 
 
 def _energy_scores(tested: Driven, human: Driven, scales: Floats) -> Floats:
@@ -220,30 +235,27 @@ def _energy_scores(tested: Driven, human: Driven, scales: Floats) -> Floats:
     return np.stack(found, axis=-1)
 
 
-def _apart(human: _Sums, one: Floats, tested: _Sums, other: Floats) -> float:
-    """Mean total variation of acceleration, jerk and reversals in the strata, from 0 to 1.
+def _apart(of_human: Sequence[Floats], of_tested: Sequence[Floats]) -> Floats:
+    """(H,) mean total variation of acceleration, jerk and reversals in the strata, from 0 to 1.
 
-    Strata weigh as much as the recorded drivers, with weights `one`, are in them. A stratum in
-    which the other driver never is counts as 1.
+    Both are seconds (H, strata, bins). Strata weigh as much as the recorded drivers are in them. A
+    stratum in which the tested driver never is counts as 1.
     """
     distances = []
-    for of_human, of_tested in zip(human.strata, tested.strata, strict=True):
-        p, q = np.tensordot(one, of_human, 1), np.tensordot(other, of_tested, 1)
-        seconds, visits = p.sum(axis=1), q.sum(axis=1)
-        used = seconds >= SMALLEST_STRATUM_S
-        p, q = p / np.maximum(seconds, 1)[:, None], q / np.maximum(visits, 1)[:, None]
-        apart = np.where(visits > 0, np.abs(p - q).sum(axis=1) / 2, 1.0)
-        distances.append((apart * seconds)[used].sum() / seconds[used].sum())
-    return float(np.mean(distances))
+    for p, q in zip(of_human, of_tested, strict=True):
+        seconds, visits = p.sum(axis=-1), q.sum(axis=-1)
+        weights = np.where(seconds >= SMALLEST_STRATUM_S, seconds, 0.0)
+        p, q = p / np.maximum(seconds, 1)[..., None], q / np.maximum(visits, 1)[..., None]
+        apart = np.where(visits > 0, np.abs(p - q).sum(axis=-1) / 2, 1.0)
+        distances.append((apart * weights).sum(axis=-1) / weights.sum(axis=-1))
+    return np.asarray(np.mean(distances, axis=0))
 
 
 def _histograms(speed: Floats, gap: Floats, leader_speed: Floats) -> list[Floats]:
     """(strata, bins) seconds by acceleration, jerk and reversal, of speeds and gaps (S, 31)."""
     acceleration = np.diff(speed, axis=-1)
-    jerk = np.diff(acceleration, axis=-1)
-    before, after = acceleration[:, :-1], acceleration[:, 1:]
-    is_strong = np.minimum(np.abs(before), np.abs(after)) > REVERSAL_MPS2
-    reverses = (is_strong & (before * after < 0)).astype(np.int64)
+    jerk, after = np.diff(acceleration, axis=-1), acceleration[:, 1:]
+    reverses = reversals(acceleration).astype(np.int64)
     seen, gap = speed[:, 1:-1], gap[:, 1:-1]
     stratum = _bin(seen, SPEEDS_MPS)
     for value, edges in (
@@ -270,21 +282,14 @@ def _events(speed: Floats, gap: Floats) -> tuple[Floats, int]:
     return np.array([is_hard.sum(), is_short.sum()], dtype=np.float64), is_hard.size
 
 
-def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: float) -> Floats:
-    """(4,) rates of events by second and by km, of lanes (3,); NaN where lanes are unknown.
+def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: int = 0) -> Floats:
+    """(H, 4) rates of events by second and by km, of lanes (H, 3); NaN where lanes are unknown.
 
     The prior is one of a rate on as many kilometres as half of the recorded drivers drove, so that
     who drives further is not thought to change lanes less.
     """
-    braking = (weights @ driven.events + PRIOR_EVENTS) / (weights @ driven.seconds)
-    km, *changes = lanes
-    return np.append(
-        braking, np.array(changes) / (km or np.nan) + PRIOR_EVENTS / (half_km or np.nan)
-    )
-
-
-def _half_rates(lanes: Floats, rng: np.random.Generator) -> Floats:
-    """(2, 3) sums over two random halves of resampled units."""
-    units = len(lanes)
-    drawn = rng.integers(max(units, 1), size=(2, units // 2))
-    return np.asarray(lanes[drawn].sum(axis=1))
+    seconds = weights @ driven.seconds
+    braking = (weights @ driven.events[m] + PRIOR_EVENTS) / seconds[:, None]
+    km, half_km = (np.where(each > 0, each, np.nan) for each in (lanes[:, 0], half_km))
+    changes = lanes[:, 1:] / km[:, None] + PRIOR_EVENTS / half_km[:, None]
+    return np.concatenate([braking, changes], axis=1)

@@ -9,9 +9,11 @@ import numpy as np
 from charms_bench.people.behind import REPETITIONS, count_lanes, drive_behind, fitting
 from charms_bench.people.calibration import ou_noise, own_parameters
 from charms_bench.people.car_following import IDM, MODELS, drive
+from charms_bench.people.controls import CALIBRATED, controls
+from charms_bench.people.driven import Driven, conduct, recorded
 from charms_bench.people.held_out import SEED, profile_idm, scales_of, starts
 from charms_bench.people.lane_choices import read_lane_counts
-from charms_bench.people.likeness import Driven, Score, Yardstick, recorded
+from charms_bench.people.likeness import Score, Yardstick
 from charms_bench.people.population import Population
 from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
 from charms_bench.plugins.agent import Agent
@@ -21,7 +23,7 @@ from charms_bench.runs.suite import Suite
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Floats
 
-SITUATIONS_LIMIT = 300
+SITUATIONS_LIMIT = 1000
 """Most recorded situations; more are drawn from."""
 
 
@@ -31,7 +33,10 @@ class Standard:
 
     yardstick: Yardstick
     parts: tuple[Trip, ...]
+    population: Population
     human: Driven
+    others: Driven
+    """Those whom the population was fitted to, in their own situations."""
     constant: Driven
     spawn_only: Driven
     own: Driven
@@ -44,6 +49,10 @@ class Likeness:
     kind: str
     label: str
     scores: dict[str, Score]
+    conduct: dict[str, float | None]
+    """What the driver did, in numbers; see `people.driven`."""
+    differences: dict[str, Score] | None = None
+    """How much higher a control scores than the calibrated driver."""
 
 
 def standard(suite: Suite, recordings: Path, population: Population) -> Standard:
@@ -53,9 +62,8 @@ def standard(suite: Suite, recordings: Path, population: Population) -> Standard
         DataError: The recordings cannot be used, or hold no situation that the profile allows.
     """
     fitted, held_out = split(read_trips(recordings))
-    parts = fitting(starts(held_out), suite.scene.profile)
-    chosen = np.random.default_rng(SEED).permutation(len(parts))[:SITUATIONS_LIMIT]
-    parts = [parts[k] for k in np.sort(chosen)]
+    parts = _some(fitting(starts(held_out), suite.scene.profile))
+    others = _some(fitting(starts(fitted), suite.scene.profile))
     lanes = read_lane_counts(recordings)
     human = recorded(parts, lanes)
     rng = np.random.default_rng(SEED)
@@ -84,7 +92,9 @@ def standard(suite: Suite, recordings: Path, population: Population) -> Standard
     at_spawn = _driven(human, parts, spawn_only, still)
     fitted_own = _driven(human, parts, own_fit, lanes)
     yardstick = Yardstick(human, at_constant, at_spawn, fitted_own, scales_of(fitted))
-    return Standard(yardstick, tuple(parts), human, at_constant, at_spawn, fitted_own)
+    of_others = recorded(others, lanes)
+    drivers = human, of_others, at_constant, at_spawn, fitted_own
+    return Standard(yardstick, tuple(parts), population, *drivers)
 
 
 def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:
@@ -93,24 +103,45 @@ def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:
     Lane changes of an ego are those among the first traffic, and those of a traffic are of the
     vehicles around the first ego, in the suite's episodes.
     """
-    scores = against.yardstick.scores
-    yield Likeness("reference", "constant velocity", scores(against.constant))
-    yield Likeness("reference", "IDM, speed of the spawn", scores(against.spawn_only))
-    yield Likeness("reference", "IDM, own fit and noise", scores(against.own))
-    yield Likeness("reference", "half of the drivers", against.yardstick.ceiling())
+    yardstick = against.yardstick
+    halves = yardstick.ceiling()
+    yield Likeness("reference", "half of the drivers", halves, conduct(against.human))
+    of_others = yardstick.of_others(against.others)
+    yield Likeness("reference", "drivers of the other half", of_others, conduct(against.others))
+    for label, driven in (
+        ("IDM, own fit and noise", against.own),
+        ("constant velocity", against.constant),
+        ("IDM, speed of the spawn", against.spawn_only),
+    ):
+        yield Likeness("reference", label, yardstick.scores(driven), conduct(driven))
     first_ego, first_traffic = suite.egos[0].agent, suite.traffics[0].traffic
     for ego in suite.egos:
         traffic = first_traffic.make()
         agents = _agents(suite, ego.agent, traffic)
         lanes = _lanes(suite, against, ego.agent.key, ego.agent.key, traffic, agents)
         driven = drive_behind(against.parts, suite.scene, ego.agent.key, agents, lanes)
-        yield Likeness("ego", ego.title, scores(driven))
+        yield Likeness("ego", ego.title, yardstick.scores(driven), conduct(driven))
     for entry in suite.traffics:
         traffic = entry.traffic.make()
         agents = _agents(suite, first_ego, traffic)
         lanes = _lanes(suite, against, traffic, first_ego.key, traffic, agents)
         driven = drive_behind(against.parts, suite.scene, traffic, agents, lanes)
-        yield Likeness("traffic", entry.title, scores(driven))
+        yield Likeness("traffic", entry.title, yardstick.scores(driven), conduct(driven))
+
+
+def likeness_of_controls(against: Standard) -> Iterator[Likeness]:
+    """The scores of drivers with known faults, and what they differ by from a calibrated driver."""
+    driven = controls(against.parts, against.human, against.population)
+    for label, each in driven.items():
+        apart = None
+        if label != CALIBRATED:
+            apart = against.yardstick.differences(driven[CALIBRATED], each)
+        yield Likeness("control", label, against.yardstick.scores(each), conduct(each), apart)
+
+
+def _some(parts: list[Trip]) -> list[Trip]:
+    chosen = np.random.default_rng(SEED).permutation(len(parts))[:SITUATIONS_LIMIT]
+    return [parts[k] for k in np.sort(chosen)]
 
 
 def _agents(suite: Suite, ego: AgentSpec, traffic: Traffic) -> dict[str, Agent]:

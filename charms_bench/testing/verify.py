@@ -22,7 +22,7 @@ from charms_bench.world.scene import Floats, SceneSettings
 
 TOLERANCE = 1e-6
 """Largest difference allowed in a position or a speed, m or m/s, or a heading, rad."""
-EVENTS = ("lane", "target_lane", "crashed", "timer_s")
+EVENTS = ("present", "entry", "lane", "target_lane", "crashed", "timer_s")
 CONTINUOUS = ("x", "y", "heading", "speed")
 _CHUNK = 4
 
@@ -40,9 +40,13 @@ class Case(FrozenModel):
     def title(self) -> str:
         """A description in one line."""
         scene, ego = self.scene, self.ego.name if self.ego else "continuous actions"
+        around = f"density {scene.density:g}"
+        if scene.recording is not None:
+            around = "recorded"
+        elif scene.inflow is not None:
+            around = "open boundaries"
         return (
-            f"{ego}, {scene.profile.name}: {scene.lanes} lanes, "
-            f"{scene.vehicles} vehicles, density {scene.density:g}"
+            f"{ego}, {scene.profile.name}: {scene.lanes} lanes, {scene.vehicles} vehicles, {around}"
         )
 
 

@@ -8,9 +8,12 @@ from scipy import stats
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
+from charms_bench.people.car_following import IDM
 from charms_bench.people.population import read_population
+from charms_bench.people.suited import suited
+from charms_bench.people.trips import Trip
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Floats, SceneSettings
 
 SETTINGS = SceneSettings(traffic_vehicles=6)
 
@@ -30,18 +33,38 @@ def test_quantiles_become_standard_normal_numbers():
     assert found == pytest.approx(stats.norm.ppf(quantiles), abs=0.02)
 
 
-def test_drawn_drivers_have_the_moments_of_the_population_in_their_situation():
+def test_drivers_are_drawn_as_the_population_says_and_suit_the_start():
     scene = driven(600, 1).scene
     mean, covariance = read_population("i75").arrays
     is_first = scene.rank == SETTINGS.vehicles - 1  # no leader
     is_first[np.arange(600), scene.ego] = False
     logarithms = np.log(scene.memory[is_first][:, -len(QUANTILES) :])
-    speed = np.log(scene.target_speed[is_first])
+    speeds = scene.target_speed[is_first]
     slope = covariance[:5, -1] / covariance[-1, -1]
-    around = logarithms - mean[:5] - (speed - mean[-1])[:, None] * slope
-    given_speed = covariance[:5, :5] - np.outer(slope, slope) * covariance[-1, -1]
-    assert around.mean(axis=0) == pytest.approx(np.zeros(5), abs=0.08)
-    assert np.cov(around.T) == pytest.approx(given_speed, abs=0.06)
+    spread = covariance[:5, :5] - np.outer(slope, slope) * covariance[-1, -1]
+    rng, expected = np.random.default_rng(0), []
+    for speed in speeds:
+        given = mean[:5] + slope * (np.log(speed) - mean[-1])
+        free = Trip(0, *(np.full(2, each) for each in (1e9, speed, 1e9, speed)))
+
+        def draw(count: int, given: Floats = given) -> Floats:
+            return np.exp(rng.multivariate_normal(given, spread, size=count))
+
+        expected.append(np.log(suited(IDM, free, 1, draw, rng)[0]))
+    around = np.array(expected)
+    assert logarithms.mean(axis=0) == pytest.approx(around.mean(axis=0), abs=0.1)
+    assert np.cov(logarithms.T) == pytest.approx(np.cov(around.T), abs=0.08)
+
+
+def test_few_drivers_brake_hard_in_the_first_seconds():
+    simulation = driven(200, 0)
+    before = simulation.scene.speed.copy()
+    simulation.step()
+    simulation.step()
+    simulation.step()
+    braking = before - simulation.scene.speed
+    braking[np.arange(200), simulation.scene.ego] = 0.0
+    assert (braking > 1.5).mean() < 0.02
 
 
 def test_drivers_who_start_close_behind_a_leader_want_a_shorter_jam_gap():

@@ -113,6 +113,12 @@ def test_the_default_cases_have_trucks_among_cars() -> None:
     assert any(each.driver_parameters for own in types for each in own)
 
 
+def test_the_default_cases_have_open_boundaries() -> None:
+    of_open_roads = [case for case in default_cases()[0] if case.scene.inflow is not None]
+    assert {case.traffic.name for case in of_open_roads} == {"idm_mobil_varied", "human"}
+    assert all(case.title.endswith("open boundaries") for case in of_open_roads)
+
+
 def test_the_default_cases_cover_what_they_promise() -> None:
     cases, episodes = default_cases()
     assert len(cases) * episodes >= 1000
@@ -121,6 +127,7 @@ def test_the_default_cases_cover_what_they_promise() -> None:
         ("charms", "decision"),
         ("charms", "simulation"),
         ("highway-env", "simulation"),
+        ("naturalistic", "simulation"),
     }
     assert {case.scene.lanes for case in cases} == {2, 3, 4, 5}
     sizes = [case.scene.vehicles for case in cases]

@@ -7,11 +7,11 @@ from charms_bench.people.likeness import COMPONENTS
 from charms_bench.report.figures.drawing import EDGE, MARKERS, SERIES, panels, save
 from charms_bench.runs.likeness import Likeness
 
-_LOWEST = -2.0
+_LOWEST = -6.0
 
 
 def draw(rows: Sequence[Likeness], path: Path) -> None:
-    """Draws the components and the total of each row; values below -2 lie on the left edge.
+    """Draws the components and the total of each row; values below -6 lie on the left edge.
 
     Raises:
         InputError: The file's ending names no known format, or the file cannot be written.
@@ -19,6 +19,7 @@ def draw(rows: Sequence[Likeness], path: Path) -> None:
     figure, (axes,) = panels(1, 7.5, 1.2 + 0.4 * len(rows))
     names = (*COMPONENTS, "total")
     for k, name in enumerate(names):
+        label: str | None = name.replace("_", " ")
         for place, row in enumerate(rows):
             if name not in row.scores:
                 continue
@@ -26,9 +27,9 @@ def draw(rows: Sequence[Likeness], path: Path) -> None:
             value, low, high = (max(each, _LOWEST) for each in (score.value, score.low, score.high))
             y = place + 0.18 * (k - 1.5)
             axes.plot([low, high], [y, y], color=SERIES[k], linewidth=1)
-            label = name.replace("_", " ") if place == 0 else None
             style = {"marker": MARKERS[k], "color": SERIES[k], "linestyle": "", "label": label}
             axes.plot([value], [y], **style)
+            label = None
     for value in (0.0, 1.0):
         axes.axvline(value, color=EDGE, linewidth=0.8)
     axes.set_yticks(range(len(rows)), [f"{row.label} ({row.kind})" for row in rows])

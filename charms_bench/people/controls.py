@@ -1,0 +1,117 @@
+"""Drivers with known faults, on which a likeness score is tried: copying must not win.
+
+All of them take the places of recorded drivers, without the engine. The calibrated driver is drawn
+from a population. The others copy recorded accelerations without looking at the scene, brake or
+accelerate all the time, or do what the calibrated driver does with a known change.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from charms_bench.people.calibration import conditional, ou_noise, situation_of
+from charms_bench.people.car_following import MODELS, drive
+from charms_bench.people.driven import Driven
+from charms_bench.people.held_out import SEED
+from charms_bench.people.population import Population
+from charms_bench.people.suited import suited
+from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.world.scene import Floats
+
+CALIBRATED = "calibrated driver"
+REPETITIONS = 8
+LONGER = 1.2
+"""Headways of the known change, as a multiple."""
+Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
+"""Gaps and speeds (M, n) of M repetitions in the place of a trip's driver."""
+
+
+def controls(parts: Sequence[Trip], human: Driven, population: Population) -> dict[str, Driven]:
+    """The calibrated driver and the other ones, by name."""
+    changes = human.lanes * [1, 5, 1]
+    found = {
+        CALIBRATED: in_place(parts, human, calibrated(population)),
+        "another draw": in_place(parts, human, calibrated(population), seed=SEED + 1),
+        "accelerations drawn independently": in_place(parts, human, copier(parts)),
+        "sequences of other situations": in_place(parts, human, blind(parts)),
+        "braking or accelerating by 1 m/s2": in_place(parts, human, bang_bang),
+        "desired time gaps 20 % longer": in_place(parts, human, calibrated(population, LONGER)),
+    }
+    usual = found[CALIBRATED]
+    start = usual.speed[..., :1]
+    found["headways 20 % longer"] = replace(usual, gap=usual.gap * LONGER)
+    found["accelerations x 2"] = replace(usual, speed=start + 2 * (usual.speed - start))
+    if human.lanes.size:
+        found["lane changes x 5"] = replace(usual, lanes=changes)
+    return found
+
+
+def in_place(parts: Sequence[Trip], human: Driven, driver: Driver, seed: int = SEED) -> Driven:
+    """What a driver does in the places of recorded drivers, at 1 Hz, with their lane changes."""
+    rng, every = np.random.default_rng(seed), slice(None, None, RATE_HZ)
+    gaps, speeds = zip(*(driver(part, rng) for part in parts), strict=True)
+    gap, speed = (np.array([each[:, every] for each in both]) for both in (gaps, speeds))
+    return Driven(human.driver, gap, speed, human.leader_speed, human.lanes)
+
+
+def calibrated(population: Population, headway: float = 1.0) -> Driver:
+    """Drivers of a population that suit the start; then their desired time gaps are multiplied."""
+    model = MODELS[population.model]
+    scale = np.where(np.array(model.parameters) == "time_gap_s", headway, 1.0)
+
+    def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        mean, spread = conditional(*population.arrays, situation_of([trip]))
+
+        def draw(count: int) -> Floats:
+            return np.exp(rng.multivariate_normal(mean, spread, size=count))
+
+        p = suited(model, trip, REPETITIONS, draw, rng) * scale
+        shape = len(p), trip.gap.size
+        noise = ou_noise(rng, shape, population.noise_mps2, population.noise_s)
+        return drive(model, trip, p, population.lag_s, noise)
+
+    return drives
+
+
+def copier(parts: Sequence[Trip]) -> Driver:
+    """Draws each second's acceleration from the recorded ones."""
+    recorded = np.concatenate([np.diff(part.speed[::RATE_HZ]) for part in parts])
+
+    def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        seconds = (trip.gap.size - 1) // RATE_HZ
+        drawn = rng.choice(recorded, (REPETITIONS, seconds))
+        return _along(trip, np.repeat(drawn, RATE_HZ, axis=1) / RATE_HZ)
+
+    return drives
+
+
+def blind(parts: Sequence[Trip]) -> Driver:
+    """Repeats what recorded drivers did in other situations."""
+
+    def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        others = rng.integers(len(parts), size=REPETITIONS)
+        return _along(trip, np.array([np.diff(parts[k].speed) for k in others]))
+
+    return drives
+
+
+def bang_bang(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Accelerates or brakes by 1 m/s2, for a time gap of 1.4 s."""
+    changes, speed, x = np.empty((1, trip.gap.size - 1)), trip.speed[0], 0.0
+    for k in range(changes.size):
+        is_far = trip.leader_x[k] - trip.leader_x[0] + trip.gap[0] - x > 1.4 * speed + 2
+        changes[0, k] = (1 if is_far or speed < 1 else -1) / RATE_HZ
+        x += speed / RATE_HZ
+        speed += changes[0, k]
+    gaps, speeds = _along(trip, changes)
+    return np.repeat(gaps, REPETITIONS, axis=0), np.repeat(speeds, REPETITIONS, axis=0)
+
+
+def _along(trip: Trip, changes: Floats) -> tuple[Floats, Floats]:
+    """Gaps and speeds (M, n) from changes of speed (M, n - 1), from the trip's first ones on."""
+    start = np.full((len(changes), 1), trip.speed[0])
+    speeds = np.maximum(np.cumsum(np.append(start, changes, axis=1), axis=1), 0.0)
+    driven_m = np.cumsum(speeds[:, :-1], axis=1) / RATE_HZ
+    ahead = trip.leader_x - trip.leader_x[0] + trip.gap[0]
+    return ahead - np.pad(driven_m, ((0, 0), (1, 0))), speeds

@@ -1,0 +1,73 @@
+"""What drivers did in recorded situations of 30 s, and its description in numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.world.scene import Bools, Floats, Ints
+
+REVERSAL_MPS2 = 0.15
+"""An acceleration reverses if its sign changes between two seconds and both exceed this."""
+STRONG_MPS2 = 1.1
+HARD_BRAKING_MPS2 = 1.5
+SHORT_HEADWAY_S = 1.0
+SLOWEST_MPS = 1.0
+"""Of the speed in a time gap."""
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """What M repetitions of a driver did in S recorded situations of 30 s, at 1 Hz."""
+
+    driver: Ints
+    """(S,) the recorded driver whose place was taken."""
+    gap: Floats
+    """(S, M, 31) bumper to bumper, m."""
+    speed: Floats
+    """(S, M, 31) m/s."""
+    leader_speed: Floats
+    """(S, 31) m/s."""
+    lanes: Floats
+    """(L, 3) kilometres, lane changes and undone lane changes of independent units: recorded
+    vehicles or episodes. (0, 3) where lanes are unknown."""
+
+
+def recorded(parts: Sequence[Trip], lanes: Floats) -> Driven:
+    """What the recorded drivers did."""
+    every = slice(None, None, RATE_HZ)
+    return Driven(
+        np.array([part.driver for part in parts]),
+        np.array([part.gap[None, every] for part in parts]),
+        np.array([part.speed[None, every] for part in parts]),
+        np.array([part.leader_speed[every] for part in parts]),
+        lanes,
+    )
+
+
+def conduct(driven: Driven) -> dict[str, float | None]:
+    """How a driver drove, in numbers; accelerations are means over 1 s, gaps from bumper to bumper.
+
+    There are no rates of lane changes where lanes are unknown.
+    """
+    acceleration = np.diff(driven.speed, axis=-1)
+    gap, speed = driven.gap[..., 1:], driven.speed[..., 1:]
+    km, changes, undone = driven.lanes.sum(axis=0)
+    return {
+        "acceleration_std_mps2": float(acceleration.std()),
+        "strong_acceleration": float((np.abs(acceleration) > STRONG_MPS2).mean()),
+        "reversals_per_minute": float(60 * reversals(acceleration).mean()),
+        "hard_braking_per_h": float(3600 * (acceleration < -HARD_BRAKING_MPS2).mean()),
+        "time_gap_median_s": float(np.median(gap / np.maximum(speed, SLOWEST_MPS))),
+        "short_headway": float((gap < SHORT_HEADWAY_S * speed).mean()),
+        "lane_changes_per_km": float(changes / km) if km > 0 else None,
+        "undone_lane_changes": float(undone / changes) if changes > 0 else None,
+    }
+
+
+def reversals(acceleration: Floats) -> Bools:
+    """(..., n - 1) whether accelerations (..., n) reverse after the one before."""
+    before, after = acceleration[..., :-1], acceleration[..., 1:]
+    is_strong = np.minimum(np.abs(before), np.abs(after)) > REVERSAL_MPS2
+    return np.asarray(is_strong & (before * after < 0))

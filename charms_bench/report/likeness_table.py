@@ -1,0 +1,56 @@
+"""The tables of `charms-bench likeness`: scores, what drivers did, and controls."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from charms_bench.people.likeness import COMPONENTS, Score
+from charms_bench.report.table import Table
+from charms_bench.runs.likeness import Likeness
+
+CONDUCT = {
+    "acceleration_std_mps2": ("acceleration std, m/s²", ".2f"),
+    "strong_acceleration": ("above 1.1 m/s²", ".1%"),
+    "reversals_per_minute": ("reversals per minute", ".1f"),
+    "hard_braking_per_h": ("hard braking, s per hour", ".1f"),
+    "time_gap_median_s": ("time gap, median, s", ".2f"),
+    "short_headway": ("below 1 s", ".1%"),
+    "lane_changes_per_km": ("lane changes per km", ".2f"),
+    "undone_lane_changes": ("undone within 5 s", ".1%"),
+}
+"""What each number of `people.driven.conduct` is called, and how it is shown."""
+_SCORES = {name: name.replace("_", " ") for name in (*COMPONENTS, "total")}
+
+
+def likeness_tables(rows: Sequence[Likeness], controls: Sequence[Likeness]) -> Iterator[Table]:
+    """The scores, what the drivers did, and the controls if there are any."""
+    yield Table.plain(map(_scores, rows), ("driver", "kind"), dict.fromkeys(_SCORES.values(), ""))
+    forms = dict(CONDUCT.values())
+    yield Table.plain(map(_conduct, rows), ("driver", "kind"), forms)
+    if controls:
+        yield controls_table(controls)
+
+
+def controls_table(controls: Sequence[Likeness]) -> Table:
+    """The scores of the calibrated driver, and the differences of the other drivers from it."""
+    records = [
+        {"driver": each.label} | _shown(each.scores if k == 0 else each.differences or {})
+        for k, each in enumerate(controls)
+    ]
+    return Table.plain(records, ("driver",), dict.fromkeys(_SCORES.values(), ""))
+
+
+def _scores(row: Likeness) -> dict[str, str]:
+    return {"driver": row.label, "kind": row.kind} | _shown(row.scores)
+
+
+def _shown(scores: Mapping[str, Score]) -> dict[str, str]:
+    return {
+        title: f"{scores[name].value:.2f} [{scores[name].low:.2f}, {scores[name].high:.2f}]"
+        if name in scores
+        else ""
+        for name, title in _SCORES.items()
+    }
+
+
+def _conduct(row: Likeness) -> dict[str, str | float | None]:
+    numbers = {title: row.conduct[name] for name, (title, _) in CONDUCT.items()}
+    return {"driver": row.label, "kind": row.kind} | numbers

@@ -1,0 +1,64 @@
+"""Scores the likeness of all agents for docs/likeness.md: `python tools/likeness_page.py DATA`.
+
+DATA is a folder that holds `i24_car_following.parquet` and `i75_lane_trajectories.parquet`. The
+tool writes the tables of the page to `docs/results` and into the page, and draws its figure. If
+`suites/released/networks` holds the networks of the paper's authors, they are scored, too; if not,
+their table stays as it is. The agents are those of the suites, so a change of the suites or of the
+networks in the package only needs another call.
+"""
+
+import sys
+from pathlib import Path
+
+from write_results import RESULTS, ROOT, filled
+
+from charms_bench.people.population import read_population
+from charms_bench.report.figures.likeness import draw
+from charms_bench.report.likeness_table import controls_table, likeness_tables
+from charms_bench.report.markdown import markdown
+from charms_bench.runs.likeness import Likeness, likeness, likeness_of_controls, standard
+from charms_bench.runs.suite import load_suite
+
+SUITES = ROOT / "suites"
+ROADS = {
+    "i24": ("i24_car_following.parquet", SUITES / "likeness.yaml"),
+    "i75": ("i75_lane_trajectories.parquet", SUITES / "likeness-naturalistic.yaml"),
+}
+"""The recordings of each road, and the suite that is scored against them."""
+RELEASED = SUITES / "released" / "likeness.yaml"
+FIGURE = ROOT / "docs" / "likeness.png"
+
+
+def main(data: Path) -> None:
+    """Writes the tables, the page and the figure."""
+    for road, (file, suite) in ROADS.items():
+        against = standard(load_suite(suite), data / file, read_population(road))
+        rows = list(likeness(load_suite(suite), against))
+        write(f"likeness-{road}", rows)
+        controls = controls_table(list(likeness_of_controls(against)))
+        write_text(f"likeness-controls-{road}", markdown(controls))
+        if road == "i24":
+            draw(rows, FIGURE)
+            if (RELEASED.parent / "networks").is_dir():
+                released = likeness(load_suite(RELEASED), against)
+                write("likeness-released", [each for each in released if each.kind == "ego"])
+    page = ROOT / "docs" / "likeness.md"
+    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def write(name: str, rows: list[Likeness]) -> None:
+    """Writes the scores of some rows, and what the drivers did."""
+    scores, conduct = likeness_tables(rows, [])
+    write_text(name, markdown(scores))
+    write_text(f"{name}-conduct", markdown(conduct))
+
+
+def write_text(name: str, text: str) -> None:
+    """Writes a table that stands on the page between marks with this name."""
+    (RESULTS / f"{name}.md").write_text(text.rstrip() + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python tools/likeness_page.py DATA")
+    main(Path(sys.argv[1]))
