@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from charms_bench.metrics.mean_acceleration import STRONG_MPS2
 from charms_bench.people.trips import RATE_HZ, read_trips
 from charms_bench.plugins.registry import make_agent
 from charms_bench.world.actions import FASTER, IDLE, SLOWER
@@ -22,7 +23,6 @@ from charms_bench.world.scene import Floats
 
 FILES = {"I-24": "i24_car_following.parquet", "I-75": "i75_lane_trajectories.parquet"}
 SIMULATION_HZ, DECISION_HZ = 15, 3
-STRONG_MPS2 = 1.1
 
 
 def through_interface(
