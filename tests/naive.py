@@ -216,3 +216,57 @@ def stackelberg(scene: Scene, i: int) -> tuple[float, int]:
                 best, target = utility(side), side
     wanted = [idm_acceleration(driver, i, neighbours(scene, i, on)[0]) for on in (lane, target)]
     return float(np.clip(min(wanted), -4.0, 3.0)), target
+
+
+Decision = tuple[float, int, float | None]
+"""The ego's speed, its lane, and the distance between centres to its leader, if there is one."""
+
+
+def counts_of_smoothness(
+    episodes: list[tuple[bool, list[Decision]]], rate: int, first: int
+) -> dict[str, list[float]]:
+    """Numbers by metric, over episodes that end with a collision or not: of what, and of how many.
+
+    Decisions count from the number `first` on, counted from 1, without that of a collision.
+    """
+    accelerations, strong, reversals, changes, undone, near, short, decisions = (
+        [],
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+    for collides, rows in episodes:
+        end, direction = len(rows) - collides, 0
+        for k in range(end):
+            speed, lane, ahead = rows[k]
+            if k + 1 < first:
+                continue
+            decisions += 1
+            if ahead is not None and ahead <= 100.0:
+                near += 1
+                short += ahead < speed
+            if k == 0:
+                continue
+            acceleration = (speed - rows[k - 1][0]) * rate
+            accelerations.append(acceleration)
+            strong += abs(acceleration) > 1.1
+            towards = (acceleration > 0.3) - (acceleration < -0.3)
+            reversals += towards * direction < 0
+            direction = towards or direction
+            if lane != rows[k - 1][1]:
+                changes += 1
+                for later in range(k + 1, end):
+                    if rows[later][1] != lane:
+                        undone += rows[later][1] == rows[k - 1][1] and later - k <= 5 * rate
+                        break
+    return {
+        "mean_acceleration_std": accelerations,
+        "strong_acceleration_rate": [strong, len(accelerations)],
+        "acceleration_reversals_per_min": [60 * rate * reversals, len(accelerations)],
+        "lane_changes_undone": [undone, changes],
+        "centre_headway_below_1s": [short, near],
+    }

@@ -10,11 +10,18 @@ from charms_bench.metrics.row_samples import Sample
 
 FREE_HEADWAY_S = 6.0
 SHORT_HEADWAY_S = 1.0
+NEAR_M = 100.0
+"""Distance between centres up to which a leader counts as near."""
+DISTANCE = pl.col("leader_distance")
 HEADWAY = pl.col("time_headway_s")
 
 
 def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
-    """The mean while the ego follows a leader, and the time below a threshold."""
+    """The mean while the ego follows a leader, and the time below a threshold.
+
+    Studies of recorded drivers often measure from centre to centre, near a leader only.
+    """
+    near = driving.among("steps with a leader within 100 m", DISTANCE <= NEAR_M)
     return (
         driving.among("following steps", HEADWAY <= FREE_HEADWAY_S).mean(
             "time_headway_mean", "s", HEADWAY, "time headway while it is at most 6 s"
@@ -23,5 +30,11 @@ def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
             f"time_headway_below_{in_name(threshold_s)}s",
             HEADWAY.lt(threshold_s),
             f"proportion of time with a time headway below {threshold_s:g} s",
+        ),
+        near.share(
+            f"centre_headway_below_{in_name(threshold_s)}s",
+            DISTANCE.lt(threshold_s * pl.col("speed")),
+            "proportion of the time with a leader within 100 m in which the distance between "
+            f"centres, divided by the ego's speed, is below {threshold_s:g} s",
         ),
     )

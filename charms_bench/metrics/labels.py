@@ -38,6 +38,7 @@ LABELS = {
     "drac_above_{}": "DRAC above {} m/s²",
     "time_headway_mean": "Mean time headway",
     "time_headway_below_{}s": "Time headway below {} s",
+    "centre_headway_below_{}s": "Headway between centres below {} s",
     "dhw_mean": "Mean distance headway",
     "dhw_std": "Distance headway, std",
     "speed_mean": "Mean speed",
@@ -48,10 +49,14 @@ LABELS = {
     "harsh_acc_rate": "Harsh acceleration",
     "harsh_acc_rate_all_steps": "Harsh acceleration, all decisions",
     "harsh": "Harsh acceleration",
+    "mean_acceleration_std": "Mean acceleration, std",
+    "strong_acceleration_rate": "Strong acceleration",
+    "acceleration_reversals_per_min": "Reversals of the acceleration per minute",
     "jerk_rms": "Jerk, RMS",
     "yaw_std": "Steering angle, std",
     "yaw_rate_rms": "Yaw rate, RMS",
     "lane_changes_per_km": "Lane changes per km",
+    "lane_changes_undone": "Lane changes undone",
     "lane_change_duration_mean": "Mean duration of lane changes",
     "lead_gap_mean": "Mean accepted lead gap",
     "lag_gap_mean": "Mean accepted lag gap",
@@ -109,7 +114,7 @@ def key_label_of(key: str) -> str:
 
 
 def set_label_of(label: str) -> str:
-    """The heading of a metric set: `Standard metrics (ttc_s=2)` for `standard-3(ttc_s=2)`.
+    """The heading of a metric set: `Standard metrics (ttc_s=2)` for `standard-4(ttc_s=2)`.
 
     A set without a heading keeps its label.
     """

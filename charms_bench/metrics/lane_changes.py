@@ -10,7 +10,9 @@ import polars as pl
 
 from charms_bench.metrics.metric import Metric, in_name
 from charms_bench.metrics.row_samples import Sample
+from charms_bench.metrics.rows import UNDONE_WITHIN_S
 
+CHANGED, UNDONE = pl.col("lane_changed"), pl.col("undone")
 IMPOSED = pl.col("imposed_braking_mps2")
 LEAD_GAP, LAG_GAP = pl.col("lead_gap_m"), pl.col("lag_gap_m")
 MOVEMENT, CHANGES = pl.col("movement_s"), pl.col("movement_changes")
@@ -21,7 +23,12 @@ def of_lane_changes(driving: Sample, limit_mps2: float) -> tuple[Metric, ...]:
     ended = driving.among("finished lane changes", CHANGES.is_not_null())
     imposing = driving.among("lane changes with a follower", IMPOSED.is_not_null())
     return (
-        driving.per_km("lane_changes_per_km", pl.col("lane_changed"), "lane changes"),
+        driving.per_km("lane_changes_per_km", CHANGED, "lane changes"),
+        driving.among("lane changes", CHANGED).share(
+            "lane_changes_undone",
+            UNDONE,
+            f"proportion of lane changes of which the next leads back within {UNDONE_WITHIN_S:g} s",
+        ),
         Metric(
             name="lane_change_duration_mean",
             unit="s",

@@ -50,14 +50,26 @@ class Sample(NamedTuple):
     def per_km(self, name: str, happens: pl.Expr, what: str, km: int = 1) -> Metric:
         """The rows in which a condition holds, per `km` kilometres driven in this sample."""
         distance = "km" if km == 1 else f"{km:,} km"
+        description = f"{what}, per {distance} driven in {self.name}"
+        driven = total(pl.col("driven_m"), self.where) / (1000 * km)
+        return self._rate(name, f"1/{distance}", happens, description, driven)
+
+    def per_minute(self, name: str, happens: pl.Expr, what: str) -> Metric:
+        """The rows in which a condition holds, per minute of this sample."""
+        minutes = total(pl.col("interval_s"), self.where) / 60
+        return self._rate(name, "1/min", happens, f"{what}, per minute", minutes)
+
+    def _rate(
+        self, name: str, unit: str, happens: pl.Expr, description: str, exposure: pl.Expr
+    ) -> Metric:
         return Metric(
             name=name,
-            unit=f"1/{distance}",
-            description=f"{what}, per {distance} driven in {self.name}",
+            unit=unit,
+            description=description,
             rests_on=f"periods of {PERIOD_S:g} s",
             sums=(
                 total(pl.col("interval_s"), self.where) / PERIOD_S,
-                total(pl.col("driven_m"), self.where) / (1000 * km),
+                exposure,
                 (self.where & happens).sum(),
             ),
             interval="rate",

@@ -21,6 +21,8 @@ LOGGED_RANGE_M = 50.0
 """The paper logs the steps with a leader within this distance, centre to centre."""
 LANE_CHANGE_WINDOW_S = 2.0
 """For this long after a lane change, a conflict is attributed to it."""
+UNDONE_WITHIN_S = 5.0
+"""A lane change is undone if the next one leads back to the lane that it left, within this time."""
 DRIFT_MPS = 0.1
 """A vehicle whose lateral speed is no larger than this keeps its place in the lane."""
 EGO, ANOTHER = 1, 2
@@ -37,6 +39,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     logged: Whether a leader is within 50 m, centre to centre.
     driving: Whether the ego has not collided by the end of the step.
     driven_m: Distance along the road since the previous decision.
+    mean_acceleration_mps2: Change of the speed since the previous decision.
     jerk_mps3: Change of the commanded acceleration since the previous decision.
     yaw_rate_radps: Change of the heading since the previous decision.
     lane_changed: Whether the lane differs from that of the previous decision.
@@ -48,6 +51,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
     drac_mps2: Deceleration that just avoids a collision; 0 unless the ego closes in.
     time_headway_s: Time from the leader's front to the ego's front at the ego's speed.
     rear_ttc_s: Time to collision of the follower with the ego; null unless the follower closes in.
+    undone: In the step of a lane change, whether the next one leads back within 5 s.
     lead_gap_m, lag_gap_m: In the step of a lane change, the gaps to the leader and to the follower
         on the new lane; 0 beside a vehicle.
     imposed_braking_mps2: In the step of a lane change, the strongest braking of the new follower
@@ -74,6 +78,7 @@ def join_rows(episodes: pl.DataFrame, steps: pl.DataFrame, settings: SceneSettin
             leader_changed=IS_LATER & pl.col("leader").ne_missing(pl.col("leader").shift()),
         )
         .with_columns(
+            mean_acceleration_mps2=_while_driving(_change("speed") * rate),
             jerk_mps3=_while_driving(_change("acceleration") * rate),
             yaw_rate_radps=_while_driving(_change("heading") * rate),
             drifting=(pl.col("driving") & (lateral_mps.abs() > DRIFT_MPS)).fill_null(False),
@@ -137,7 +142,16 @@ def _lane_changes(settings: SceneSettings) -> dict[str, pl.Expr]:
     began_s = pl.when(begins).then(pl.col("time_s")).forward_fill()
     changes = count - pl.when(begins).then(count - changed).forward_fill()
     ended = pl.col("driving") & ~drifting & _previous("drifting") & (changes > 0)
+    own = changed & pl.col("driving")
+    next_change = {
+        name: pl.when(own).then(pl.col(name)).shift(-1).backward_fill()
+        for name in ("episode", "step", "lane")
+    }
+    is_back = next_change["episode"].eq(pl.col("episode"))
+    is_back &= next_change["lane"].eq(pl.col("lane").shift())
+    within = round(UNDONE_WITHIN_S * settings.decision_hz)
     return {
+        "undone": own & is_back & (next_change["step"] - pl.col("step") <= within),
         "changer": changer.forward_fill(window - 1).fill_null(0),
         "lead_gap_m": pl.when(changed).then(
             (pl.col("leader_distance") - _between("leader")).clip(0.0)

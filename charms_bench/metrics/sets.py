@@ -10,6 +10,7 @@ from charms_bench.metrics import collisions, conduct
 from charms_bench.metrics.conflicts import of_conflicts, of_planar_conflicts
 from charms_bench.metrics.headway import SHORT_HEADWAY_S, of_headway
 from charms_bench.metrics.lane_changes import of_lane_changes
+from charms_bench.metrics.mean_acceleration import STRONG_MPS2, of_mean_acceleration
 from charms_bench.metrics.metric import MetricSet
 from charms_bench.metrics.paper import PAPER
 from charms_bench.metrics.required_braking import of_required_braking
@@ -39,6 +40,7 @@ def standard(
     drac_mps2: float = thresholds.DRAC_LIMIT_MPS2,
     headway_s: float = SHORT_HEADWAY_S,
     imposed_mps2: float = thresholds.HARD_BRAKING_MPS2,
+    strong_mps2: float = STRONG_MPS2,
 ) -> MetricSet:
     """The set `standard`, if need be with other thresholds.
 
@@ -47,8 +49,9 @@ def standard(
         ttc_s: A smaller TTC counts as exposure.
         conflict_ttc_s: A smaller TTC is a conflict, and a smaller planar TTC a planar conflict.
         drac_mps2: If a larger DRAC is required, a driver cannot be relied on to brake hard enough.
-        headway_s: A smaller time headway is short.
+        headway_s: A smaller headway is short, from front to front and between centres.
         imposed_mps2: A lane change that makes the new follower brake harder is not safe.
+        strong_mps2: A larger mean acceleration over a decision interval is strong.
 
     Raises:
         InputError: `conflict_ttc_s` exceeds the horizon of the recorded planar TTC.
@@ -61,7 +64,7 @@ def standard(
     driving = driving_after(warm_up_s)
     return MetricSet(
         name="standard",
-        version=3,
+        version=4,
         metrics=(
             *collisions.OF_EGO,
             *of_conflicts(driving, conflict_ttc_s),
@@ -70,6 +73,7 @@ def standard(
             *of_required_braking(driving, drac_mps2),
             *of_headway(driving, headway_s),
             *of_motion(driving),
+            *of_mean_acceleration(driving, strong_mps2),
             *of_lane_changes(driving, imposed_mps2),
             *collisions.OF_TRAFFIC,
             TRAFFIC_SPEED_MEAN,

@@ -7,8 +7,13 @@ import numpy as np
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
+<<<<<<< HEAD
 from charms_bench.people.driven import Driven
 from charms_bench.people.lane_choices import UNDONE_WITHIN_S
+=======
+from charms_bench.metrics.rows import UNDONE_WITHIN_S
+from charms_bench.people.likeness import Driven
+>>>>>>> issue-30-interface
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import OneAgent, Traffic
@@ -144,16 +149,17 @@ def count_lanes(
     if not isinstance(driver, str):
         counted = ~counted
     start, lane = scene.x.copy(), scene.lane.copy()
-    left, since = np.full(lane.shape, -1), np.zeros(lane.shape)
+    left, since = np.full(lane.shape, -1), np.zeros(lane.shape, dtype=np.int64)
+    within = round(UNDONE_WITHIN_S * settings.decision_hz)
     found = np.zeros((episodes, 3))
     for _ in range(settings.decisions):
         simulation.step()
-        since += 1 / settings.decision_hz
+        since += 1
         changed = scene.lane != lane
-        undone = changed & (scene.lane == left) & (since <= UNDONE_WITHIN_S)
+        undone = changed & (scene.lane == left) & (since <= within)
         found[:, 1] += (changed & counted).sum(axis=1)
         found[:, 2] += (undone & counted).sum(axis=1)
-        left, since = np.where(changed, lane, left), np.where(changed, 0.0, since)
+        left, since = np.where(changed, lane, left), np.where(changed, 0, since)
         lane = scene.lane.copy()
     found[:, 0] = ((scene.x - start) * counted).sum(axis=1) / 1000
     return found

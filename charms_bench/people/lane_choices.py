@@ -18,6 +18,7 @@ import polars as pl
 from scipy.special import expit
 
 from charms_bench.foundation.compiled import compiled
+from charms_bench.metrics.rows import UNDONE_WITHIN_S
 from charms_bench.people.car_following import idm
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES
@@ -27,8 +28,6 @@ from charms_bench.world.scene import Bools, Floats, Ints
 
 START_S = 2.0
 """Time from the decision until the vehicle's centre is in the new lane, as in the references."""
-UNDONE_WITHIN_S = 5.0
-"""A lane change is undone by a change back to the lane that was left, within this time."""
 FEWEST_CHANGES = 10
 """With fewer, no threshold is fitted."""
 _THRESHOLDS_MPS2, _SCALES_MPS2 = (-50.0, 100.0), (0.01, 10.0)

@@ -25,3 +25,16 @@ def test_time_headway_is_that_of_followers() -> None:
 
 def test_a_standing_vehicle_has_no_time_headway() -> None:
     assert math.isnan(measure(of_standard("time_headway_mean"), ({}, [behind(20.0, speed=0.0)])))
+
+
+def test_headway_between_centres_is_that_of_leaders_within_100_m() -> None:
+    # 0.8 s, 1 s, 0.9 s and 4 s; a leader beyond 100 m and a road without one do not count.
+    steps = [behind(20.0), behind(25.0), behind(18.0, speed=20.0), behind(100.0), behind(101.0), {}]
+    short = of_standard("centre_headway_below_1s")
+    assert measure(short, ({}, steps)) == pytest.approx(2 / 4)
+    longer = of_standard("centre_headway_below_1_5s", headway_s=1.5)
+    assert measure(longer, ({}, steps)) == pytest.approx(3 / 4)
+    assert measure(short, ({}, [behind(2.0, speed=0.0)])) == 0.0
+    assert math.isnan(measure(short, ({}, [{}])))
+    # A leader beside the ego has no gap, but its centre is near.
+    assert measure(short, ({}, [behind(4.0)])) == 1.0
