@@ -7,13 +7,8 @@ import numpy as np
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
-<<<<<<< HEAD
-from charms_bench.people.driven import Driven
-from charms_bench.people.lane_choices import UNDONE_WITHIN_S
-=======
 from charms_bench.metrics.rows import UNDONE_WITHIN_S
-from charms_bench.people.likeness import Driven
->>>>>>> issue-30-interface
+from charms_bench.people.driven import Driven
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.plugins.traffic import OneAgent, Traffic

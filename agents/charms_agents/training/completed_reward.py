@@ -40,7 +40,7 @@ DISCOMFORT_LIMIT = 30.0
 class RewardScales(FrozenModel):
     """What the paper's equations leave open."""
 
-    safety_horizon_s: Positive = 6.0
+    safety_horizon_s: Positive = 4.0
     """A time to collision of this and more is safe."""
     leader_loses_mps: NonNegative = 5.0
     """The speed that a vehicle ahead may lose."""
@@ -50,9 +50,9 @@ class RewardScales(FrozenModel):
     """A mean acceleration of this over a decision takes 1 off r_c, twice this takes 4."""
     jerk_mps3: Positive = 3.0
     """A change of the acceleration of this between two decisions takes 1 off r_c."""
-    lane_change_cost: NonNegative = 10.0
+    lane_change_cost: NonNegative = 25.0
     """What a lane change that begins takes off r_c."""
-    failure_cost: NonNegative = 40.0
+    failure_cost: NonNegative = 60.0
     """The own reward of a crash, or of leaving the road, is minus this."""
 
 
