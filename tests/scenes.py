@@ -38,6 +38,7 @@ def scene_of(
     locate(scene, np.array([0]))
     if "target_lane" not in fields:
         scene.target_lane[:] = scene.lane
+        locate(scene, np.array([0]))  # the neighbours on the target lanes
     if "target_speed" not in fields:
         scene.target_speed[:] = scene.speed
     scene.active[:] = True
@@ -69,7 +70,7 @@ def scenes(
     sizes = {
         "length": draw(lengths),
         "width": draw(widths),
-        "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5])),
+        "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5, 0.9])),
         "road_length": draw(st.sampled_from([10_000.0, 30.0])),
     }
     own = {"length": each(lengths), "width": each(widths)} if draw(st.booleans()) else {}

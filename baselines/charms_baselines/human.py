@@ -18,6 +18,7 @@ from charms_bench.people import car_following
 from charms_bench.people import population as populations
 from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
 from charms_bench.people.population import Population, read_population
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -143,7 +144,7 @@ def _drive(
         p = own[FIRST:]
         if is_first:
             own[CLOCK] = elapsed_s  # a random part of the interval
-            leader = scene.leaders[b, i, scene.lane[b, i]]
+            leader = scene.leaders[b, i, OWN]
             gap = LONGEST_M + 1
             if leader >= 0:
                 gap = _gap(scene, b, i, leader)
@@ -156,28 +157,28 @@ def _drive(
         own[DRIVEN] += 1.0
         timer_s[b, i] = 0.0
         lane, target = scene.lane[b, i], scene.target_lane[b, i]
-        target_lane[m] = target
+        target_lane[m], towards = target, TARGET
         if scene.crashed[b, i]:
             continue
         if lane == target and own[CLOCK] > CONSIDERS_EVERY_S - c.dt / 2:
             own[CLOCK] = 0.0
-            kept = max(_behind(scene, b, i, scene.leaders[b, i, lane], d.median), -limit)
-            k = 0
-            for side in side_lanes(c, lane):
-                k += 1
+            kept = max(_behind(scene, b, i, scene.leaders[b, i, OWN], d.median), -limit)
+            left, right = side_lanes(c, lane)
+            for side, candidate in ((left, LEFT), (right, RIGHT)):
                 if side < 0 or not is_reachable(c, side, scene.x[b, i], scene.y[b, i]):
                     continue
-                offered = _behind(scene, b, i, scene.leaders[b, i, side], d.median)
-                follower = scene.followers[b, i, side]
+                offered = _behind(scene, b, i, scene.leaders[b, i, candidate], d.median)
+                follower = scene.followers[b, i, candidate]
                 imposed = _behind(scene, b, follower, i, d.median) if follower >= 0 else 0.0
                 if offered >= -limit and imposed >= -limit:
                     need = (d.threshold - (offered - kept)) / d.scale
                     odds = 1 + maths.exp(clip(need, -50.0, 50.0))
-                    if draws[m, k] * odds * d.speed_mps < scene.speed[b, i]:
-                        target = side
-        wanted = _behind(scene, b, i, scene.leaders[b, i, lane], p)
+                    # The first draw is that of the noise.
+                    if draws[m, candidate] * odds * d.speed_mps < scene.speed[b, i]:
+                        target, towards = side, candidate
+        wanted = _behind(scene, b, i, scene.leaders[b, i, OWN], p)
         if lane != target:
-            wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, target], p))
+            wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, towards], p))
         step_s = c.dt if is_first else elapsed_s
         is_slow = not is_first and d.lag_s > step_s
         own[FELT] += (wanted - own[FELT]) * (step_s / d.lag_s if is_slow else 1.0)

@@ -7,6 +7,7 @@ import numpy as np
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, inlined, not_zero
+from charms_bench.world.candidate_lanes import CANDIDATES, OWN
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.scene import Floats, Ints, Scene
@@ -101,12 +102,12 @@ def on_own_lane(
     c, vehicles = scene.constants, scene.x.shape[1]
     x, speed, wanted_speed = scene.x.ravel(), scene.speed.ravel(), scene.target_speed.ravel()
     direction_x, direction_y = scene.direction_x.ravel(), scene.direction_y.ravel()
-    lane, leaders, length = scene.lane.ravel(), scene.leaders.ravel(), scene.length.ravel()
+    leaders, length = scene.leaders.ravel(), scene.length.ravel()
     free, wanted = np.empty(rows.size), np.empty(rows.size)
     gap = np.empty(rows.size)
     for m in range(rows.size):
         i = index(rows[m] * vehicles + places[m])
-        leader = leaders[index((rows[m] * vehicles + places[m]) * c.lanes + lane[i])]
+        leader = leaders[index((rows[m] * vehicles + places[m]) * len(CANDIDATES) + OWN)]
         j = index(rows[m] * vehicles + leader) if leader >= 0 else i
         v, ux, uy = speed[i], direction_x[i], direction_y[i]
         free[m] = max(v, 0.0) / abs(not_zero(clip(wanted_speed[i], 0.0, c.speed_limit)))
@@ -115,7 +116,7 @@ def on_own_lane(
         gap[m] = x[j] - x[i] if leader >= 0 else math.inf
     for m in range(rows.size if c.mixed_sizes else 0):
         i = rows[m] * vehicles + places[m]
-        leader = leaders[index(i * c.lanes + lane[index(i)])]
+        leader = leaders[index(i * len(CANDIDATES) + OWN)]
         j = rows[m] * vehicles + leader if leader >= 0 else i
         own, other = overhang(length[index(i)], c.length), overhang(length[index(j)], c.length)
         gap[m] = following_distance(0.0, gap[m], own, other)

@@ -18,6 +18,7 @@ from charms_baselines.idm import (
 )
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -82,7 +83,7 @@ def drive_block(
         is_due = timer_s[at] > p.lane_change_period_s
         if (lane != target or is_due) and not crashed[at]:
             b, i = rows[m], places[m]
-            own = motion(b, i, scene)
+            own, towards = motion(b, i, scene), TARGET
             if lane != target:
                 if b != scene_of_fastest:
                     scene_of_fastest, fastest = b, np.abs(scene.speed[b]).max()
@@ -92,20 +93,21 @@ def drive_block(
                     target = lane
             else:
                 timer_s[at] = 0.0
-                for side in side_lanes(scene.constants, lane):
+                left, right = side_lanes(scene.constants, lane)
+                for side, candidate in ((left, LEFT), (right, RIGHT)):
                     if is_reachable(scene.constants, side, x[b, i], y[b, i]) and _changes(
                         own,
                         free[m],
-                        motion_ahead(b, leaders[b, i, lane], scene),
-                        motion_behind(b, followers[b, i, lane], scene),
-                        motion_ahead(b, leaders[b, i, side], scene),
-                        motion_behind(b, followers[b, i, side], scene),
+                        motion_ahead(b, leaders[b, i, OWN], scene),
+                        motion_behind(b, followers[b, i, OWN], scene),
+                        motion_ahead(b, leaders[b, i, candidate], scene),
+                        motion_behind(b, followers[b, i, candidate], scene),
                         exponents[m],
                         p,
                     ):
-                        target = side
+                        target, towards = side, candidate
             if lane != target:
-                leader = motion_ahead(b, leaders[b, i, target], scene)
+                leader = motion_ahead(b, leaders[b, i, towards], scene)
                 wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
             all_targets[at] = target
         target_lane[m] = target

@@ -22,6 +22,7 @@ from charms_baselines.idm import (
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -98,23 +99,24 @@ def _drive(
         target_lane[m] = target
         if crashed[b, i]:
             continue
-        own = motion(b, i, scene)
+        own, towards = motion(b, i, scene), TARGET
         if lane == target:
-            leader = motion_ahead(b, leaders[b, i, lane], scene)
+            leader = motion_ahead(b, leaders[b, i, OWN], scene)
             best = _utility(own, leader) + options.gain
-            for side in side_lanes(scene.constants, lane):
+            left, right = side_lanes(scene.constants, lane)
+            for side, candidate in ((left, LEFT), (right, RIGHT)):
                 if side < 0:
                     continue
-                side_leader = motion_ahead(b, leaders[b, i, side], scene)
-                side_follower = motion_behind(b, followers[b, i, side], scene)
+                side_leader = motion_ahead(b, leaders[b, i, candidate], scene)
+                side_follower = motion_behind(b, followers[b, i, candidate], scene)
                 utility = _utility(own, side_leader)
                 if utility > best and (
                     distance(side_follower, own) > options.open_distance
                     or _loss(side_follower, side_leader, own, p) <= options.follower_loss
                 ):
-                    best, target = utility, side
+                    best, target, towards = utility, side, candidate
         if lane != target:
-            leader = motion_ahead(b, leaders[b, i, target], scene)
+            leader = motion_ahead(b, leaders[b, i, towards], scene)
             wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
         acceleration[m] = clip(wanted[m], -options.braking, options.accelerating)
         target_lane[m] = target

@@ -110,6 +110,7 @@ class HighwayEnvEngine:
         self.scene.target_speed[rows] *= ~is_continuous
         target_lane, lane = self.scene.target_lane[rows], self.scene.lane[rows]
         self.scene.target_lane[rows] = np.where(is_continuous, lane, target_lane)
+        locate(self.scene, rows)
         for row in map(int, rows):
             self.roads[row] = self._road(row)
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.neighbours import search_neighbours
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, not_zero, wrap_to_pi
 from charms_bench.world.profile import Constants
@@ -196,6 +197,8 @@ def move(
 def follow_no_lane(scene: Scene, marked: Bools) -> None:
     """Makes the nearest lanes of the marked vehicles [B, N] their target lanes too.
 
+    The vehicles are in order.
+
     Near a border, `closest_lane` is corrected: highway-env rounds the distances of the lanes with
     what they have in common, the distance beyond the road's ends and the heading, so they can be
     equal [`AbstractLane.distance_with_heading`].
@@ -212,3 +215,4 @@ def follow_no_lane(scene: Scene, marked: Bools) -> None:
                 own = distance_with_heading(c, lane, x, y, heading)
                 lane = left if distance_with_heading(c, left, x, y, heading) <= own else lane
             scene.lane[b, i] = scene.target_lane[b, i] = lane
+            search_neighbours(b, i, scene)

@@ -15,7 +15,8 @@ import numpy as np
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled_of_scenes, index
-from charms_bench.world.road import is_on_lane, side_lanes
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
+from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
 LONG_AGO = -1_000_000
@@ -158,13 +159,9 @@ def take(
             own.steering = scene.steering[b, i]
             own.length, own.width = scene.length[b, i], scene.width[b, i]
             own.lane, own.target_lane = lane, scene.target_lane[b, i]
-            own.leader, own.follower = leaders[b, i, lane], followers[b, i, lane]
-            own.left_leader = own.left_follower = own.right_leader = own.right_follower = -1
-            left, right = side_lanes(c, lane)
-            if left >= 0:
-                own.left_leader, own.left_follower = leaders[b, i, left], followers[b, i, left]
-            if right >= 0:
-                own.right_leader, own.right_follower = leaders[b, i, right], followers[b, i, right]
+            own.leader, own.follower = leaders[b, i, OWN], followers[b, i, OWN]
+            own.left_leader, own.left_follower = leaders[b, i, LEFT], followers[b, i, LEFT]
+            own.right_leader, own.right_follower = leaders[b, i, RIGHT], followers[b, i, RIGHT]
             own.action = action[b, i] if has_action[b, i] else -1
             own.crashed, own.collision = scene.crashed[b, i], collision[b, i]
             own.is_on_road = is_on_lane(c, lane, own.x, own.y, 0.0)

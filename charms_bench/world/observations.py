@@ -33,8 +33,8 @@ from charms_bench.errors import InputError, first_problem, suggestion
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 
 
@@ -158,17 +158,14 @@ def observation_described(text: str) -> Neighbours | Kinematics:
 @compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
     """Writes the observations `neighbours` of M vehicles."""
-    x, leaders, followers = scene.x, scene.leaders, scene.followers
+    x = scene.x
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_own_row(b, i, scene, observations[m])
         observations[m, EGO, 1] = 1.0
-        left, right = side_lanes(scene.constants, scene.lane[b, i])
-        for side, on in enumerate((left, scene.lane[b, i], right)):
-            if on < 0:
-                continue
-            for behind in range(2):
-                j = followers[b, i, on] if behind else leaders[b, i, on]
+        for side, candidate in enumerate((LEFT, OWN, RIGHT)):
+            found = scene.leaders[b, i, candidate], scene.followers[b, i, candidate]
+            for behind, j in enumerate(found):
                 if j >= 0 and abs(x[b, j] - x[b, i]) <= RANGE_M:
                     _write_neighbour(b, i, j, scene, observations[m, 1 + 2 * side + behind])
 

@@ -29,6 +29,7 @@ from charms_bench.errors import DataError, suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.foundation.files import absolute
+from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.recordings import RecordedMoments
@@ -349,10 +350,10 @@ class _Fields(NamedTuple):
     rank: Ints
     """[B, N] each vehicle's index in `order`."""
     leaders: Ints
-    """[B, N, L] nearest vehicle ahead on each lane. For speed, -1 stands for none in this table;
-    outside compiled code, use `leader`."""
+    """[B, N, 4] nearest vehicle ahead on each of the `CANDIDATES`, as the last simulation step left
+    them. For speed, -1 stands for none in this table; outside compiled code, use `leader`."""
     followers: Ints
-    """[B, N, L] nearest vehicle behind on each lane, likewise; see `follower`."""
+    """[B, N, 4] nearest vehicle behind on each of the `CANDIDATES`, likewise; see `follower`."""
     impact_x: Floats
     """[B, N] displacement that a collision causes in the next step, m."""
     impact_y: Floats
@@ -389,7 +390,7 @@ class Scene(_Fields):
         """
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
-        nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
+        nobody = np.full((*shape, len(CANDIDATES)), -1, dtype=np.int32)
         per_vehicle: dict[str, NDArray[Any]] = {
             name: np.zeros(shape, dtype)
             for dtype, names in _PER_VEHICLE.items()
@@ -421,10 +422,7 @@ class Scene(_Fields):
         return self._replace(**views)
 
     def leader(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
-        """The nearest vehicle at or ahead of each vehicle on a lane.
-
-        highway-env's rule (`Road.neighbour_vehicles`): a vehicle is on a lane while its centre
-        is at most half a lane and 1 m from the lane's centre, so it can be on two.
+        """The nearest vehicle at or ahead of each vehicle on a lane; see `candidate_lanes`.
 
         Args:
             vehicles: M vehicles.
@@ -433,11 +431,11 @@ class Scene(_Fields):
         Returns:
             The places (M,), which are only meaningful where the mask (M,) beside them is true.
         """
-        return self._neighbour(self.leaders, vehicles, lane)
+        return self._neighbour(0, vehicles, lane)
 
     def follower(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         """The nearest vehicle behind each vehicle on a lane; see `leader`."""
-        return self._neighbour(self.followers, vehicles, lane)
+        return self._neighbour(1, vehicles, lane)
 
     def gap_to(self, vehicles: Vehicles, ahead: Ints) -> Floats:
         """The gaps (M,) from the fronts of M vehicles to the rears of the vehicles `ahead` (M,), m.
@@ -448,9 +446,9 @@ class Scene(_Fields):
         lengths = self.length[vehicles], self.length[other]
         return np.asarray(gap_to(self.x[vehicles], self.x[other], *lengths))
 
-    def _neighbour(self, table: Ints, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
+    def _neighbour(self, which: int, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         on_road = (lane >= 0) & (lane < self.constants.lanes)
-        found = table[vehicles[0], vehicles[1], np.where(on_road, lane, 0)]
+        found = neighbours_on(self, vehicles[0], vehicles[1], np.where(on_road, lane, 0))[which]
         present = on_road & (found >= 0)
         return np.where(present, found, 0), present
 

@@ -15,6 +15,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
+from charms_bench.world.candidate_lanes import OWN, TARGET, follower_on, leader_on
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
@@ -95,10 +96,7 @@ class StyleReward:
         """Observes the scenes before the egos' actions (B,) are executed."""
         scene = simulation.scene
         rows, ego = simulation.ego_vehicles
-        followers = scene.followers[rows, ego]
-        expected = (
-            _expected(scene, followers) if math.sin(self.angle_rad) else np.zeros(followers.shape)
-        )
+        followers, expected = _expected(scene, bool(math.sin(self.angle_rad)))
         consistent = simulation.has_action[rows, ego] & (simulation.action[rows, ego] == actions)
         lane, target_lane = scene.lane[rows, ego], scene.target_lane[rows, ego]
         return Prepared(consistent, lane, target_lane, followers, expected)
@@ -139,14 +137,14 @@ def safety(
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = _safe(scene, b, ego, scene.leaders[b, ego, target], horizon_s, headway_m)
+        front = _safe(scene, b, ego, scene.leaders[b, ego, TARGET], horizon_s, headway_m)
         if lane == target:
             result[b] = front
         else:
-            rear = _safe(scene, b, scene.followers[b, ego, target], ego, horizon_s, headway_m)
+            rear = _safe(scene, b, scene.followers[b, ego, TARGET], ego, horizon_s, headway_m)
             result[b] = 0.5 * front + 0.5 * rear
             if in_both_lanes:
-                left = _safe(scene, b, ego, scene.leaders[b, ego, lane], horizon_s, headway_m)
+                left = _safe(scene, b, ego, scene.leaders[b, ego, OWN], horizon_s, headway_m)
                 result[b] = min(result[b], left)
     return result
 
@@ -208,14 +206,14 @@ def _safe(
 def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     """IDM acceleration of vehicle i on a lane, with the ego in its target lane, m/s2."""
     ego = scene.ego[b]
-    leader = scene.leaders[b, i, lane]
+    leader = leader_on(b, i, lane, scene)
     if scene.target_lane[b, ego] == lane:
         if scene.x[b, ego] >= scene.x[b, i] and (
             leader < 0 or scene.x[b, ego] <= scene.x[b, leader]
         ):
             leader = ego
     elif leader == ego:
-        leader = scene.leaders[b, ego, lane]
+        leader = leader_on(b, ego, lane, scene)
     speed = forward_speed(scene, b, i)
     free = 1 - (max(speed, 0.0) / IDM_SPEED_MPS) ** IDM_EXPONENT
     if leader < 0:
@@ -228,14 +226,16 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
 
 
 @compiled
-def _expected(scene: Scene, followers: Ints) -> Floats:
-    """The expected accelerations (B, L) of the followers on each lane."""
-    expected = np.zeros(followers.shape)
-    for b in range(followers.shape[0]):
-        for lane in range(followers.shape[1]):
-            if followers[b, lane] >= 0:
-                expected[b, lane] = expected_acceleration(scene, b, followers[b, lane], lane)
-    return expected
+def _expected(scene: Scene, matters: bool) -> tuple[Ints, Floats]:
+    """The followers of the egos (B, L) on each lane, and their accelerations if these matter."""
+    shape = (scene.ego.size, scene.constants.lanes)
+    followers, expected = np.full(shape, -1), np.zeros(shape)
+    for b in range(shape[0] if matters else 0):
+        for lane in range(shape[1]):
+            follower = followers[b, lane] = follower_on(b, scene.ego[b], lane, scene)
+            if follower >= 0:
+                expected[b, lane] = expected_acceleration(scene, b, follower, lane)
+    return followers, expected
 
 
 @compiled
