@@ -28,8 +28,12 @@ def scene_of(
     parameters = np.shape(fields.get("parameters", [[]]))[-1]
     scene = Scene.empty(settings, 1, parameters)
     mixed = "length" in fields or "width" in fields
-    constants = scene.constants._replace(mixed_sizes=mixed, **(sizes or {}))
-    scene = scene._replace(constants=constants)
+    of_road = {k: value for k, value in (sizes or {}).items() if k in scene.road._fields}
+    own = {k: value for k, value in (sizes or {}).items() if k not in of_road}
+    scene = scene._replace(
+        road=scene.road._replace(**of_road),
+        constants=scene.constants._replace(mixed_sizes=mixed, **own),
+    )
     scene.length[:], scene.width[:] = scene.constants.length, scene.constants.width
     for name, values in fields.items():
         getattr(scene, name)[0] = values

@@ -20,7 +20,7 @@ from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
 from charms_bench.people.population import Population, read_population
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.road import is_reachable, side_lanes
+from charms_bench.world.road import distance_along, is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 CONSIDERS_EVERY_S = 1.0
@@ -134,7 +134,7 @@ def _sha256(drivers: Population) -> str:
 def _drive(
     scene: Scene, rows: Ints, places: Ints, draws: Floats, d: _Driving
 ) -> tuple[Floats, Ints]:
-    c, memory, timer_s = scene.constants, scene.memory, scene.timer_s
+    c, road, memory, timer_s = scene.constants, scene.road, scene.memory, scene.timer_s
     limit = c.idm_mobil.imposed_braking_mps2
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     for m in range(rows.size):
@@ -163,9 +163,9 @@ def _drive(
         if lane == target and own[CLOCK] > CONSIDERS_EVERY_S - c.dt / 2:
             own[CLOCK] = 0.0
             kept = max(_behind(scene, b, i, scene.leaders[b, i, OWN], d.median), -limit)
-            left, right = side_lanes(c, lane)
+            left, right = side_lanes(road, lane)
             for side, candidate in ((left, LEFT), (right, RIGHT)):
-                if side < 0 or not is_reachable(c, side, scene.x[b, i], scene.y[b, i]):
+                if side < 0 or not is_reachable(road, side, scene.x[b, i], scene.y[b, i]):
                     continue
                 offered = _behind(scene, b, i, scene.leaders[b, i, candidate], d.median)
                 follower = scene.followers[b, i, candidate]
@@ -234,5 +234,7 @@ def _behind(scene: Scene, b: int, i: int, leader: int, p: Floats) -> float:
 @inlined
 def _gap(scene: Scene, b: int, i: int, leader: int) -> float:
     """The gap from vehicle i of scene b to its leader, bumper to bumper, m."""
-    x, length = scene.x, scene.length
-    return float(gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader]))
+    x, y, length = scene.x, scene.y, scene.length
+    here, there = (x[b, i], y[b, i]), (x[b, leader], y[b, leader])
+    distance = distance_along(scene.road, scene.lane[b, i], *here, *there)
+    return float(gap_to(distance, length[b, i], length[b, leader]))

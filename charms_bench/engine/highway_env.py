@@ -402,7 +402,7 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         """[`RoadObject.lane_distance_to`] for lengths that differ; see `following_distance`."""
         distance = vehicle_class.lane_distance_to(self, other, lane)
         lengths = self.LENGTH, (other or self).LENGTH
-        return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
+        return following_distance(distance, *(overhang(k, standard_length) for k in lengths))
 
     def step(self: Any, dt: float) -> None:
         """[`Vehicle.step`] without reversing."""

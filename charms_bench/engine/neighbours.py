@@ -5,9 +5,9 @@ import numpy as np
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET, follower_on, leader_on
-from charms_bench.world.profile import Constants
 from charms_bench.world.road import (
     NEIGHBOUR_MARGIN_M,
+    Straight,
     closest_lane,
     is_near_lane,
     is_on_length,
@@ -20,11 +20,11 @@ from charms_bench.world.scene import Ints, Scene
 @compiled
 def locate(scene: Scene, rows: Ints) -> None:
     """Computes what follows from x, y and heading: directions, lanes, order and neighbours."""
-    c, heading = scene.constants, scene.heading
+    road, heading = scene.road, scene.heading
     for b in rows:
         for i in range(scene.x.shape[1]):
             scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(heading[b, i])
-            scene.lane[b, i] = closest_lane(c, scene.x[b, i], scene.y[b, i], heading[b, i])
+            scene.lane[b, i] = closest_lane(road, scene.x[b, i], scene.y[b, i], heading[b, i])
         sort_by_x(scene, b, b + 1)
         find_neighbours(scene, b, b + 1)
 
@@ -60,8 +60,8 @@ def sort_by_x(scene: Scene, first: int, after: int) -> None:
 @compiled
 def find_neighbours(scene: Scene, first: int, after: int) -> None:
     """Fills `leaders` and `followers`, along the order of `sort_by_x` and back."""
-    c, vehicles = scene.constants, scene.x.shape[1]
-    nearest = np.empty(c.lanes + 2, dtype=np.int32)  # the first and the last lane do not exist
+    road, vehicles = scene.road, scene.x.shape[1]
+    nearest = np.empty(road.lanes + 2, dtype=np.int32)  # the first and the last lane do not exist
     for b in range(first, after):
         x, y, order = scene.x[b], scene.y[b], scene.order[b]
         lane, target_lane = scene.lane[b], scene.target_lane[b]
@@ -72,7 +72,7 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
         for k in range(vehicles):
             i = index(order[k])
             note_nearest(followers, i, lane[i], target_lane[i], nearest)
-            pass_vehicle(c, order[k], x[i], y[i], lane[i], nearest)
+            pass_vehicle(road, order[k], x[i], y[i], lane[i], nearest)
             any_level |= x[i] == last_x
             last_x = x[i]
         nearest[:] = -1
@@ -80,7 +80,7 @@ def find_neighbours(scene: Scene, first: int, after: int) -> None:
             last = order[index(k)]
             i = index(last)
             note_nearest(leaders, i, lane[i], target_lane[i], nearest)
-            pass_vehicle(c, last, x[i], y[i], lane[i], nearest)
+            pass_vehicle(road, last, x[i], y[i], lane[i], nearest)
         if any_level:
             for k in range(1, vehicles):
                 if x[order[k - 1]] == x[order[k]]:
@@ -95,17 +95,17 @@ def note_nearest(found: Ints, i: int, lane: int, target_lane: int, nearest: Ints
 
 
 @inlined
-def pass_vehicle(c: Constants, i: int, x: float, y: float, lane: int, nearest: Ints) -> None:
+def pass_vehicle(road: Straight, i: int, x: float, y: float, lane: int, nearest: Ints) -> None:
     """Makes vehicle i the nearest one on its lanes."""
-    if not is_on_length(c, x):
+    if not is_on_length(road, x):
         return
     # So close to the middle of a lane, a vehicle is on no other one, however sums are rounded.
-    _, beside = local_coordinates(c, lane, x, y)
-    if abs(beside) <= c.lane_width / 2 - NEIGHBOUR_MARGIN_M - 1e-6:
+    _, beside = local_coordinates(road, lane, x, y)
+    if abs(beside) <= road.lane_width / 2 - NEIGHBOUR_MARGIN_M - 1e-6:
         nearest[index(lane + 1)] = i
         return
-    for on in range(c.lanes):
-        if is_near_lane(c, on, y):
+    for on in range(road.lanes):
+        if is_near_lane(road, on, y):
             nearest[index(on + 1)] = i
 
 
@@ -113,7 +113,7 @@ def pass_vehicle(c: Constants, i: int, x: float, y: float, lane: int, nearest: I
 def search_neighbours(b: int, i: int, scene: Scene) -> None:
     """Fills in the neighbours of vehicle i of scene b, one lane after the other."""
     lane = scene.lane[b, i]
-    left, right = side_lanes(scene.constants, lane)
+    left, right = side_lanes(scene.road, lane)
     lanes = ((OWN, lane), (LEFT, left), (RIGHT, right), (TARGET, scene.target_lane[b, i]))
     for column, on in lanes:
         scene.leaders[b, i, column] = leader_on(b, i, on, scene) if on >= 0 else -1

@@ -29,7 +29,7 @@ def leader_on(b: int, i: int, lane: int, scene: "Scene") -> int:
     x, y, order = scene.x, scene.y, scene.order
     for k in range(_first_level(b, i, scene), order.shape[1]):
         j = order[b, k]
-        if j != i and is_on_lane(scene.constants, lane, x[b, j], y[b, j], NEIGHBOUR_MARGIN_M):
+        if j != i and is_on_lane(scene.road, lane, x[b, j], y[b, j], NEIGHBOUR_MARGIN_M):
             return int(j)
     return -1
 
@@ -40,7 +40,7 @@ def follower_on(b: int, i: int, lane: int, scene: "Scene") -> int:
     x, y, order = scene.x, scene.y, scene.order
     for k in range(_first_level(b, i, scene) - 1, -1, -1):
         j = order[b, k]
-        if is_on_lane(scene.constants, lane, x[b, j], y[b, j], NEIGHBOUR_MARGIN_M):
+        if is_on_lane(scene.road, lane, x[b, j], y[b, j], NEIGHBOUR_MARGIN_M):
             return int(j)
     return -1
 

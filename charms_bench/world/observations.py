@@ -35,6 +35,7 @@ from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Ints, Observations, Scene, Vehicles
 
 
@@ -179,6 +180,7 @@ def _fill_as_in_the_paper(
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_own_row(b, i, scene, observations[m])
+        left, right = side_lanes(scene.road, lane[b, i])
         observations[m, EGO, 1] = min(x[b, i] / X_SCALE_M, 1.0)
         for step in (1, -1):
             k = rank[b, i] + step
@@ -188,10 +190,11 @@ def _fill_as_in_the_paper(
                 ahead, across = x[b, j] - x[b, i], y[b, j] - y[b, i]
                 if not abs(ahead) < RANGE_M:
                     break
-                side = lane[b, j] - lane[b, i] + 1
+                on = lane[b, j]
+                side = 0 if on == left else 1 if on == lane[b, i] else 2
                 row = 1 + 2 * side + (not ahead > 0)
                 if (
-                    0 <= side <= 2
+                    (side < 2 or on == right)
                     and observations[m, row, 0] == 0
                     and np.sqrt(ahead * ahead + across * across) < RANGE_M
                 ):

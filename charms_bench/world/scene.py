@@ -33,7 +33,7 @@ from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.recordings import RecordedMoments
-from charms_bench.world.road import Straight
+from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
 
@@ -272,7 +272,6 @@ class SceneSettings(FrozenModel):
         """The constants of a scene as compiled code reads them."""
         profile = self.profile
         return Constants(
-            **self.road._asdict(),
             length=profile.vehicle_length_m,
             width=profile.vehicle_width_m,
             mixed_sizes=len(self.sizes_m) > 1,
@@ -359,6 +358,7 @@ class _Fields(NamedTuple):
     impact_y: Floats
     impact: Bools
     """[B, N] whether there is such a displacement."""
+    road: Straight
     constants: Constants
 
 
@@ -367,7 +367,7 @@ class Scene(_Fields):
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
-        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.constants.lanes} lanes>"
+        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.road.lanes} lanes>"
 
     @cached_property
     def unpacked(self) -> Unpacked:
@@ -411,12 +411,13 @@ class Scene(_Fields):
             rank=places.copy(),
             leaders=nobody,
             followers=nobody.copy(),
+            road=settings.road,
             constants=settings.constants,
         )
 
     def read_only(self) -> "Scene":
         """The same scenes for a plugin, which can write to `WRITABLE` only."""
-        views = {name: array.view() for name, array in self._asdict().items() if name in _ARRAYS}
+        views = {name: getattr(self, name).view() for name in ARRAYS}
         for name, view in views.items():
             view.flags.writeable = name in WRITABLE
         return self._replace(**views)
@@ -443,11 +444,12 @@ class Scene(_Fields):
         `ahead` are places in the same scenes, as `leader` returns them.
         """
         other = vehicles[0], ahead
-        lengths = self.length[vehicles], self.length[other]
-        return np.asarray(gap_to(self.x[vehicles], self.x[other], *lengths))
+        positions = self.x[vehicles], self.y[vehicles], self.x[other], self.y[other]
+        distance = distance_along(self.road, self.lane[vehicles], *positions)
+        return np.asarray(gap_to(distance, self.length[vehicles], self.length[other]))
 
     def _neighbour(self, which: int, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
-        on_road = (lane >= 0) & (lane < self.constants.lanes)
+        on_road = (lane >= 0) & (lane < self.road.lanes)
         found = neighbours_on(self, vehicles[0], vehicles[1], np.where(on_road, lane, 0))[which]
         present = on_road & (found >= 0)
         return np.where(present, found, 0), present
@@ -462,4 +464,5 @@ _PER_VEHICLE: dict[type, str] = {
 """The arrays [B, N] of a `Scene` by the type of their values."""
 WRITABLE = ("timer_s", "memory")
 """The arrays that a driver model may change for its own vehicles."""
-_ARRAYS = set(Scene._fields) - {"constants"}
+ARRAYS = tuple(name for name in Scene._fields if name not in ("road", "constants"))
+"""The fields of a `Scene` that are arrays."""

@@ -28,7 +28,7 @@ ROW = np.array([0])
 
 def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     """highway-env's road with the vehicles of a scene."""
-    c, network = scene.constants, RoadNetwork()
+    c, network = scene.road, RoadNetwork()
     for lane in range(c.lanes):
         ends = np.array([[0.0, lane * c.lane_width], [c.road_length, lane * c.lane_width]])
         network.add_lane("0", "1", StraightLane(*ends, width=c.lane_width, speed_limit=30))
@@ -61,7 +61,7 @@ def on_lane(scene: Scene, i: int, lane: int) -> tuple[int, int]:
 @given(scenes())
 def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
     for i in range(scene.x.shape[1]):
-        for lane in range(scene.constants.lanes):
+        for lane in range(scene.road.lanes):
             assert on_lane(scene, i, lane) == naive.neighbours(scene, i, lane)
         lane, target_lane = scene.lane[0, i], scene.target_lane[0, i]
         for candidate, on in {
@@ -70,7 +70,7 @@ def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
             RIGHT: lane + 1,
             TARGET: target_lane,
         }.items():
-            exists = 0 <= on < scene.constants.lanes
+            exists = 0 <= on < scene.road.lanes
             found = scene.leaders[0, i, candidate], scene.followers[0, i, candidate]
             assert found == (naive.neighbours(scene, i, on) if exists else (-1, -1))
 
@@ -80,7 +80,7 @@ def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
 def test_neighbours_are_those_of_highway_env(scene: Scene) -> None:
     vehicles = (road := road_of(scene)).vehicles
     for i, vehicle in enumerate(vehicles):
-        for lane in range(scene.constants.lanes):
+        for lane in range(scene.road.lanes):
             places = [
                 -1 if other is None else [v is other for v in vehicles].index(True)
                 for other in road.neighbour_vehicles(vehicle, ("0", "1", lane))
@@ -118,7 +118,7 @@ def test_the_road_reaches_5_m_beyond_its_ends_whatever_the_length_of_vehicles(
     )
     assert (scene.leaders[0, 0, OWN], scene.followers[0, 0, OWN]) == (3, 2)
     x = np.array([-0.1, 0.0, 104.9, 105.0])
-    assert list(is_reachable(scene.constants, 1, x, 0.0)) == [False, True, True, False]
+    assert list(is_reachable(scene.road, 1, x, 0.0)) == [False, True, True, False]
 
 
 @settings(derandomize=True, deadline=None)

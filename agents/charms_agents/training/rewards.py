@@ -16,6 +16,7 @@ from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
 from charms_bench.world.candidate_lanes import OWN, TARGET, follower_on, leader_on
+from charms_bench.world.road import distance_along
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
@@ -182,6 +183,13 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 
 
 @compiled
+def _distance(scene: Scene, b: int, i: int, j: int) -> float:
+    """How far vehicle j is ahead of vehicle i along its lane, centre to centre, m."""
+    x, y, lane = scene.x, scene.y, scene.lane[b, i]
+    return float(distance_along(scene.road, lane, x[b, i], y[b, i], x[b, j], y[b, j]))
+
+
+@compiled
 def _safe(
     scene: Scene, b: int, behind: int, ahead: int, horizon_s: float, headway_m: float
 ) -> float:
@@ -192,7 +200,7 @@ def _safe(
     if behind < 0 or ahead < 0:
         return 1.0
     safe = 1.0
-    distance = scene.x[b, ahead] - scene.x[b, behind]
+    distance = _distance(scene, b, behind, ahead)
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
     if closing > 0.0:
         safe = distance / closing / horizon_s
@@ -208,9 +216,8 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     ego = scene.ego[b]
     leader = leader_on(b, i, lane, scene)
     if scene.target_lane[b, ego] == lane:
-        if scene.x[b, ego] >= scene.x[b, i] and (
-            leader < 0 or scene.x[b, ego] <= scene.x[b, leader]
-        ):
+        is_ahead = _distance(scene, b, i, ego) >= 0
+        if is_ahead and (leader < 0 or _distance(scene, b, ego, leader) >= 0):
             leader = ego
     elif leader == ego:
         leader = leader_on(b, ego, lane, scene)
@@ -221,14 +228,14 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     closing = speed - forward_speed(scene, b, leader)
     braking = 2 * math.sqrt(IDM_ACCELERATION * IDM_DECELERATION)
     wanted = IDM_JAM_DISTANCE_M + max(0.0, speed * IDM_HEADWAY_S + speed * closing / braking)
-    gap = max(scene.x[b, leader] - scene.x[b, i], MINIMAL_GAP_M)
+    gap = max(_distance(scene, b, i, leader), MINIMAL_GAP_M)
     return float(IDM_ACCELERATION * (free - (wanted / gap) ** 2))
 
 
 @compiled
 def _expected(scene: Scene, matters: bool) -> tuple[Ints, Floats]:
     """The followers of the egos (B, L) on each lane, and their accelerations if these matter."""
-    shape = (scene.ego.size, scene.constants.lanes)
+    shape = (scene.ego.size, scene.road.lanes)
     followers, expected = np.full(shape, -1), np.zeros(shape)
     for b in range(shape[0] if matters else 0):
         for lane in range(shape[1]):
