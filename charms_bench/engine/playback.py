@@ -21,6 +21,7 @@ from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.state import vacate
 from charms_bench.engine.stepping import Put
 from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.moments import Tracks, moments_of
@@ -83,6 +84,7 @@ class Playback:
         self.choose(rows, seeds)
         made, scene = self._made, self._made.scene
         made.engine.drivers[rows] = agents
+        scene.generator[rows] = seeded(seeds)
         scene.ego[rows], scene.active[rows], scene.present[rows] = 0, True, False
         scene.acceleration[rows] = scene.steering[rows] = 0.0
         scene.crashed[rows] = scene.impact[rows] = False

@@ -29,6 +29,7 @@ from charms_bench.errors import DataError, suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.generator import State
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
@@ -340,6 +341,8 @@ class _Fields(NamedTuple):
     memory: Floats
     """[B, N, Q] what each vehicle's agent remembers, in its first columns; Q is the width of the
     agent that declares most [`Policy.memory_width`, `DriverModel.memory_width`]."""
+    generator: State
+    """[B, 6] the state of the scene's random generator after the draws that placed its vehicles."""
     ego: Ints
     """[B] the ego's place."""
     active: Bools
@@ -404,6 +407,7 @@ class Scene(_Fields):
             **per_vehicle,
             parameters=np.zeros((*shape, parameters)),
             memory=np.zeros((*shape, memory)),
+            generator=np.zeros((scenes, 6), dtype=np.uint64),
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
             entry=places,
