@@ -5,7 +5,8 @@ import math
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from charms_bench.world.profile import Constants, IdmMobilParameters
+from charms_bench.world.profile import IdmMobilParameters
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Scene
 
 Driver = tuple[Scene, IdmMobilParameters, float]
@@ -16,10 +17,10 @@ def closest_lane(y: float, lanes: int, width: float) -> int:
     return min(range(lanes), key=lambda lane: abs(y - lane * width))
 
 
-def is_on_lane(x: float, y: float, lane: int, c: Constants) -> bool:
+def is_on_lane(x: float, y: float, lane: int, road: Straight) -> bool:
     """`AbstractLane.on_lane` with a margin of 1 m."""
-    beside = abs(y - lane * c.lane_width)
-    return beside <= c.lane_width / 2 + 1 and -5.0 <= x < c.road_length + 5.0
+    beside = abs(y - lane * road.lane_width)
+    return beside <= road.lane_width / 2 + 1 and -5.0 <= x < road.road_length + 5.0
 
 
 def neighbours(scene: Scene, i: int, lane: int) -> tuple[int, int]:
@@ -27,7 +28,7 @@ def neighbours(scene: Scene, i: int, lane: int) -> tuple[int, int]:
     x, y = scene.x[0], scene.y[0]
     leader = follower = -1
     for j in range(x.size):
-        if j == i or not is_on_lane(x[j], y[j], lane, scene.constants):
+        if j == i or not is_on_lane(x[j], y[j], lane, scene.road):
             continue
         if x[i] <= x[j] and (leader < 0 or x[j] <= x[leader]):
             leader = j
@@ -82,7 +83,7 @@ def neighbours_observation(scene: Scene, i: int) -> np.ndarray:
     rows[0] = [1, 1, scene.y[0, i] / 12, *velocity(scene, i) / 66]
     row = 1
     for lane in (scene.lane[0, i] - 1, scene.lane[0, i], scene.lane[0, i] + 1):
-        found = neighbours(scene, i, lane) if 0 <= lane < scene.constants.lanes else (-1, -1)
+        found = neighbours(scene, i, lane) if 0 <= lane < scene.road.lanes else (-1, -1)
         for j in found:
             dx = scene.x[0, j] - scene.x[0, i]
             if j >= 0 and abs(dx) <= 99:
@@ -113,9 +114,12 @@ def paper_observation(scene: Scene, i: int) -> np.ndarray:
 
 
 def distance(scene: Scene, i: int, j: int) -> float:
-    """The bumper gap from vehicle i to vehicle j ahead, and one of the profile's lengths."""
-    lengths = (scene.length[0, i] + scene.length[0, j]) / 2
-    return scene.x[0, j] - scene.x[0, i] - lengths + scene.constants.length
+    """The bumper gap from vehicle i to vehicle j ahead, and one of the profile's lengths.
+
+    The lengths come last and together, so that tiny distances survive.
+    """
+    lengths = (scene.length[0, i] + scene.length[0, j]) / 2 - scene.constants.length
+    return scene.x[0, j] - scene.x[0, i] - lengths
 
 
 def desired_gap(driver: Driver, i: int, j: int) -> float:
@@ -134,7 +138,7 @@ def idm_acceleration(driver: Driver, i: int, leader: int) -> float:
     scene, p, exponent = driver
     if i < 0:
         return 0.0
-    wanted = np.clip(scene.target_speed[0, i], 0, scene.constants.speed_limit)
+    wanted = np.clip(scene.target_speed[0, i], 0, scene.road.speed_limit)
     acceleration = p.acceleration_mps2 * (1 - (max(scene.speed[0, i], 0) / wanted) ** exponent)
     if leader >= 0:
         gap = distance(scene, i, leader)
@@ -159,7 +163,7 @@ def mobil(driver: Driver, i: int, lane: int) -> bool:
 
 def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
     """Accelerations and target lanes of all vehicles [`IDMVehicle.act`]."""
-    c, p = scene.constants, scene.constants.idm_mobil
+    road, p = scene.road, scene.constants.idm_mobil
     lanes, targets = scene.lane[0], [int(lane) for lane in scene.target_lane[0]]
     accelerations = []
     for i in range(len(targets)):
@@ -176,9 +180,9 @@ def idm_mobil(scene: Scene) -> tuple[list[float], list[int]]:
                     break
         elif scene.timer_s[0, i] > p.lane_change_period_s and scene.speed[0, i] >= 1:
             for side in (lanes[i] - 1, lanes[i] + 1):
-                near = abs(scene.y[0, i] - side * c.lane_width) <= 2 * c.lane_width
-                on_length = 0 <= scene.x[0, i] < c.road_length + 5.0
-                if 0 <= side < c.lanes and near and on_length and mobil(driver, i, side):
+                near = abs(scene.y[0, i] - side * road.lane_width) <= 2 * road.lane_width
+                on_length = 0 <= scene.x[0, i] < road.road_length + 5.0
+                if 0 <= side < road.lanes and near and on_length and mobil(driver, i, side):
                     targets[i] = int(side)
         wanted = [
             idm_acceleration(driver, i, neighbours(scene, i, lane)[0])
@@ -212,7 +216,7 @@ def stackelberg(scene: Scene, i: int) -> tuple[float, int]:
     if lane == target:
         best = utility(lane) + 0.1
         for side in (lane - 1, lane + 1):
-            if 0 <= side < scene.constants.lanes and utility(side) > best and is_open(side):
+            if 0 <= side < scene.road.lanes and utility(side) > best and is_open(side):
                 best, target = utility(side), side
     wanted = [idm_acceleration(driver, i, neighbours(scene, i, on)[0]) for on in (lane, target)]
     return float(np.clip(min(wanted), -4.0, 3.0)), target

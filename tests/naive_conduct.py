@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.world.profile import Constants
+from charms_bench.world.road import Straight
 
 History = dict[str, np.ndarray]
 """Arrays [T + 1, N] of one scene: the beginning and every decision."""
@@ -15,14 +15,14 @@ NAMES = (
 )  # fmt: skip
 
 
-def ahead(h: History, t: int, i: int, lane: int, c: Constants, sign: int = 1) -> int:
+def ahead(h: History, t: int, i: int, lane: int, road: Straight, sign: int = 1) -> int:
     """The nearest vehicle ahead of i on a lane, or behind it if sign is -1; -1 for none."""
     best = -1
     for j in range(h["x"].shape[1]):
         x, y = h["x"][t, j], h["y"][t, j]
         distance = sign * (x - h["x"][t, i])
-        on_road = -5.0 <= x < c.road_length + 5.0
-        on_lane = on_road and abs(y - lane * c.lane_width) <= c.lane_width / 2 + 1
+        on_road = -5.0 <= x < road.road_length + 5.0
+        on_lane = on_road and abs(y - lane * road.lane_width) <= road.lane_width / 2 + 1
         if j == i or not on_lane or distance <= 0:
             continue
         if best < 0 or distance < sign * (h["x"][t, best] - h["x"][t, i]):
@@ -35,11 +35,11 @@ def bumper_gap(h: History, t: int, i: int, j: int) -> float:
     return h["x"][t, j] - h["length"][t, j] / 2 - (h["x"][t, i] + h["length"][t, i] / 2)
 
 
-def lost_at(h: History, i: int, c: Constants) -> int:
+def lost_at(h: History, i: int, road: Straight) -> int:
     """The first decision at which i has collided or left the road; T + 1 if it never has."""
-    centre = h["lane"][1:, i] * c.lane_width
-    off_road = abs(h["y"][1:, i] - centre) > c.lane_width / 2
-    off_road |= (h["x"][1:, i] < -5.0) | (h["x"][1:, i] >= c.road_length + 5.0)
+    centre = h["lane"][1:, i] * road.lane_width
+    off_road = abs(h["y"][1:, i] - centre) > road.lane_width / 2
+    off_road |= (h["x"][1:, i] < -5.0) | (h["x"][1:, i] >= road.road_length + 5.0)
     gone = off_road | h["crashed"][1:, i]
     return int(gone.argmax()) + 1 if gone.any() else len(gone) + 1
 
@@ -50,10 +50,10 @@ def last_change(h: History, t: int, i: int, name: str, since: int) -> int:
     return int(changed[-1]) + 1 if changed.size else since
 
 
-def conduct(h: History, dt: float, c: Constants, at_fault: list[bool]) -> list[Counter[str]]:
+def conduct(h: History, dt: float, road: Straight, at_fault: list[bool]) -> list[Counter[str]]:
     """What each vehicle of a scene did, by column; `at_fault` says it of those that collide."""
     decisions, vehicles = h["x"].shape[0] - 1, h["x"].shape[1]
-    lost = [lost_at(h, i, c) for i in range(vehicles)]
+    lost = [lost_at(h, i, road) for i in range(vehicles)]
     sums: list[Counter[str]] = [Counter() for _ in range(vehicles)]
     for i in range(vehicles):
         driving = range(1, lost[i])
@@ -61,11 +61,11 @@ def conduct(h: History, dt: float, c: Constants, at_fault: list[bool]) -> list[C
         if lost[i] < len(h["x"]):
             sums[i]["at_fault"] = int(at_fault[i] or not h["crashed"][lost[i], i])
         for t in driving:
-            _lane_change(h, t, i, lost, dt, c, sums)
+            _lane_change(h, t, i, lost, dt, road, sums)
             _abandoned(h, t, i, lost, sums)
-        _conflicts(h, i, driving, dt, c, sums)
+        _conflicts(h, i, driving, dt, road, sums)
     for t in range(1, decisions + 1):
-        _rss(h, t, lost, dt, c, sums)
+        _rss(h, t, lost, dt, road, sums)
     return sums
 
 
@@ -82,13 +82,13 @@ def _driving(h: History, i: int, lost: int, dt: float, mine: Counter[str]) -> No
 
 
 def _lane_change(
-    h: History, t: int, i: int, lost: list[int], dt: float, c: Constants, sums: Any
+    h: History, t: int, i: int, lost: list[int], dt: float, road: Straight, sums: Any
 ) -> None:
     lane = h["lane"][t, i]
     if lane == h["lane"][t - 1, i]:
         return
     sums[i]["lane_changes"] += 1
-    f, rear = ahead(h, t, i, lane, c, -1), h["x"][t, i] - h["length"][t, i] / 2
+    f, rear = ahead(h, t, i, lane, road, -1), h["x"][t, i] - h["length"][t, i] / 2
     window = [s for s in range(t, t + round(2 / dt)) if s < min(lost[i], len(h["x"]))]
     if f >= 0 and any(not h["crashed"][s, f] and h["acceleration"][s, f] < -2 for s in window):
         sums[i]["hard_braking_by"] += 1
@@ -110,17 +110,17 @@ def _lane_change(
                     sums[v][f"pet_below_2s_{side}"] += int(pet < 2)
             return
         others = (j for j in range(h["x"].shape[1]) if j != f)
-        if any(_cuts_in(h, s, j, f, lost, c) for j in others):
+        if any(_cuts_in(h, s, j, f, lost, road) for j in others):
             return
 
 
-def _cuts_in(h: History, t: int, j: int, f: int, lost: list[int], c: Constants) -> bool:
+def _cuts_in(h: History, t: int, j: int, f: int, lost: list[int], road: Straight) -> bool:
     lane = h["lane"][t, j]
     return bool(
         t < lost[j]
         and lane != h["lane"][t - 1, j]
         and lane == h["lane"][t, f]
-        and ahead(h, t, j, lane, c, -1) == f
+        and ahead(h, t, j, lane, road, -1) == f
     )
 
 
@@ -148,10 +148,10 @@ def _abandoned(h: History, t: int, i: int, lost: list[int], sums: Any) -> None:
         sums[min(takers, key=lambda j: abs(distance[j]))]["gaps_taken"] += 1
 
 
-def _conflicts(h: History, i: int, driving: range, dt: float, c: Constants, sums: Any) -> None:
+def _conflicts(h: History, i: int, driving: range, dt: float, road: Straight, sums: Any) -> None:
     events: list[list[Any]] = []  # leader, began, ended, whether it was a conflict
     for t in driving:
-        leader = ahead(h, t, i, h["lane"][t, i], c)
+        leader = ahead(h, t, i, h["lane"][t, i], road)
         gap = bumper_gap(h, t, i, leader)
         closing = h["speed"][t, i] - h["speed"][t, leader]
         if leader < 0 or gap <= 0 or closing <= 0:
@@ -182,14 +182,14 @@ def _conflicts(h: History, i: int, driving: range, dt: float, c: Constants, sums
             sums[to]["near_misses_to"] += 1
 
 
-def _rss(h: History, t: int, lost: list[int], dt: float, c: Constants, sums: Any) -> None:
+def _rss(h: History, t: int, lost: list[int], dt: float, road: Straight, sums: Any) -> None:
     pressed = set()
     for i in range(h["x"].shape[1]):
         if t >= lost[i]:
             continue
         lanes = (h["lane"][t, i] + k for k in (-1, 0, 1))
-        fronts = {ahead(h, t, i, lane, c) for lane in lanes if 0 <= lane < c.lanes} - {-1}
-        close = {j for j in fronts if is_dangerous(h, t, i, j, c)}
+        fronts = {ahead(h, t, i, lane, road) for lane in lanes if 0 <= lane < road.lanes} - {-1}
+        close = {j for j in fronts if is_dangerous(h, t, i, j, road)}
         pressed |= close
         sums[i]["rss_by_s"] += dt * bool(close)
     for j in pressed:
@@ -197,7 +197,7 @@ def _rss(h: History, t: int, lost: list[int], dt: float, c: Constants, sums: Any
             sums[j]["rss_to_s"] += dt
 
 
-def is_dangerous(h: History, t: int, rear: int, front: int, c: Constants) -> bool:
+def is_dangerous(h: History, t: int, rear: int, front: int, road: Straight) -> bool:
     """[arXiv 1708.06374, definitions 1 and 6, with the constants of ad-rss-lib]"""
     v = h["speed"][t] * h["direction_x"][t]
     after = v[rear] + 3.5

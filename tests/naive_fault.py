@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from naive_conduct import History, ahead, bumper_gap
 
-from charms_bench.world.profile import Constants
+from charms_bench.world.road import Straight
 
 
 class Sample(NamedTuple):
@@ -15,18 +15,18 @@ class Sample(NamedTuple):
     interval: int
 
 
-def at_fault(h: History, steps_per_decision: int, c: Constants) -> list[bool]:
+def at_fault(h: History, steps_per_decision: int, road: Straight) -> list[bool]:
     """Whether each vehicle collides and is at fault; `h` has a frame for every simulation step."""
     samples = [
         Sample(t, -(-t // steps_per_decision))
         for t in range(1, len(h["x"]))
         if t % steps_per_decision == 0 or (h["collision"][t] != h["collision"][t - 1]).any()
     ]
-    return [_is_at_fault(h, i, samples, steps_per_decision, c) for i in range(h["x"].shape[1])]
+    return [_is_at_fault(h, i, samples, steps_per_decision, road) for i in range(h["x"].shape[1])]
 
 
 def _is_at_fault(
-    h: History, i: int, samples: list[Sample], steps_per_decision: int, c: Constants
+    h: History, i: int, samples: list[Sample], steps_per_decision: int, road: Straight
 ) -> bool:
     frames = np.nonzero(h["collision"][:, i])[0]
     if not frames.size:
@@ -36,8 +36,8 @@ def _is_at_fault(
     j = other_of(h, t, i)
     behind, front = sorted((i, j), key=lambda v: bool((kind == 1) == (v != i)))
     if kind == 3 or h["speed"][t, behind] <= h["speed"][t, front]:
-        return moved_out(h, i, past, c) >= moved_out(h, j, past, c)
-    entrant, interval = last_entry(h, behind, past, c)
+        return moved_out(h, i, past, road) >= moved_out(h, j, past, road)
+    entrant, interval = last_entry(h, behind, past, road)
     seconds = (past[-1].interval - interval) * steps_per_decision / 15
     return (entrant == front and seconds <= 2) == (i == front)
 
@@ -53,9 +53,9 @@ def other_of(h: History, t: int, i: int) -> int:
     return int(depth.argmax())
 
 
-def moved_out(h: History, i: int, past: list[Sample], c: Constants) -> int:
+def moved_out(h: History, i: int, past: list[Sample], road: Straight) -> int:
     """The first interval of the last run of intervals in which i moves out of its lane."""
-    beside = h["y"][:, i] - h["lane"][:, i] * c.lane_width
+    beside = h["y"][:, i] - h["lane"][:, i] * road.lane_width
     aside = h["speed"][:, i] * h["direction_y"][:, i]
     out = {
         each.interval
@@ -68,22 +68,22 @@ def moved_out(h: History, i: int, past: list[Sample], c: Constants) -> int:
     return first
 
 
-def last_entry(h: History, behind: int, past: list[Sample], c: Constants) -> tuple[int, int]:
+def last_entry(h: History, behind: int, past: list[Sample], road: Straight) -> tuple[int, int]:
     """The last vehicle that entered the lane ahead of another one too closely, and when."""
     found, known = (-1, -(10**6)), {}
     for frame, interval in past:
         for i in range(h["x"].shape[1]):
             lane = int(h["lane"][frame, i])
-            beside = h["y"][frame, i] - lane * c.lane_width
-            if abs(beside) + h["width"][frame, i] / 2 <= c.lane_width / 2:
+            beside = h["y"][frame, i] - lane * road.lane_width
+            if abs(beside) + h["width"][frame, i] / 2 <= road.lane_width / 2:
                 continue
             entered = lane + (1 if beside > 0 else -1)
             both = {lane, entered}
             before, seen = known.get(i, (None, -(10**6)))
             known[i] = (both, interval)
-            if (before == both and seen >= interval - 1) or not 0 <= entered < c.lanes:
+            if (before == both and seen >= interval - 1) or not 0 <= entered < road.lanes:
                 continue
-            j = ahead(h, frame, i, entered, c, -1)
+            j = ahead(h, frame, i, entered, road, -1)
             if j != behind or h["lane"][frame, j] != entered:
                 continue
             closing = h["speed"][frame, j] - h["speed"][frame, i]

@@ -28,8 +28,12 @@ def scene_of(
     parameters = np.shape(fields.get("parameters", [[]]))[-1]
     scene = Scene.empty(settings, 1, parameters)
     mixed = "length" in fields or "width" in fields
-    constants = scene.constants._replace(mixed_sizes=mixed, **(sizes or {}))
-    scene = scene._replace(constants=constants)
+    of_road = {k: value for k, value in (sizes or {}).items() if k in scene.road._fields}
+    own = {k: value for k, value in (sizes or {}).items() if k not in of_road}
+    scene = scene._replace(
+        road=scene.road._replace(**of_road),
+        constants=scene.constants._replace(mixed_sizes=mixed, **own),
+    )
     scene.length[:], scene.width[:] = scene.constants.length, scene.constants.width
     for name, values in fields.items():
         getattr(scene, name)[0] = values
@@ -38,6 +42,7 @@ def scene_of(
     locate(scene, np.array([0]))
     if "target_lane" not in fields:
         scene.target_lane[:] = scene.lane
+        locate(scene, np.array([0]))  # the neighbours on the target lanes
     if "target_speed" not in fields:
         scene.target_speed[:] = scene.speed
     scene.active[:] = True
@@ -69,7 +74,7 @@ def scenes(
     sizes = {
         "length": draw(lengths),
         "width": draw(widths),
-        "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5])),
+        "lane_width": draw(st.sampled_from([4.0, 3.0, 4.5, 0.9])),
         "road_length": draw(st.sampled_from([10_000.0, 30.0])),
     }
     own = {"length": each(lengths), "width": each(widths)} if draw(st.booleans()) else {}

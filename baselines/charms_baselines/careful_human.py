@@ -36,7 +36,7 @@ from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.road import position
+from charms_bench.world.road import local_coordinates, width_at
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 WANDERING_M = 0.375
@@ -104,18 +104,20 @@ def _drive(scene: Scene, rows: Ints, places: Ints, stops: bool) -> tuple[Floats,
 @compiled
 def _risk(scene: Scene, b: int, i: int) -> tuple[float, bool, bool]:
     """How fast vehicle i of scene b closes in, whether that is a risk, and whether to react."""
-    c, x, y, speed = scene.constants, scene.x, scene.y, scene.speed
-    _, centre = position(c, scene.target_lane[b, i], x[b, i], 0.0)
+    road, x, y, speed = scene.road, scene.x, scene.y, scene.speed
+    target = scene.target_lane[b, i]
+    own_along, _ = local_coordinates(road, target, x[b, i], y[b, i])
     fastest = 0.0
     is_risk = is_critical = is_shown = False
     for k in range(scene.rank[b, i] + 1, x.shape[1]):
         j = scene.order[b, k]
-        aside = abs(y[b, j] - centre)
-        if aside >= c.lane_width - WANDERING_M or x[b, j] <= x[b, i]:
+        along, beside = local_coordinates(road, target, x[b, j], y[b, j])
+        aside = abs(beside)
+        if aside >= width_at(road, target, along) - WANDERING_M or along <= own_along:
             continue
         is_in_lane = aside <= WANDERING_M
         closing = speed[b, i] - speed[b, j]
-        gap = gap_to(x[b, i], x[b, j], scene.length[b, i], scene.length[b, j])
+        gap = gap_to(along - own_along, scene.length[b, i], scene.length[b, j])
         brakes_hard = is_in_lane and scene.acceleration[b, j] < -LEADER_BRAKING_MPS2
         fastest = max(fastest, closing)
         is_risk |= closing > 0 or brakes_hard

@@ -20,8 +20,9 @@ from charms_bench.people import suited as suiting
 from charms_bench.people.car_following import BRAKING_LIMIT_MPS2, idm
 from charms_bench.people.population import Population, read_population
 from charms_bench.people.suited import DEVIATION_MPS2, TRIES
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.road import is_reachable, side_lanes
+from charms_bench.world.road import distance_along, is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 CONSIDERS_EVERY_S = 1.0
@@ -141,7 +142,7 @@ def _sha256(drivers: Population) -> str:
 def _drive(
     scene: Scene, rows: Ints, places: Ints, draws: Floats, d: _Driving
 ) -> tuple[Floats, Ints]:
-    c, memory, timer_s = scene.constants, scene.memory, scene.timer_s
+    c, road, memory, timer_s = scene.constants, scene.road, scene.memory, scene.timer_s
     limit = c.idm_mobil.imposed_braking_mps2
     acceleration, target_lane = np.zeros(rows.size), np.empty(rows.size, dtype=np.int64)
     median = d.median.copy()
@@ -158,28 +159,28 @@ def _drive(
         own[DRIVEN] += 1.0
         timer_s[b, i] = 0.0
         lane, target = scene.lane[b, i], scene.target_lane[b, i]
-        target_lane[m] = target
+        target_lane[m], towards = target, TARGET
         if scene.crashed[b, i]:
             continue
         if lane == target and own[CLOCK] > CONSIDERS_EVERY_S - c.dt / 2:
             own[CLOCK] = 0.0
-            kept = max(_weighed(scene, b, i, scene.leaders[b, i, lane], median, d), -limit)
-            k = 0
-            for side in side_lanes(c, lane):
-                k += 1
-                if side < 0 or not is_reachable(c, side, scene.x[b, i], scene.y[b, i]):
+            kept = max(_weighed(scene, b, i, scene.leaders[b, i, OWN], median, d), -limit)
+            left, right = side_lanes(road, lane)
+            for side, candidate in ((left, LEFT), (right, RIGHT)):
+                if side < 0 or not is_reachable(road, side, scene.x[b, i], scene.y[b, i]):
                     continue
-                offered = _weighed(scene, b, i, scene.leaders[b, i, side], median, d)
-                follower = scene.followers[b, i, side]
+                offered = _weighed(scene, b, i, scene.leaders[b, i, candidate], median, d)
+                follower = scene.followers[b, i, candidate]
                 imposed = _weighed(scene, b, follower, i, median, d) if follower >= 0 else 0.0
                 if offered >= -limit and imposed >= -limit:
                     need = (d.threshold - (offered - kept)) / d.scale
                     odds = 1 + maths.exp(clip(need, -50.0, 50.0))
-                    if draws[m, k] * odds * d.speed_mps < scene.speed[b, i]:
-                        target = side
-        wanted = _behind(scene, b, i, scene.leaders[b, i, lane], p)
+                    # The first draw is that of the noise.
+                    if draws[m, candidate] * odds * d.speed_mps < scene.speed[b, i]:
+                        target, towards = side, candidate
+        wanted = _behind(scene, b, i, scene.leaders[b, i, OWN], p)
         if lane != target:
-            wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, target], p))
+            wanted = min(wanted, _behind(scene, b, i, scene.leaders[b, i, towards], p))
         step_s = c.dt if is_first else elapsed_s
         is_slow = not is_first and d.lag_s > step_s
         own[FELT] += (wanted - own[FELT]) * (step_s / d.lag_s if is_slow else 1.0)
@@ -194,7 +195,7 @@ def _drive(
 @inlined
 def _choose(p: Floats, scene: Scene, b: int, i: int, draws: Floats, d: _Driving) -> None:
     """Sets the parameters p (P,) of a driver that suits the start, as `people.suited` does."""
-    leader = scene.leaders[b, i, scene.lane[b, i]]
+    leader = scene.leaders[b, i, OWN]
     gap = LONGEST_M + 1
     if leader >= 0:
         gap = _gap(scene, b, i, leader)
@@ -268,5 +269,7 @@ def _behind(scene: Scene, b: int, i: int, leader: int, p: Floats) -> float:
 @inlined
 def _gap(scene: Scene, b: int, i: int, leader: int) -> float:
     """The gap from vehicle i of scene b to its leader, bumper to bumper, m."""
-    x, length = scene.x, scene.length
-    return float(gap_to(x[b, i], x[b, leader], length[b, i], length[b, leader]))
+    x, y, length = scene.x, scene.y, scene.length
+    here, there = (x[b, i], y[b, i]), (x[b, leader], y[b, leader])
+    distance = distance_along(scene.road, scene.lane[b, i], *here, *there)
+    return float(gap_to(distance, length[b, i], length[b, leader]))

@@ -12,14 +12,13 @@ from charms_baselines.idm import (
     following,
     interaction,
     motion,
-    motion_ahead,
-    motion_behind,
     on_own_lane,
 )
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.profile import IdmMobilParameters
-from charms_bench.world.road import is_reachable, side_lanes
+from charms_bench.world.road import Straight, is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 BLOCK_VEHICLES = 1024
@@ -82,7 +81,7 @@ def drive_block(
         is_due = timer_s[at] > p.lane_change_period_s
         if (lane != target or is_due) and not crashed[at]:
             b, i = rows[m], places[m]
-            own = motion(b, i, scene)
+            own, towards = motion(b, i, scene), TARGET
             if lane != target:
                 if b != scene_of_fastest:
                     scene_of_fastest, fastest = b, np.abs(scene.speed[b]).max()
@@ -92,21 +91,23 @@ def drive_block(
                     target = lane
             else:
                 timer_s[at] = 0.0
-                for side in side_lanes(scene.constants, lane):
-                    if is_reachable(scene.constants, side, x[b, i], y[b, i]) and _changes(
+                left, right = side_lanes(scene.road, lane)
+                for side, candidate in ((left, LEFT), (right, RIGHT)):
+                    if is_reachable(scene.road, side, x[b, i], y[b, i]) and _changes(
+                        scene.road,
                         own,
                         free[m],
-                        motion_ahead(b, leaders[b, i, lane], scene),
-                        motion_behind(b, followers[b, i, lane], scene),
-                        motion_ahead(b, leaders[b, i, side], scene),
-                        motion_behind(b, followers[b, i, side], scene),
+                        motion(b, leaders[b, i, OWN], scene),
+                        motion(b, followers[b, i, OWN], scene),
+                        motion(b, leaders[b, i, candidate], scene),
+                        motion(b, followers[b, i, candidate], scene),
                         exponents[m],
                         p,
                     ):
-                        target = side
+                        target, towards = side, candidate
             if lane != target:
-                leader = motion_ahead(b, leaders[b, i, target], scene)
-                wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
+                leader = motion(b, leaders[b, i, towards], scene)
+                wanted[m] = min(wanted[m], free[m] - interaction(scene.road, own, leader, p))
             all_targets[at] = target
         target_lane[m] = target
         limit = p.acceleration_limit_mps2
@@ -141,13 +142,18 @@ def _someone_takes_the_gap(
             return False
         if j != i and targets[b, j] == target and lane[b, j] != target:
             other = motion(b, j, scene)
-            if 0 < distance(own, other) < desired_gap(own.speed, closing_speed(own, other), p):
+            if (
+                0
+                < distance(scene.road, own, other)
+                < desired_gap(own.speed, closing_speed(own, other), p)
+            ):
                 return True
     return False
 
 
 @compiled
 def _changes(
+    road: Straight,
     own: Motion,
     free: float,
     leader: Motion,
@@ -160,17 +166,19 @@ def _changes(
     """Whether MOBIL changes lanes (Kesting et al. 2007, eqs. 2 and 3) [`IDMVehicle.mobil`]."""
     if abs(own.speed) < 1:
         return False
-    gain = (free - interaction(own, new_leader, p)) - (free - interaction(own, leader, p))
+    gain = (free - interaction(road, own, new_leader, p)) - (
+        free - interaction(road, own, leader, p)
+    )
     if p.politeness == 0 and not gain >= p.lane_change_gain_mps2:
         return False  # before the costly part; the result is the same
-    new_follower_after = following(new_follower, own, exponent, p)
+    new_follower_after = following(road, new_follower, own, exponent, p)
     if new_follower_after < -p.imposed_braking_mps2:
         return False
     if p.politeness > 0:
         gain += p.politeness * (
             new_follower_after
-            - following(new_follower, new_leader, exponent, p)
-            + following(follower, leader, exponent, p)
-            - following(follower, own, exponent, p)
+            - following(road, new_follower, new_leader, exponent, p)
+            + following(road, follower, leader, exponent, p)
+            - following(road, follower, own, exponent, p)
         )
     return bool(gain >= p.lane_change_gain_mps2)

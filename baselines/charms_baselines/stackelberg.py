@@ -5,7 +5,6 @@ IDM acceleration. The leader enters if the answer costs the follower little and 
 room and speed.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,15 +14,14 @@ from charms_baselines.idm import (
     distance,
     interaction,
     motion,
-    motion_ahead,
-    motion_behind,
     on_own_lane,
 )
 from charms_bench import DriverModel
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import clip, compiled
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.profile import IdmMobilParameters
-from charms_bench.world.road import side_lanes
+from charms_bench.world.road import Straight, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
 
 
@@ -98,41 +96,46 @@ def _drive(
         target_lane[m] = target
         if crashed[b, i]:
             continue
-        own = motion(b, i, scene)
+        own, towards = motion(b, i, scene), TARGET
         if lane == target:
-            leader = motion_ahead(b, leaders[b, i, lane], scene)
-            best = _utility(own, leader) + options.gain
-            for side in side_lanes(scene.constants, lane):
+            leader = motion(b, leaders[b, i, OWN], scene)
+            best = _utility(scene.road, own, leader) + options.gain
+            left, right = side_lanes(scene.road, lane)
+            for side, candidate in ((left, LEFT), (right, RIGHT)):
                 if side < 0:
                     continue
-                side_leader = motion_ahead(b, leaders[b, i, side], scene)
-                side_follower = motion_behind(b, followers[b, i, side], scene)
-                utility = _utility(own, side_leader)
+                side_leader = motion(b, leaders[b, i, candidate], scene)
+                side_follower = motion(b, followers[b, i, candidate], scene)
+                utility = _utility(scene.road, own, side_leader)
                 if utility > best and (
-                    distance(side_follower, own) > options.open_distance
-                    or _loss(side_follower, side_leader, own, p) <= options.follower_loss
+                    distance(scene.road, side_follower, own) > options.open_distance
+                    or _loss(scene.road, side_follower, side_leader, own, p)
+                    <= options.follower_loss
                 ):
-                    best, target = utility, side
+                    best, target, towards = utility, side, candidate
         if lane != target:
-            leader = motion_ahead(b, leaders[b, i, target], scene)
-            wanted[m] = min(wanted[m], free[m] - interaction(own, leader, p))
+            leader = motion(b, leaders[b, i, towards], scene)
+            wanted[m] = min(wanted[m], free[m] - interaction(scene.road, own, leader, p))
         acceleration[m] = clip(wanted[m], -options.braking, options.accelerating)
         target_lane[m] = target
     return acceleration, target_lane
 
 
 @compiled
-def _utility(own: Motion, leader: Motion) -> float:
+def _utility(road: Straight, own: Motion, leader: Motion) -> float:
     """Room and speed ahead on a lane: gap / 200 + leader's speed / 66; 1 if the lane is empty."""
-    if leader.x == math.inf:
+    if not leader.exists:
         return 1.0
-    return distance(own, leader) / 200 + leader.speed / 66
+    return distance(road, own, leader) / 200 + leader.speed / 66
 
 
 @compiled
-def _loss(follower: Motion, leader: Motion, entering: Motion, p: IdmMobilParameters) -> float:
+def _loss(
+    road: Straight, follower: Motion, leader: Motion, entering: Motion, p: IdmMobilParameters
+) -> float:
     """Acceleration that a follower loses by its best response to an entering vehicle, m/s².
 
     Its acceleration on a free road is part of both accelerations and cancels out.
     """
-    return interaction(follower, entering, p) - interaction(follower, leader, p)
+    before, after = interaction(road, follower, leader, p), interaction(road, follower, entering, p)
+    return after - before

@@ -15,6 +15,7 @@ from charms_bench.engine.seats import mark_seats, seat, vehicles_of
 from charms_bench.engine.spawning import spawn, spawn_rule
 from charms_bench.engine.stepping import Put, advance, advance_put
 from charms_bench.engine.type_draws import set_types
+from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
@@ -60,15 +61,16 @@ class BatchedEngine:
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
-        scene, settings = self.scene, self._settings
+        scene, settings, generators = self.scene, self._settings, seeded(seeds)
         if self._script is not None:
             self._script.place(scene, rows, seeds)
         else:
-            draws = draws_of(seeds, settings) if draws is None else draws
+            draws = draws_of(generators, settings) if draws is None else draws
             scene.ego[rows] = draws[:, 0] * settings.ego_slots
             desired = set_types(scene, settings, rows, seeds)
             spawn(scene, rows, draws, self._spawn_rule)
             scene.target_speed[rows] = np.where(np.isnan(desired), scene.speed[rows], desired)
+        scene.generator[rows] = generators
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         seat(rows, scene.ego, agents, *seats)
         self._vehicles.clear()

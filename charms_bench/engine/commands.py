@@ -40,7 +40,7 @@ def command_rule(profile: Profile, own_steps: Sequence[float] = ()) -> CommandRu
 @compiled_of_scenes
 def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: CommandRule) -> None:
     """Carries out the meta-actions (M,) of M vehicles [`ControlledVehicle.act`]."""
-    c, target_speed, target_lane = scene.constants, scene.target_speed, scene.target_lane
+    road, target_speed, target_lane = scene.road, scene.target_speed, scene.target_lane
     for m in range(rows.size):
         b, i, action = rows[m], places[m], actions[m]
         step = 0
@@ -57,10 +57,10 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
             target_speed[b, i] = wanted
         elif action in (LANE_LEFT, LANE_RIGHT):
             lane = target_lane[b, i] if rule.from_target_lane else scene.lane[b, i]
-            left, right = side_lanes(c, lane)
+            left, right = side_lanes(road, lane)
             beside = right if action == LANE_RIGHT else left
             lane = beside if beside >= 0 else lane
-            if is_reachable(c, lane, scene.x[b, i], scene.y[b, i]):
+            if is_reachable(road, lane, scene.x[b, i], scene.y[b, i]):
                 target_lane[b, i] = lane
 
 

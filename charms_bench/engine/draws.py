@@ -7,20 +7,18 @@ number has no effect. An integer from 0 to n - 1 is the integer part of n times 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charms_bench.foundation.compiled import compiled
-from charms_bench.foundation.generator import State, random, seeded, share_of_integers
+from charms_bench.foundation.generator import State, random, share_of_integers
 from charms_bench.world.scene import Floats, SceneSettings
 
 LANE, SPEED, DISTANCE, TEMPERAMENT = range(1, 5)
 """The columns of the first vehicle's draws; column 0 is the ego's place."""
 
 
-def draws_of(seeds: NDArray[np.uint64], settings: SceneSettings) -> Floats:
-    """Returns the draws (R, 4 N + 1) that NumPy's default generator makes from seeds (R,)."""
-    states = seeded(seeds.astype(np.uint64))
-    return _draw(states, settings.vehicles, settings.ego_slots, settings.lanes)
+def draws_of(generators: State, settings: SceneSettings) -> Floats:
+    """Takes the draws (R, 4 N + 1) of R scenes from their generators (R, 6)."""
+    return _draw(generators, settings.vehicles, settings.ego_slots, settings.lanes)
 
 
 @compiled

@@ -41,4 +41,4 @@ def are_off_road(scene: Scene, rows: Ints, places: Ints) -> Bools:
 def is_on_own_lane(b: int, i: int, scene: Scene) -> bool:
     """Whether the centre of vehicle i of scene b is on its lane [`RoadObject.on_road`]."""
     x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
-    return bool(is_on_lane(scene.constants, lane, x, y, 0.0))
+    return bool(is_on_lane(scene.road, lane, x, y, 0.0))

@@ -23,6 +23,7 @@ from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.stepping import Put
 from charms_bench.engine.type_draws import set_types
+from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import ACTIONS, Actions
 from charms_bench.world.gaps import following_distance, overhang
@@ -81,6 +82,7 @@ class HighwayEnvEngine:
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
+        self.scene.generator[rows] = seeded(seeds)
         if self._script is not None:
             self._script.place(self.scene, rows, seeds)
             self.drivers[rows] = agents
@@ -94,7 +96,7 @@ class HighwayEnvEngine:
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None
     ) -> None:
         rngs: Sequence[RandomSource] = (
-            [np.random.default_rng(int(seed)) for seed in seeds]
+            [to_numpy(state) for state in self.scene.generator[rows]]
             if draws is None
             else [ReplayedDraws(each, self._settings) for each in draws]
         )
@@ -105,6 +107,8 @@ class HighwayEnvEngine:
             self.scene.active[row] = True
             self.drivers[row] = np.insert(others, ego, own)
             self.roads[row] = self._spawn(row, ego, rng, speeds)
+            if isinstance(rng, np.random.Generator):
+                self.scene.generator[row] = from_numpy(rng)
             self._vehicles[row] = [*self.roads[row].vehicles]
             self._copy_state(int(row))
 
@@ -116,6 +120,7 @@ class HighwayEnvEngine:
         self.scene.target_speed[rows] *= ~is_continuous
         target_lane, lane = self.scene.target_lane[rows], self.scene.lane[rows]
         self.scene.target_lane[rows] = np.where(is_continuous, lane, target_lane)
+        locate(self.scene, rows)
         for row in map(int, rows):
             self.roads[row] = self._road(row)
 
@@ -198,7 +203,7 @@ class HighwayEnvEngine:
         """The road of a scene with its vehicles, as the arrays describe them."""
         scene = self.scene
         # On a road without junctions, highway-env draws no random number after the spawn.
-        road = Road(network=self._network, np_random=np.random.default_rng(0))
+        road = Road(network=self._network, np_random=to_numpy(scene.generator[row]))
         self._vehicles[row] = [self._vehicle(road, row, k) for k in range(scene.x.shape[1])]
         for place in np.argsort(scene.entry[row]):
             if scene.present[row, place]:
@@ -417,7 +422,7 @@ def _with_constants(vehicle_class: Any, profile: Profile) -> Any:
         """[`RoadObject.lane_distance_to`] for lengths that differ; see `following_distance`."""
         distance = vehicle_class.lane_distance_to(self, other, lane)
         lengths = self.LENGTH, (other or self).LENGTH
-        return following_distance(0.0, distance, *(overhang(k, standard_length) for k in lengths))
+        return following_distance(distance, *(overhang(k, standard_length) for k in lengths))
 
     def step(self: Any, dt: float) -> None:
         """[`Vehicle.step`] without reversing, unless a recording says so."""

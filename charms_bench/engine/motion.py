@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from charms_bench.engine.neighbours import search_neighbours
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled, index, not_zero, wrap_to_pi
 from charms_bench.world.profile import Constants
@@ -123,7 +124,7 @@ def move(
     those that keep their acceleration and steering; all others control their target speed
     [`ControlledVehicle.act`, `Vehicle.clip_actions`, `Vehicle.step`].
     """
-    c = scene.constants
+    c, road = scene.constants, scene.road
     x, y = scene.x[first:after].reshape(-1), scene.y[first:after].reshape(-1)
     heading, speed = scene.heading[first:after].reshape(-1), scene.speed[first:after].reshape(-1)
     length = scene.length[first:after].reshape(-1)
@@ -138,7 +139,7 @@ def move(
     for i in range(x.size):
         turning.vehicle[turns] = i
         # The functions of a vehicle that goes straight would give 0 and 1.
-        _, lateral = local_coordinates(c, target_lane[i], x[i], y[i])
+        _, lateral = local_coordinates(road, target_lane[i], x[i], y[i])
         is_beside = (lateral != 0.0) & (not crashed[i])
         turns += (heading[i] != 0.0) | is_beside | (is_held[i] & (steering[i] != 0.0))
     for k in range(turns):
@@ -146,7 +147,7 @@ def move(
         turning.is_steered[k] = not (crashed[i] or is_held[i])
         turning.steering[k] = steering[i] if is_held[i] and not crashed[i] else 0.0
         turning.x[k] = x[i]
-        _, turning.lateral[k] = local_coordinates(c, target_lane[i], x[i], y[i])
+        _, turning.lateral[k] = local_coordinates(road, target_lane[i], x[i], y[i])
         turning.heading[k] = heading[i]
         turning.speed[k] = speed[i]
         turning.half_length[k] = length[i] / 2
@@ -182,33 +183,36 @@ def move(
         heading[i] = turning.heading[k]
         direction_x[i], direction_y[i] = turning.direction_x[k], turning.direction_y[k]
         steering[i] = turning.steering[k]
-        lane[i] = closest_lane(c, x[i], y[i], heading[i])
+        lane[i] = closest_lane(road, x[i], y[i], heading[i])
     for i in range(x.size):
         if impact[i]:
             x[i] += scene.impact_x[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             y[i] += scene.impact_y[first + i // scene.x.shape[1], i % scene.x.shape[1]]
             crashed[i] = True
             impact[i] = False
-            lane[i] = closest_lane(c, x[i], y[i], heading[i])
+            lane[i] = closest_lane(road, x[i], y[i], heading[i])
 
 
 @compiled
 def follow_no_lane(scene: Scene, marked: Bools) -> None:
     """Makes the nearest lanes of the marked vehicles [B, N] their target lanes too.
 
+    The vehicles are in order.
+
     Near a border, `closest_lane` is corrected: highway-env rounds the distances of the lanes with
     what they have in common, the distance beyond the road's ends and the heading, so they can be
     equal [`AbstractLane.distance_with_heading`].
     """
-    c = scene.constants
+    road = scene.road
     for b in range(marked.shape[0]):
         for i in range(marked.shape[1]):
             if not marked[b, i]:
                 continue
             x, y, heading = scene.x[b, i], scene.y[b, i], scene.heading[b, i]
-            lane = closest_lane(c, x, y, heading)
-            left, _ = side_lanes(c, lane)
+            lane = closest_lane(road, x, y, heading)
+            left, _ = side_lanes(road, lane)
             if left >= 0:
-                own = distance_with_heading(c, lane, x, y, heading)
-                lane = left if distance_with_heading(c, left, x, y, heading) <= own else lane
+                own = distance_with_heading(road, lane, x, y, heading)
+                lane = left if distance_with_heading(road, left, x, y, heading) <= own else lane
             scene.lane[b, i] = scene.target_lane[b, i] = lane
+            search_neighbours(b, i, scene)

@@ -141,7 +141,7 @@ class OpenRoad:
             )
         place = int(is_free.argmax())
         at = (row, place)
-        _, y = position(scene.constants, lane, 0.0, 0.0)
+        _, y = position(scene.road, lane, 0.0, 0.0)
         period = scene.constants.idm_mobil.lane_change_period_s
         values = {
             "present": True,
@@ -190,16 +190,16 @@ def have_left(scene: Scene, end: float) -> Bools:
 @compiled_of_scenes
 def entrance(scene: Scene, b: int, length: float) -> tuple[int, float, float]:
     """The lane on which a new vehicle has most room, m, that room, and its leader's speed, m/s."""
-    c, best, most, speed = scene.constants, 0, -math.inf, 0.0
+    c, road, best, most, speed = scene.constants, scene.road, 0, -math.inf, 0.0
     own = overhang(length, c.length)
-    for lane in range(c.lanes):
+    for lane in range(road.lanes):
         room, its = math.inf, math.inf
         for k in range(scene.x.shape[1]):
             i = scene.order[b, k]
-            is_there = is_near_lane(c, lane, scene.y[b, i]) or scene.target_lane[b, i] == lane
+            is_there = is_near_lane(road, lane, scene.y[b, i]) or scene.target_lane[b, i] == lane
             if scene.present[b, i] and is_there:
                 other = overhang(scene.length[b, i], c.length)
-                room = following_distance(0.0, scene.x[b, i], own, other)
+                room = following_distance(scene.x[b, i], own, other)
                 its = scene.speed[b, i]
                 break
         if room > most:

@@ -60,12 +60,13 @@ def set_parameters(simulation: "Simulation", rows: Ints, places: Ints | None = N
 
 def _set_given(simulation: "Simulation", rows: Ints, agent: int, ranges: Ranges) -> None:
     """Sets the parameters that a scenario gives to vehicles of an agent."""
-    scenario, drivers = simulation.settings.scenario, simulation.engine.drivers
+    settings, drivers = simulation.settings, simulation.engine.drivers
+    scenario = settings.scenario
     for k, vehicle in enumerate(scenario.vehicles if scenario is not None else ()):
         own = rows[drivers[rows, k + 1] == agent]
         if scenario is None or vehicle.agent != simulation.agents[agent] or not own.size:
             continue
         numbers = simulation.seeds[own]
-        given = driver_parameters(scenario, k, simulation.scene.constants, ranges, numbers)
+        given = driver_parameters(scenario, k, settings, ranges, numbers)
         for name, values in given.items():
             simulation.scene.parameters[own, k + 1, list(ranges).index(name)] = values

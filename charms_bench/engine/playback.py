@@ -21,6 +21,7 @@ from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.state import vacate
 from charms_bench.engine.stepping import Put
 from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.moments import Tracks, moments_of
@@ -85,6 +86,7 @@ class Playback:
         self.choose(rows, seeds)
         made, scene = self._made, self._made.scene
         made.engine.drivers[rows] = agents
+        scene.generator[rows] = seeded(seeds)
         scene.ego[rows], scene.active[rows], scene.present[rows] = 0, True, False
         scene.acceleration[rows] = scene.steering[rows] = 0.0
         scene.crashed[rows] = scene.impact[rows] = False
@@ -178,7 +180,7 @@ def interpolated(tracks: Tracks, track: int, at: float) -> tuple[float, float, f
 @compiled
 def play(scene: Scene, played: Played, tracks: Tracks, steps: Ints, put: Put) -> None:
     """Fills in where the vehicles that follow the recording are after the step `steps` [B]."""
-    c = scene.constants
+    dt = scene.constants.dt
     for b in range(scene.active.size):
         at = played.frame[b] + steps[b] * played.frames_per_step[b]
         for i in range(scene.x.shape[1]):
@@ -194,8 +196,8 @@ def play(scene: Scene, played: Played, tracks: Tracks, steps: Ints, put: Put) ->
             x, y, heading, speed = interpolated(tracks, track, at)
             put.moves[b, i] = True
             put.x[b, i], put.y[b, i], put.heading[b, i], put.speed[b, i] = x, y, heading, speed
-            put.acceleration[b, i] = (speed - scene.speed[b, i]) / c.dt
-            put.lane[b, i] = closest_lane(c, x, y, heading)
+            put.acceleration[b, i] = (speed - scene.speed[b, i]) / dt
+            put.lane[b, i] = closest_lane(scene.road, x, y, heading)
 
 
 @compiled
@@ -215,7 +217,8 @@ def appear(
 
     At the start, these are all that are recorded then. Returns whether a scene has any (R,).
     """
-    c, changed = scene.constants, np.zeros(rows.size, dtype=np.bool_)
+    period = scene.constants.idm_mobil.lane_change_period_s
+    changed = np.zeros(rows.size, dtype=np.bool_)
     for r in range(rows.size):
         b = rows[r]
         at = played.frame[b] + steps[b] * played.frames_per_step[b]
@@ -234,13 +237,13 @@ def appear(
             scene.x[b, i], scene.y[b, i], scene.heading[b, i] = x, y, heading
             scene.speed[b, i], scene.present[b, i] = speed, True
             scene.acceleration[b, i] = scene.steering[b, i] = 0.0
-            scene.target_lane[b, i] = closest_lane(c, x, y, heading)
+            scene.target_lane[b, i] = closest_lane(scene.road, x, y, heading)
             wanted = tracks.fastest[track] if modelled[b, i] else speed
             if speeds.size and not unrounded[b, i]:
                 wanted = nearest_target_speed(speed, 0, speeds)
             scene.target_speed[b, i] = wanted
             phase = (x + y) * math.pi  # as IDMVehicle.__init__
-            scene.timer_s[b, i] = phase % c.idm_mobil.lane_change_period_s
+            scene.timer_s[b, i] = phase % period
             changed[r] = True
     return changed
 
@@ -253,9 +256,9 @@ def is_free(scene: Scene, b: int, i: int, x: float, y: float, speed: float, foll
             continue
         if side_gap(y, scene.y[b, j], scene.width[b, i], scene.width[b, j]) > 0:
             continue
-        is_ahead = scene.x[b, j] > x
-        rear, front = (x, scene.x[b, j]) if is_ahead else (scene.x[b, j], x)
-        gap = gap_to(rear, front, scene.length[b, i], scene.length[b, j])
+        distance = scene.x[b, j] - x
+        is_ahead = distance > 0
+        gap = gap_to(abs(distance), scene.length[b, i], scene.length[b, j])
         closing = speed - scene.speed[b, j] if is_ahead else scene.speed[b, j] - speed
         if gap <= 0 or (closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap):
             return False

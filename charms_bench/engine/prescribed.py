@@ -25,9 +25,9 @@ class Script:
     """The concrete scenarios of B scenes."""
 
     def __init__(self, scenario: Scenario, settings: SceneSettings, scenes: int) -> None:
-        self._scenario, self._constants = scenario, settings.constants
+        self._scenario, self._settings = scenario, settings
         first = np.zeros(scenes, dtype=np.int64)
-        self._placement = place(scenario, self._constants, first)
+        self._placement = place(scenario, settings, first)
 
     def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
@@ -35,7 +35,7 @@ class Script:
         scene.ego[rows] = 0
         scene.length[rows], scene.width[rows] = found.length, found.width
         scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
-        _, scene.y[rows] = position(self._constants, found.lane, found.x, 0.0)
+        _, scene.y[rows] = position(scene.road, found.lane, found.x, 0.0)
         scene.target_speed[rows], scene.target_lane[rows] = found.speed, found.lane
         for name in ("heading", "acceleration", "steering", "timer_s", "crashed", "impact"):
             getattr(scene, name)[rows] = 0
@@ -46,7 +46,7 @@ class Script:
 
     def choose(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> Placement:
         """Prescribes the motion of points with these numbers in the scenes `rows` (R,)."""
-        found = place(self._scenario, self._constants, numbers)
+        found = place(self._scenario, self._settings, numbers)
         for whole, part in zip(self._placement, found, strict=True):
             whole[rows] = part
         return found
@@ -66,7 +66,7 @@ def _prescribe(scene: Scene, rows: Ints, is_prescribed: Bools, placed: Placement
             time = scene.timer_s[b, i]
             speed, heading = scene.speed[b, i], scene.heading[b, i]
             acceleration = 0.0
-            _, y = position(c, placed.lane[b, i], scene.x[b, i], 0.0)
+            _, y = position(scene.road, placed.lane[b, i], scene.x[b, i], 0.0)
             for k in range(placed.brakes_at.shape[2]):
                 # Sums of intervals differ from their product in the last bits.
                 if placed.brakes_at[b, i, k] <= time + 1e-9:

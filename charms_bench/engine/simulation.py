@@ -416,7 +416,7 @@ class _CheckedModel(DriverModel):
             if not finite.all():
                 what = "drive left memory that is not finite"
                 raise self._simulation.blame(self._name, vehicles, what, int(finite.argmin()))
-        shape, lanes, limit = vehicles[0].shape, scene.constants.lanes, ACCELERATION_LIMIT_MPS2
+        shape, lanes, limit = vehicles[0].shape, scene.road.lanes, ACCELERATION_LIMIT_MPS2
         wrong, what = 0, ""
         if acceleration.shape != shape or target_lane.shape != shape:
             what = f"shapes {acceleration.shape} and {target_lane.shape}; expected {shape} twice"

@@ -71,7 +71,7 @@ def spawn(scene: Scene, rows: Ints, draws: Floats, rule: SpawnRule) -> None:
             temperament[b, i] = drawn[TEMPERAMENT + 4 * i]
             scene.order[b, i] = scene.rank[b, i] = i
         for i in range(x.shape[1]):
-            _, scene.y[b, i] = position(scene.constants, lane[b, i], x[b, i], 0.0)
+            _, scene.y[b, i] = position(scene.road, lane[b, i], x[b, i], 0.0)
             scene.target_lane[b, i] = lane[b, i]
             phase = (x[b, i] + scene.y[b, i]) * math.pi  # as IDMVehicle.__init__
             scene.timer_s[b, i] = phase % scene.constants.idm_mobil.lane_change_period_s

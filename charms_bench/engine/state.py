@@ -20,8 +20,8 @@ from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, Sce
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
 
-OF_SCENES = ("seeds", "steps", "ending", "ego", "active")
-"""The arrays with one value per scene; all other arrays have one per vehicle."""
+OF_SCENES = ("seeds", "steps", "ending", "generator", "ego", "active")
+"""The arrays of scenes; all other arrays are of vehicles."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class SceneState:
     """[S]"""
     ending: Ints
     """[S]"""
+    generator: NDArray[np.uint64]
+    """[S, 6]"""
     ego: Ints
     """[S]"""
     active: Bools
@@ -171,7 +173,7 @@ class SceneState:
             raise InputError(f"scene {full.argmax()} is full: it has {vehicles} vehicles already")
         each = (np.arange(len(self)), (~self.present).argmax(axis=1))
         profile, arrays = self.settings.profile, self.arrays()
-        values = {name: 0 for name, array in arrays.items() if array.ndim > 1} | {
+        values = {name: 0 for name in ARRAYS if name not in OF_SCENES} | {
             "present": True,
             "entry": self.entry.max(axis=1) + 1,
             "x": x,

@@ -24,13 +24,14 @@ from charms_bench.world.actions import ACTIONS
 from charms_bench.world.profile import STEPS_LIMIT
 from charms_bench.world.scene import SceneSettings
 
-FORMAT, VERSION = "charms-bench scene state", 5
+FORMAT, VERSION = "charms-bench scene state", 6
 LIMIT_BYTES = 2**28
 ENTRIES = 100_000
 """Bound of the number of vehicles that have entered a scene."""
 _LARGEST = 1e9
 """Bound of what a driver model may write to its timer: with it, nothing overflows."""
 _INTEGERS = ("steps", "ending", "ego", "drivers", "action", "collision", "entry")
+_WORDS = ("seeds", "generator")
 _BOOLEANS = ("active", "has_action", "present", "crashed", "impact")
 _TYPES = (
     ((*_INTEGERS, "target_lane", "repeats"), "i", "integers"),
@@ -142,10 +143,17 @@ def _state_of(found: dict[str, Any]) -> SceneState:
 
 def _array_of(name: str, value: Any) -> NDArray[Any]:
     """An array of the field's type; its shape is not checked yet."""
-    if name == "seeds":
-        if not isinstance(value, list) or not all(_is_seed(seed) for seed in value):
-            raise InputError("seeds: expected a list of integers from 0 to 2^64 - 1")
-        return np.array(value, dtype=np.uint64)
+    if name in _WORDS:
+        of_scenes = value if isinstance(value, list) else [None]
+        words = [
+            word for each in of_scenes for word in (each if isinstance(each, list) else [each])
+        ]
+        if not all(type(word) is int and 0 <= word < 2**64 for word in words):
+            raise InputError(f"{name}: expected integers from 0 to 2^64 - 1")
+        try:
+            return np.array(value, dtype=np.uint64)
+        except ValueError as error:
+            raise InputError(f"{name}: rows have different lengths") from error
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -155,10 +163,6 @@ def _array_of(name: str, value: Any) -> NDArray[Any]:
     if is_empty or array.dtype.kind not in kinds:
         raise InputError(f"{name}: expected {what}")
     return array.astype({"i": np.int64, "b": np.bool_, "f": np.float64}[kinds[0]])
-
-
-def _is_seed(value: Any) -> bool:
-    return type(value) is int and 0 <= value < 2**64
 
 
 def check_state(state: SceneState) -> None:
@@ -171,6 +175,7 @@ def check_state(state: SceneState) -> None:
     for name, array in state.arrays().items():
         of_vehicles = (settings.vehicles, *(array.shape[2:3] if name == "memory" else ()))
         shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
+        shape = (scenes, 6) if name == "generator" else shape
         if array.shape != shape:
             raise InputError(f"{name}: found the shape {array.shape}, expected {shape}")
     lengths, widths = zip(*settings.sizes_m, strict=True)
@@ -197,7 +202,7 @@ def check_state(state: SceneState) -> None:
         values = np.asarray(getattr(state, name))
         low, high = bounds.get(name, (-_LARGEST, _LARGEST))
         if (
-            name not in (*_BOOLEANS, "seeds")
+            name not in (*_BOOLEANS, *_WORDS)
             and (wrong := ~((low <= values) & (values <= high))).any()
         ):
             found = values[np.nonzero(wrong)][0] if values.ndim else values

@@ -37,13 +37,12 @@ def highway_reward(
 
 @compiled_of_scenes
 def _rewards(scene: Scene, rows: Ints, places: Ints, rewards: Floats) -> None:
-    c = scene.constants
     for m in range(rows.size):
         b, i = rows[m], places[m]
         forward = scene.speed[b, i] * scene.direction_x[b, i]
         is_on_road = is_on_own_lane(b, i, scene)
         target_lane, crashed = scene.target_lane[b, i], scene.crashed[b, i]
-        rewards[m] = highway_reward(forward, target_lane, crashed, not is_on_road, c.lanes)
+        rewards[m] = highway_reward(forward, target_lane, crashed, not is_on_road, scene.road.lanes)
 
 
 def highway_rewards(scene: Scene, vehicles: Vehicles) -> Floats:

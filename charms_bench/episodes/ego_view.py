@@ -31,16 +31,16 @@ class EgoView:
 
 def ego_view(replay: Replay) -> EgoView:
     """Returns what surrounds the ego; leader and follower follow the rule of `Scene.leader`."""
-    constants, ego, frames = replay.settings.constants, replay.ego, np.arange(len(replay.t_s))
+    road, ego, frames = replay.settings.road, replay.ego, np.arange(len(replay.t_s))
     lane = replay.lane[:, [ego]]
-    on_lane = is_on_lane(constants, lane, replay.x, replay.y, NEIGHBOUR_MARGIN_M)
+    on_lane = is_on_lane(road, lane, replay.x, replay.y, NEIGHBOUR_MARGIN_M)
     on_lane[:, ego] = False
     ahead = replay.x - replay.x[:, [ego]]
     leader, to_leader = _nearest(ahead, on_lane & (ahead >= 0))
     follower, to_follower = _nearest(-ahead, on_lane & (ahead < 0))
 
     def gap(distance: Floats, other: Ints) -> Floats:
-        between = gap_to(0.0, distance, replay.length[:, ego], replay.length[frames, other])
+        between = gap_to(distance, replay.length[:, ego], replay.length[frames, other])
         return np.where(~replay.crashed[:, ego] & (between > 0), between, np.nan)
 
     gap_ahead = gap(to_leader, leader)

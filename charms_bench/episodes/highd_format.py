@@ -93,7 +93,7 @@ def _tracks(replay: Replay) -> pl.DataFrame:
     leader = np.maximum(preceding - 1, 0)
     leader_speed = np.take_along_axis(velocity[0], leader, axis=1)
     leader_x, leader_length = (np.take_along_axis(each, leader, axis=1) for each in (x, length))
-    gap = np.where(exists, gap_to(x, leader_x, length, leader_length), 0.0).clip(min=0.0)
+    gap = np.where(exists, gap_to(leader_x - x, length, leader_length), 0.0).clip(min=0.0)
     columns = {
         "frame": np.broadcast_to(np.arange(1, frames + 1)[:, None], x.shape),
         "id": np.broadcast_to(np.arange(1, vehicles + 1), x.shape),

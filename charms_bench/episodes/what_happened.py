@@ -77,12 +77,12 @@ def abandoned_changes(replay: Replay) -> list[AbandonedChange]:
 
 def _taker(replay: Replay, began: int, ended: int, wanted: int) -> int | None:
     now = np.zeros(len(replay.agents), dtype=VEHICLE)
-    for name in ("x", "lane", "target_lane"):
+    for name in ("x", "y", "lane", "target_lane"):
         now[name] = getattr(replay, name)[ended]
     now["lost"] = replay.crashed[ended]
     meanwhile = replay.lane[began : ended + 1 : replay.frame_of(1)]
     now["lane_since"] = (meanwhile != wanted).any(axis=0)  # 1 is later than the beginning, 0
-    taker = taker_of(replay.ego, wanted, 0, now)
+    taker = taker_of(replay.settings.road, replay.ego, wanted, 0, now)
     return None if taker == NOBODY else taker
 
 

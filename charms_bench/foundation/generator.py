@@ -6,7 +6,11 @@ same generator (O'Neill 2014, PCG XSL RR 128/64), seeded in the same way
 with its name draws.
 """
 
+import math
+from typing import Any
+
 import numpy as np
+from numba.np.random import _constants as ziggurat
 from numpy.typing import NDArray
 
 from charms_bench.foundation.compiled import compiled, inlined
@@ -17,6 +21,7 @@ State = NDArray[np.uint64]
 integer takes, and whether there is one."""
 
 _LOW = np.uint64(0xFFFFFFFF)
+_STRIP, _SIGN, _9, _PART = np.uint64(0xFF), np.uint64(0x100), np.uint64(9), np.uint64(2**52 - 1)
 _1, _16, _32 = np.uint64(1), np.uint64(16), np.uint64(32)
 _58, _63, _64 = np.uint64(58), np.uint64(63), np.uint64(64)
 # SeedSequence's constants
@@ -40,6 +45,27 @@ def seeded(seeds: Words) -> State:
         states[r, 0], states[r, 1] = _advance(high, low, high_step, low_step)
         states[r, 2], states[r, 3] = high_step, low_step
     return states
+
+
+def to_numpy(state: State) -> np.random.Generator:
+    """NumPy's generator that continues from a state."""
+    high, low, high_step, low_step, half, has_half = map(int, state)
+    generator = np.random.PCG64(0)
+    generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high << 64 | low, "inc": high_step << 64 | low_step},
+        "uinteger": half,
+        "has_uint32": has_half,
+    }
+    return np.random.Generator(generator)
+
+
+def from_numpy(generator: np.random.Generator) -> State:
+    """The state of one of NumPy's default generators."""
+    found: Any = generator.bit_generator.state
+    words = divmod(found["state"]["state"], 2**64), divmod(found["state"]["inc"], 2**64)
+    halves = found["uinteger"], found["has_uint32"]
+    return np.array([*words[0], *words[1], *halves], dtype=np.uint64)
 
 
 @compiled
@@ -85,6 +111,47 @@ def share_of_integers(state: State, count: int) -> float:
 def integers(state: State, low: int, high: int) -> int:
     """An integer from `low` to `high` - 1; also `choice` from as many options."""
     return low + int(share_of_integers(state, high - low) * (high - low))
+
+
+@compiled
+def choice(state: State, weights: NDArray[np.float64]) -> int:
+    """An index below the number of `weights` (K,), with these probabilities, which add up to 1."""
+    total = 0.0
+    for weight in weights:
+        total += weight
+    share, until = random(state), 0.0
+    for k in range(weights.size):
+        until += weights[k]
+        if share < until / total:
+            break
+    return int(k)
+
+
+@compiled
+def normal(state: State, mean: float, deviation: float) -> float:
+    """A normally distributed number, by the ziggurat of Marsaglia & Tsang (2000).
+
+    Beyond 3.65 standard deviations, it has the logarithms of the C library, like NumPy's.
+    """
+    while True:
+        bits = word(state)
+        strip, part = bits & _STRIP, (bits >> _9) & _PART
+        x = float(part) * ziggurat.wi_double[strip]
+        x = -x if bits & _SIGN else x
+        if part < ziggurat.ki_double[strip]:
+            break
+        if strip == 0:
+            tail = twice = 0.0
+            while twice <= tail * tail:
+                tail = -ziggurat.ziggurat_nor_inv_r * math.log1p(-random(state))
+                twice = -2.0 * math.log1p(-random(state))
+            x = ziggurat.ziggurat_nor_r + tail
+            x = -x if part & _SIGN else x
+            break
+        upper, lower = ziggurat.fi_double[strip - _1], ziggurat.fi_double[strip]
+        if (upper - lower) * random(state) + lower < math.exp(-0.5 * x * x):
+            break
+    return float(mean + deviation * x)
 
 
 @compiled

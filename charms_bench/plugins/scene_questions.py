@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.errors import BrokenWordError
-from charms_bench.world.scene import WRITABLE, Ints, Scene, Vehicles
+from charms_bench.world.scene import ARRAYS, WRITABLE, Ints, Scene, Vehicles
 
 ROUNDING = 1e-9
 """Largest relative difference of two answers, for plugins whose libraries add in another order when
 there are fewer vehicles."""
-_ARRAYS = tuple(name for name in Scene._fields if name != "constants")
 Answers = Sequence[NDArray[Any]]
 """Arrays (M, ...)."""
 Ask = Callable[[Scene, Vehicles], Answers]
@@ -34,7 +33,7 @@ class SceneQuestion:
 
     def part(self, rows: Ints) -> "SceneQuestion":
         """A copy of the question about the scenes `rows` (R,) in this order."""
-        arrays = {name: getattr(self.scene, name)[rows] for name in _ARRAYS}
+        arrays = {name: getattr(self.scene, name)[rows] for name in ARRAYS}
         place = np.full(len(self.scene.active), -1)
         place[rows] = np.arange(rows.size)
         shown = place[self.vehicles[0]]
@@ -79,12 +78,12 @@ def halved(size: int, times: int) -> Ints:
 
 def copied(scene: Scene) -> Scene:
     """A copy of all arrays."""
-    return scene._replace(**{name: getattr(scene, name).copy() for name in _ARRAYS})
+    return scene._replace(**{name: getattr(scene, name).copy() for name in ARRAYS})
 
 
 def changed_array(scene: Scene, before: Scene, own: Vehicles | None) -> str:
     """The first array that differs, but for what `own` vehicles may write; empty if none does."""
-    for name in _ARRAYS:
+    for name in ARRAYS:
         now, then = getattr(scene, name), getattr(before, name)
         if name in WRITABLE and own is not None:
             now, then = now.copy(), then.copy()

@@ -12,8 +12,9 @@ in.
 from typing import Any
 
 from charms_bench.foundation.compiled import inlined
-from charms_bench.recording.primitives import NOBODY
+from charms_bench.recording.primitives import NOBODY, distance_to
 from charms_bench.world.gaps import gap_to
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 from charms_bench.world.thresholds import CONFLICT_TTC_S, DRAC_LIMIT_MPS2, HARD_BRAKING_MPS2
 
@@ -23,7 +24,14 @@ MANOEUVRE_S = 2.0
 
 @inlined
 def note_conflicts(
-    now: Any, decision: int, interval_s: float, ends: bool, driver: Ints, state: Any, sums: Any
+    road: Straight,
+    now: Any,
+    decision: int,
+    interval_s: float,
+    ends: bool,
+    driver: Ints,
+    state: Any,
+    sums: Any,
 ) -> None:
     """Adds the conflicts that begin and the near misses that end."""
     window = round(MANOEUVRE_S / interval_s)
@@ -33,7 +41,7 @@ def note_conflicts(
             continue
         j = max(own.leader, 0)
         leader = now[j]
-        gap = gap_to(own.x, leader.x, own.length, leader.length)
+        gap = gap_to(distance_to(road, own, leader), own.length, leader.length)
         closing = own.speed - leader.speed
         is_closing = (own.leader >= 0) & (gap > 0) & (closing > 0)
         is_conflict = is_closing & (gap < CONFLICT_TTC_S * closing)

@@ -22,8 +22,9 @@ from charms_bench.recording.columns import (
 from charms_bench.recording.conflict_onsets import note_conflicts
 from charms_bench.recording.encroachment import note_encroachments
 from charms_bench.recording.lane_changes import imposed_decisions, note_lane_changes
-from charms_bench.recording.primitives import NOBODY, Frames
+from charms_bench.recording.primitives import NOBODY, Frames, distance_to
 from charms_bench.recording.rss import note_rss
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Bools, Ints
 from charms_bench.world.thresholds import HARSH_MPS2
 
@@ -80,6 +81,7 @@ class DriverSums:
         if changes:
             self._find_drivers()
         note_drivers(
+            self._simulation.scene.road,
             *frames,
             at_fault,
             self._interval_s,
@@ -117,6 +119,7 @@ class DriverSums:
 
 @compiled
 def note_drivers(
+    road: Straight,
     moments: Any,
     vehicles: Any,
     at_fault: Bools,
@@ -131,16 +134,22 @@ def note_drivers(
         b, decision = index(moment.scene), moment.decision
         now, before = vehicles[moment.now], vehicles[moment.before]
         driver, met, summed = drivers[b], state[b], sums[b]
-        note_driving(now, before, at_fault[b], interval_s, driver, summed)
+        note_driving(road, now, before, at_fault[b], interval_s, driver, summed)
         note_encroachments(now, before, decision, interval_s, driver, met, summed)
-        note_lane_changes(now, before, decision, driver, new_followers[b], summed)
-        note_conflicts(now, decision, interval_s, moment.ends, driver, met, summed)
-        note_rss(now, interval_s, driver, summed)
+        note_lane_changes(road, now, before, decision, driver, new_followers[b], summed)
+        note_conflicts(road, now, decision, interval_s, moment.ends, driver, met, summed)
+        note_rss(road, now, interval_s, driver, summed)
 
 
 @inlined
 def note_driving(
-    now: Any, before: Any, at_fault: Bools, interval_s: float, driver: Ints, sums: Any
+    road: Straight,
+    now: Any,
+    before: Any,
+    at_fault: Bools,
+    interval_s: float,
+    driver: Ints,
+    sums: Any,
 ) -> None:
     """Adds distance and time, and the crashes of a decision interval."""
     for i in range(now.size):
@@ -154,6 +163,6 @@ def note_driving(
             mine.rear_end_struck += own.crashed and own.collision == STRUCK
             mine.side += own.crashed and own.collision == SIDE_COLLISION
             continue
-        mine.distance_m += own.x - was.x
+        mine.distance_m += distance_to(road, was, own)
         mine.time_s += interval_s
         mine.harsh_s += interval_s * (abs(own.acceleration) > HARSH_MPS2)

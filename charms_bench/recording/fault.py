@@ -23,10 +23,9 @@ import numpy as np
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled, index, inlined
-from charms_bench.recording.primitives import Frames
+from charms_bench.recording.primitives import Frames, distance_to
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.profile import Constants
-from charms_bench.world.road import local_coordinates, width_at
+from charms_bench.world.road import Straight, local_coordinates, side_lanes, width_at
 from charms_bench.world.scene import Bools
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
@@ -58,7 +57,7 @@ class Fault:
     """Judges the collisions of a simulation's vehicles that are not yet wrecks."""
 
     def __init__(self, simulation: Simulation) -> None:
-        self._constants = simulation.scene.constants
+        self._road = simulation.scene.road
         self._window = round(ENTERED_S * simulation.settings.decision_hz)
         self._state = np.full(simulation.scene.x.shape, _NOTHING)
         self._state["is_judged"] = simulation.scene.crashed
@@ -77,25 +76,25 @@ class Fault:
 
     def add(self, frames: Frames) -> None:
         """Judges the vehicles that have collided in some frames."""
-        note_faults(*frames, self._constants, self._window, self._state)
+        note_faults(self._road, *frames, self._window, self._state)
 
 
 @compiled
-def note_faults(moments: Any, vehicles: Any, c: Constants, window: int, state: Any) -> None:
+def note_faults(road: Straight, moments: Any, vehicles: Any, window: int, state: Any) -> None:
     """Notes how vehicles move, and judges those that have collided."""
     for moment in moments:
         b, now = index(moment.scene), vehicles[moment.now]
-        note_movements(now, moment.decision, c, state[b])
+        note_movements(road, now, moment.decision, state[b])
         judge(now, moment.decision - window, state[b])
 
 
 @inlined
-def note_movements(now: Any, decision: int, c: Constants, state: Any) -> None:
+def note_movements(road: Straight, now: Any, decision: int, state: Any) -> None:
     """Notes which vehicles begin to move out of their lanes, and which enter a lane."""
     for i in range(now.size):
         own = now[i]
-        along, beside = local_coordinates(c, own.lane, own.x, own.y)
-        inside = (width_at(c, own.lane, along) - own.width) / 2
+        along, beside = local_coordinates(road, own.lane, own.x, own.y)
+        inside = (width_at(road, own.lane, along) - own.width) / 2
         if abs(beside) <= min(LANE_KEEPING_M, inside):
             continue
         mine, aside = state[i], own.speed * own.direction_y
@@ -106,14 +105,15 @@ def note_movements(now: Any, decision: int, c: Constants, state: Any) -> None:
             mine.moving_out = decision
         if abs(beside) <= inside:
             continue
-        left, entered = (own.lane, own.lane + 1) if beside > 0 else (own.lane - 1, own.lane - 1)
+        on_left, on_right = side_lanes(road, own.lane)
+        left, entered = (own.lane, on_right) if beside > 0 else (on_left, on_left)
         j = own.right_follower if beside > 0 else own.left_follower
         has_entered = mine.on_both < decision - 1 or mine.left != left
         mine.left, mine.on_both = left, decision
         if has_entered and j >= 0 and now[j].lane == entered:
             other = now[j]
             closing = other.speed - own.speed
-            gap = max(gap_to(other.x, own.x, other.length, own.length), 0.0)
+            gap = max(gap_to(distance_to(road, other, own), other.length, own.length), 0.0)
             if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
                 state[j].entrant, state[j].entered = i, decision
 

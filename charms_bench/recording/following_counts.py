@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation.compiled import compiled
 from charms_bench.recording.columns import COUNT_SCHEMA, table
-from charms_bench.recording.primitives import Frames
+from charms_bench.recording.primitives import Frames, distance_to
 from charms_bench.world.following import BINS, FOLLOWING_RANGE_M, QUANTITIES, bins_of
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 
 
 class FollowingCounts:
     """Counts for B scenes."""
 
-    def __init__(self, scenes: int) -> None:
-        self._counts = np.zeros((scenes, len(QUANTITIES), BINS), dtype=np.int64)
+    def __init__(self, scenes: int, road: Straight) -> None:
+        self._road, self._counts = road, np.zeros((scenes, len(QUANTITIES), BINS), dtype=np.int64)
 
     def add(self, frames: Frames) -> None:
         """Adds the vehicles of some frames."""
-        count_followers(*frames, self._counts)
+        count_followers(self._road, *frames, self._counts)
 
     def table(self, episodes: NDArray[np.uint64]) -> pl.DataFrame:
         """Returns the counts above 0 (`columns.COUNT`), sorted by episode, quantity and bin."""
@@ -41,7 +42,7 @@ class FollowingCounts:
 
 
 @compiled
-def count_followers(moments: Any, vehicles: Any, counts: Ints) -> None:
+def count_followers(road: Straight, moments: Any, vehicles: Any, counts: Ints) -> None:
     """Adds to `counts` [B, 2, BINS]."""
     speed, dhw = 0, 1
     for moment in moments:
@@ -50,7 +51,7 @@ def count_followers(moments: Any, vehicles: Any, counts: Ints) -> None:
             own = now[i]
             if own.crashed or not own.is_on_road or own.leader < 0:
                 continue
-            distance = now[own.leader].x - own.x
+            distance = distance_to(road, own, now[own.leader])
             if distance <= FOLLOWING_RANGE_M:
                 counts[moment.scene, speed, bins_of(own.speed)] += 1
                 if own.target_lane not in (before[i].target_lane, own.lane):

@@ -16,7 +16,8 @@ import numpy as np
 from numba.extending import register_jitable
 
 from charms_bench.foundation.compiled import compiled, inlined
-from charms_bench.recording.primitives import NOBODY
+from charms_bench.recording.primitives import NOBODY, distance_to
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 from charms_bench.world.thresholds import HARD_BRAKING_MPS2
 
@@ -39,7 +40,13 @@ def is_given_up(lane: Any, wanted: Any, next_lane: Any, next_target: Any) -> Any
 
 @inlined
 def note_lane_changes(
-    now: Any, before: Any, decision: int, driver: Ints, new_followers: Ints, sums: Any
+    road: Straight,
+    now: Any,
+    before: Any,
+    decision: int,
+    driver: Ints,
+    new_followers: Ints,
+    sums: Any,
 ) -> None:
     """Adds the lane changes, the given-up ones and the hard braking of a decision interval.
 
@@ -60,7 +67,7 @@ def note_lane_changes(
         elif is_given_up(was.lane, wanted, own.lane, own.target_lane):
             mine.abandoned += 1
             if decision - was.target_since >= ATTEMPT_DECISIONS:
-                taker = taker_of(i, wanted, was.target_since, now)
+                taker = taker_of(road, i, wanted, was.target_since, now)
                 if taker >= 0:
                     mine.gaps_lost += 1
                     sums[driver[taker]].gaps_taken += 1
@@ -74,14 +81,14 @@ def note_lane_changes(
 
 
 @compiled
-def taker_of(i: int, wanted: int, began: int, now: Any) -> int:
+def taker_of(road: Straight, i: int, wanted: int, began: int, now: Any) -> int:
     """The vehicle that took the gap to which a vehicle wanted to change, or -1."""
     ahead = behind = -1
     least_ahead = least_behind = np.inf
     for j in range(now.size):
         if j == i or wanted not in (now[j].lane, now[j].target_lane):
             continue
-        distance = now[j].x - now[i].x
+        distance = distance_to(road, now[i], now[j])
         if 0 <= distance < least_ahead:
             ahead, least_ahead = j, distance
         elif distance < 0 and -distance < least_behind:

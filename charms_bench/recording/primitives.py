@@ -14,8 +14,9 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.simulation import Simulation
-from charms_bench.foundation.compiled import compiled_of_scenes, index
-from charms_bench.world.road import is_on_lane, side_lanes
+from charms_bench.foundation.compiled import compiled_of_scenes, index, inlined
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
+from charms_bench.world.road import Straight, distance_along, is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
 LONG_AGO = -1_000_000
@@ -48,6 +49,12 @@ action: -1 stands for none.
 is_on_road: Whether the centre is on the nearest lane.
 lost: Whether the vehicle has crashed or left the road, in this frame or at a decision before it.
 """
+
+
+@inlined
+def distance_to(road: Straight, own: Any, other: Any) -> float:
+    """How far another vehicle of a frame is ahead along a vehicle's lane, m, centre to centre."""
+    return float(distance_along(road, own.lane, own.x, own.y, other.x, other.y))
 
 
 class Frames(NamedTuple):
@@ -146,7 +153,7 @@ def take(
     scene: Scene, moments: Any, vehicles: Any, collision: Ints, action: Ints, has_action: Bools
 ) -> None:
     """Fills in the vehicles of some frames."""
-    c, leaders, followers = scene.constants, scene.leaders, scene.followers
+    road, leaders, followers = scene.road, scene.leaders, scene.followers
     for moment in moments:
         b, decision = index(moment.scene), moment.decision
         now, before = vehicles[moment.now], vehicles[moment.before]
@@ -158,16 +165,12 @@ def take(
             own.steering = scene.steering[b, i]
             own.length, own.width = scene.length[b, i], scene.width[b, i]
             own.lane, own.target_lane = lane, scene.target_lane[b, i]
-            own.leader, own.follower = leaders[b, i, lane], followers[b, i, lane]
-            own.left_leader = own.left_follower = own.right_leader = own.right_follower = -1
-            left, right = side_lanes(c, lane)
-            if left >= 0:
-                own.left_leader, own.left_follower = leaders[b, i, left], followers[b, i, left]
-            if right >= 0:
-                own.right_leader, own.right_follower = leaders[b, i, right], followers[b, i, right]
+            own.leader, own.follower = leaders[b, i, OWN], followers[b, i, OWN]
+            own.left_leader, own.left_follower = leaders[b, i, LEFT], followers[b, i, LEFT]
+            own.right_leader, own.right_follower = leaders[b, i, RIGHT], followers[b, i, RIGHT]
             own.action = action[b, i] if has_action[b, i] else -1
             own.crashed, own.collision = scene.crashed[b, i], collision[b, i]
-            own.is_on_road = is_on_lane(c, lane, own.x, own.y, 0.0)
+            own.is_on_road = is_on_lane(road, lane, own.x, own.y, 0.0)
             own.lost = was.lost or own.crashed or not own.is_on_road
             own.lane_since = was.lane_since if lane == was.lane else decision
             has_same_target = own.target_lane == was.target_lane

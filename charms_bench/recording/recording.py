@@ -35,7 +35,7 @@ class Recording:
         self._left_lost = np.zeros(simulation.seeds.size, dtype=np.int64)
         """Vehicles (B,) that left after they had crashed or left the lanes."""
         self._steps = StepRows(simulation)
-        self._following = FollowingCounts(simulation.seeds.size)
+        self._following = FollowingCounts(simulation.seeds.size, simulation.scene.road)
         self._drivers = DriverSums(simulation)
         self._fault = Fault(simulation)
         kept, fault = self._kept, self._fault

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from charms_bench.foundation.compiled import index, inlined
+from charms_bench.recording.primitives import distance_to
 from charms_bench.world.gaps import gap_to, side_gap
+from charms_bench.world.road import Straight
 from charms_bench.world.scene import Ints
 
 # ad-rss-lib, Appendix-ParameterDiscussion.md.
@@ -51,7 +53,7 @@ def _drift(towards_mps: float) -> float:
 
 
 @inlined
-def note_rss(now: Any, interval_s: float, driver: Ints, sums: Any) -> None:
+def note_rss(road: Straight, now: Any, interval_s: float, driver: Ints, sums: Any) -> None:
     """Adds the time in danger from the nearest vehicles ahead on the own and adjacent lanes."""
     is_pressed = np.zeros(now.size, dtype=np.bool_)
     for i in range(now.size):
@@ -71,7 +73,7 @@ def note_rss(now: Any, interval_s: float, driver: Ints, sums: Any) -> None:
             approach = -to_the_right * other.speed * other.direction_y
             if aside_m >= safe_side_distance(to_the_right * aside, approach):
                 continue
-            gap = gap_to(own.x, other.x, own.length, other.length)
+            gap = gap_to(distance_to(road, own, other), own.length, other.length)
             if gap < safe_distance(forward, other.speed * other.direction_x):
                 is_too_close = is_pressed[j] = True
         sums[driver[i]].rss_by_s += interval_s * is_too_close

@@ -11,7 +11,8 @@ from charms_bench.foundation.compiled import compiled, index
 from charms_bench.recording.columns import STEP_RECORD, STEP_SCHEMA, table
 from charms_bench.recording.lane_changes import imposed_decisions
 from charms_bench.recording.planar_ttc import planar_ttc
-from charms_bench.recording.primitives import Frames
+from charms_bench.recording.primitives import Frames, distance_to
+from charms_bench.world.road import Straight, side_lanes
 from charms_bench.world.scene import Ints
 
 INTERACTION_RANGE_M = 30.0
@@ -33,7 +34,7 @@ class StepRows:
     def add(self, frames: Frames) -> None:
         """Adds the steps that end in some frames."""
         made = self._simulation
-        note_steps(*frames, made.scene.ego, made.seeds, self._window, self._rows)
+        note_steps(made.scene.road, *frames, made.scene.ego, made.seeds, self._window, self._rows)
 
     def table(self) -> pl.DataFrame:
         """Returns the rows (`columns.STEP`), sorted by episode and step."""
@@ -45,6 +46,7 @@ class StepRows:
 
 @compiled
 def note_steps(
+    road: Straight,
     moments: Any,
     vehicles: Any,
     egos: Ints,
@@ -69,11 +71,11 @@ def note_steps(
         row.action, row.leader, row.follower = own.action, own.leader, own.follower
         if own.leader >= 0:
             leader = now[own.leader]
-            row.leader_distance = leader.x - own.x
+            row.leader_distance = distance_to(road, own, leader)
             row.leader_length, row.leader_speed = leader.length, leader.speed
         if own.follower >= 0:
             follower = now[own.follower]
-            row.follower_distance = own.x - follower.x
+            row.follower_distance = -distance_to(road, own, follower)
             row.follower_length, row.follower_speed = follower.length, follower.speed
             row.follower_acceleration = np.nan if follower.crashed else follower.acceleration
         for t in range(max(step - window, 1), 0 if own.crashed else step):
@@ -84,8 +86,9 @@ def note_steps(
                 changed.new_follower_acceleration = least
         time_s = planar_ttc(now, ego)
         row.planar_ttc = time_s if np.isfinite(time_s) else np.nan
-        near = 0
+        near, (left, right) = 0, side_lanes(road, own.lane)
         for i in range(now.size):
-            is_near = abs(now[i].x - own.x) <= INTERACTION_RANGE_M
-            near += is_near & (abs(now[i].lane - own.lane) <= 1)
+            other = now[i].lane
+            is_beside = (other == left) | (other == own.lane) | (other == right)
+            near += is_beside & (abs(distance_to(road, own, now[i])) <= INTERACTION_RANGE_M)
         row.vehicles_near = near

@@ -233,12 +233,12 @@ def check_scenarios(document: Document, suite: Suite) -> None:
             last = min(first + PLACED_AT_ONCE, suite.episodes)
             numbers = np.arange(suite.seed + first, suite.seed + last)
             try:
-                constants = suite.scene.of_scenario(scenario).constants
-                place(scenario, constants, numbers)
+                settings = suite.scene.of_scenario(scenario)
+                place(scenario, settings, numbers)
                 for k, vehicle in enumerate(scenario.vehicles):
                     if vehicle.driver_parameters:
                         ranges = _ranges_of(str(vehicle.agent))
-                        driver_parameters(scenario, k, constants, ranges, numbers)
+                        driver_parameters(scenario, k, settings, ranges, numbers)
             except ScenarioError as error:
                 at = ("traffics", index, "traffic", "scenario", *error.location)
                 raise document.error(at, str(error)) from error

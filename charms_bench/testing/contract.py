@@ -39,7 +39,7 @@ from charms_bench.plugins.scene_questions import SceneQuestion, copied
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.actions import ACTIONS, problem_of
 from charms_bench.world.observations import observation_of
-from charms_bench.world.scene import WRITABLE, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import ARRAYS, WRITABLE, Scene, SceneSettings, Vehicles
 
 Rule = Callable[[], None]
 _SCENES = 16
@@ -173,7 +173,7 @@ def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> N
         expected = f"expected at most {ACCELERATION_LIMIT_MPS2:g} m/s² either way"
         if wrong.size:
             raise AssertionError(f"acceleration {wrong[0]}; {expected}")
-        lanes = scene.constants.lanes
+        lanes = scene.road.lanes
         _require(np.issubdtype(lane.dtype, np.integer), f"lanes are {lane.dtype}")
         for value in (lane.min(), lane.max()):
             _require(0 <= value < lanes, f"lane {value}; expected 0 to {lanes - 1}")
@@ -194,7 +194,7 @@ def model_does_not_change_the_scene(model: DriverModel) -> None:
     """`drive` writes to `timer_s` and `memory` only."""
     scene, before = example_scene(model=model), example_scene(model=model)
     model.drive(scene, _everyone(scene))
-    for name in set(Scene._fields) - {*WRITABLE, "constants"}:
+    for name in set(ARRAYS) - set(WRITABLE):
         same = np.array_equal(getattr(scene, name), getattr(before, name))
         _require(same, f"drive changed scene.{name}")
 

@@ -30,7 +30,7 @@ def action_masks(scene: Scene, vehicles: Vehicles) -> ActionMasks:
 def _close(scene: Scene, rows: Ints, places: Ints, masks: ActionMasks) -> None:
     """Writes 0 for the lane changes of M vehicles to lanes that do not exist."""
     for m in range(rows.size):
-        own = side_lanes(scene.constants, scene.lane[rows[m], places[m]])
-        wanted = side_lanes(scene.constants, scene.target_lane[rows[m], places[m]])
+        own = side_lanes(scene.road, scene.lane[rows[m], places[m]])
+        wanted = side_lanes(scene.road, scene.target_lane[rows[m], places[m]])
         masks[m, LANE_LEFT] = own[0] >= 0 or wanted[0] >= 0
         masks[m, LANE_RIGHT] = own[1] >= 0 or wanted[1] >= 0

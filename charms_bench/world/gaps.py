@@ -12,9 +12,12 @@ from charms_bench.foundation.compiled import inlined
 
 
 @register_jitable
-def gap_to(x: Any, ahead_x: Any, length: Any, ahead_length: Any) -> Any:
-    """From a vehicle's front to the rear of a vehicle ahead, m; negative if they overlap."""
-    return ahead_x - x - (length + ahead_length) / 2
+def gap_to(distance: Any, length: Any, ahead_length: Any) -> Any:
+    """From a vehicle's front to the rear of one whose centre is a distance ahead, m.
+
+    It is negative if they overlap.
+    """
+    return distance - (length + ahead_length) / 2
 
 
 @register_jitable
@@ -30,13 +33,13 @@ def overhang(length: Any, standard_length: Any) -> Any:
 
 
 @register_jitable
-def following_distance(x: Any, ahead_x: Any, overhang: Any, ahead_overhang: Any) -> Any:
-    """The distance to a vehicle ahead as driver models measure it, m.
+def following_distance(distance: Any, overhang: Any, ahead_overhang: Any) -> Any:
+    """The distance to a vehicle ahead as driver models measure it, m, from that of the centres.
 
     It is the distance between the centres of two vehicles of the profile's length with the same gap
     between their bumpers, because highway-env's jam distance contains one such length.
     """
-    return ahead_x - x - (overhang + ahead_overhang)
+    return distance - (overhang + ahead_overhang)
 
 
 def time_to_collision(gap: Any, closing: Any) -> Any:

@@ -106,7 +106,7 @@ class Kinematics(FrozenModel):
         """The observations of M vehicles, (M, rows, columns)."""
         rows, places = vehicles
         observations = np.zeros((rows.size, *self.shape), dtype=np.float32)
-        lanes = scene.constants.lanes
+        lanes = scene.road.lanes
         if (columns := self._columns_by_lanes.get(lanes)) is None:
             columns = self._columns_by_lanes[lanes] = self._columns(lanes)
         _fill(scene, rows, places, self.see_behind, columns, self.clip, observations)
@@ -160,7 +160,7 @@ def _feature(feature: int, b: int, i: int, scene: Scene) -> float:
         return float(scene.direction_y[b, i])
     if feature == 11:
         x, y, lane = scene.x[b, i], scene.y[b, i], scene.lane[b, i]
-        return float(local_coordinates(scene.constants, lane, x, y)[1])
+        return float(local_coordinates(scene.road, lane, x, y)[1])
     if feature == 12:
         return float((heading + np.pi) % (2 * np.pi) - np.pi)
     return 0.0

@@ -39,6 +39,7 @@ from charms_bench.errors import InputError, first_problem, suggestion
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.action_mask import action_masks
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.road import side_lanes
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
@@ -187,17 +188,14 @@ def commands_of(scene: Scene, vehicles: Vehicles) -> Floats:
 @compiled_of_scenes
 def _fill(scene: Scene, rows: Ints, places: Ints, observations: Observations) -> None:
     """Writes the observations `neighbours` of M vehicles."""
-    x, leaders, followers = scene.x, scene.leaders, scene.followers
+    x = scene.x
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_own_row(b, i, scene, observations[m])
         observations[m, EGO, 1] = 1.0
-        left, right = side_lanes(scene.constants, scene.lane[b, i])
-        for side, on in enumerate((left, scene.lane[b, i], right)):
-            if on < 0:
-                continue
-            for behind in range(2):
-                j = followers[b, i, on] if behind else leaders[b, i, on]
+        for side, candidate in enumerate((LEFT, OWN, RIGHT)):
+            found = scene.leaders[b, i, candidate], scene.followers[b, i, candidate]
+            for behind, j in enumerate(found):
                 if j >= 0 and abs(x[b, j] - x[b, i]) <= RANGE_M:
                     _write_neighbour(b, i, j, scene, observations[m, 1 + 2 * side + behind])
 
@@ -211,6 +209,7 @@ def _fill_as_in_the_paper(
     for m in range(rows.size):
         b, i = rows[m], places[m]
         _write_own_row(b, i, scene, observations[m])
+        left, right = side_lanes(scene.road, lane[b, i])
         observations[m, EGO, 1] = min(x[b, i] / X_SCALE_M, 1.0)
         for step in (1, -1):
             k = rank[b, i] + step
@@ -220,10 +219,11 @@ def _fill_as_in_the_paper(
                 ahead, across = x[b, j] - x[b, i], y[b, j] - y[b, i]
                 if not abs(ahead) < RANGE_M:
                     break
-                side = lane[b, j] - lane[b, i] + 1
+                on = lane[b, j]
+                side = 0 if on == left else 1 if on == lane[b, i] else 2
                 row = 1 + 2 * side + (not ahead > 0)
                 if (
-                    0 <= side <= 2
+                    (side < 2 or on == right)
                     and observations[m, row, 0] == 0
                     and np.sqrt(ahead * ahead + across * across) < RANGE_M
                 ):

@@ -1,7 +1,7 @@
 """Concrete scenarios: where each vehicle of an episode starts, and what is prescribed for it."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,12 @@ from charms_bench.errors import ScenarioError, suggestion
 from charms_bench.foundation.formula import Formula, evaluate
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
-from charms_bench.world.profile import Constants
 from charms_bench.world.road import position
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
+
+if TYPE_CHECKING:
+    from charms_bench.world.scene import SceneSettings
 
 Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
@@ -50,31 +52,21 @@ class Placement(NamedTuple):
     """[R, N, K] its displacement, m."""
 
 
-def place(scenario: Scenario, c: Constants, numbers: NDArray[Any]) -> Placement:
+def place(scenario: Scenario, settings: "SceneSettings", numbers: NDArray[Any]) -> Placement:
     """Returns the concrete scenarios of the points (R,) with these numbers.
 
     Raises:
         ScenarioError: A formula is wrong, or a point has an impossible placement.
     """
     _check_points(scenario, numbers)
-    return place_at(scenario, c, values_at(scenario, numbers), numbers.size)
-
-
-def place_at(
-    scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int
-) -> Placement:
-    """Returns the concrete scenarios of points, given by the values (R,) of each parameter.
-
-    Raises:
-        ScenarioError: As for `place`.
-    """
-    return _Placing(scenario, c, values, count).placement()
+    values = values_at(scenario, numbers)
+    return _Placing(scenario, settings, values, numbers.size).placement()
 
 
 def driver_parameters(
     scenario: Scenario,
     k: int,
-    c: Constants,
+    settings: "SceneSettings",
     ranges: Mapping[str, tuple[float, float]],
     numbers: NDArray[Any],
 ) -> dict[str, Floats]:
@@ -83,7 +75,7 @@ def driver_parameters(
     Args:
         scenario: The scenario.
         k: The vehicle's index in the scenario.
-        c: The constants of the scene.
+        settings: The settings of the scene.
         ranges: The parameters that the vehicle's agent has, and their ranges.
         numbers: (R,) the numbers of the points.
 
@@ -91,7 +83,7 @@ def driver_parameters(
         ScenarioError: The agent has no such parameter, or the value is out of its range.
     """
     vehicle, values = scenario.vehicles[k], values_at(scenario, numbers)
-    placing, given = _Placing(scenario, c, values, numbers.size), {}
+    placing, given = _Placing(scenario, settings, values, numbers.size), {}
     for name, formula in vehicle.driver_parameters.items():
         at = ("vehicles", k, "driver_parameters", name)
         if name not in ranges:
@@ -124,9 +116,14 @@ class _Placing:
     """Evaluates the formulas of a scenario at some points, and checks what comes out."""
 
     def __init__(
-        self, scenario: Scenario, c: Constants, values: Mapping[str, Floats], count: int
+        self,
+        scenario: Scenario,
+        settings: "SceneSettings",
+        values: Mapping[str, Floats],
+        count: int,
     ) -> None:
-        self._scenario, self._c, self._values, self._count = scenario, c, values, count
+        self._scenario, self._values, self._count = scenario, values, count
+        self._road, self._c = settings.road, settings.constants
 
     def placement(self) -> Placement:
         scenario, c = self._scenario, self._c
@@ -171,7 +168,7 @@ class _Placing:
         return made
 
     def _x(self, i: int, at: Location, names: Mapping[str, int], made: Placement) -> Floats:
-        ends = (-END_MARGIN_M, self._c.road_length)
+        ends = (-END_MARGIN_M, self._road.road_length)
         vehicle = self._scenario.vehicles[i - 1] if i else None
         if vehicle is None or vehicle.x_m is not None:
             formula = vehicle.x_m if vehicle else self._scenario.ego.x_m
@@ -237,10 +234,10 @@ class _Placing:
         made.moves_by[:, i, k] = self._y_of(lane) - self._y_of(start)
 
     def _y_of(self, lane: NDArray[np.int64]) -> Floats:
-        return np.asarray(position(self._c, lane, 0.0, 0.0)[1])
+        return np.asarray(position(self._road, lane, 0.0, 0.0)[1])
 
     def _lane(self, at: Location, formula: Formula) -> NDArray[np.int64]:
-        last = self._c.lanes - 1
+        last = self._road.lanes - 1
         lane = self._value(at, formula)
         what = f"lane {{:g}} is not on the road; expected a whole number from 0 to {last}"
         self._check(at, ~((lane == np.floor(lane)) & (lane >= 0) & (lane <= last)), what, lane)

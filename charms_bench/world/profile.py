@@ -164,12 +164,8 @@ class IdmMobilParameters(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """The constants of a scene as compiled code reads them; SI units."""
+    """The constants of the vehicles of a scene as compiled code reads them; SI units."""
 
-    lanes: int
-    lane_width: float
-    road_length: float
-    speed_limit: float
     length: float
     """Of a vehicle whose size nothing else gives, as `width`."""
     width: float

@@ -15,7 +15,6 @@ from numba.extending import overload, register_jitable
 from charms_bench.foundation.compiled import compiled, wrap_to_pi
 from charms_bench.world import road_network
 from charms_bench.world.lane_geometry import END_MARGIN_M
-from charms_bench.world.profile import Constants
 from charms_bench.world.road_network import Network
 
 NEIGHBOUR_MARGIN_M = 1.0
@@ -23,10 +22,7 @@ NEIGHBOUR_MARGIN_M = 1.0
 
 
 class Straight(NamedTuple):
-    """Lane 0 is the leftmost and its centre is y = 0; x runs from 0 to the road's length.
-
-    `Constants` has the same fields, so the constants of a scene are a straight road too.
-    """
+    """Lane 0 is the leftmost and its centre is y = 0; x runs from 0 to the road's length."""
 
     lanes: int
     lane_width: float
@@ -34,7 +30,7 @@ class Straight(NamedTuple):
     speed_limit: float
 
 
-Road = Straight | Constants | Network
+Road = Straight | Network
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -75,6 +71,12 @@ def width_at(road: Any, lane: Any, longitudinal: Any) -> Any:
 def local_coordinates(road: Any, lane: Any, x: Any, y: Any) -> Any:
     """How far a point is along and beside a lane [`AbstractLane.local_coordinates`]."""
     return x, y - lane * road.lane_width
+
+
+@_of_roads
+def distance_along(road: Any, lane: Any, x: Any, y: Any, other_x: Any, other_y: Any) -> Any:
+    """How far another point is ahead of a point along a lane [`RoadObject.lane_distance_to`]."""
+    return other_x - x
 
 
 @_of_roads

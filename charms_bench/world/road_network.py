@@ -219,6 +219,15 @@ def local_coordinates(road: Network, lane: int, x: float, y: float) -> Pair:
 
 
 @register_jitable
+def distance_along(
+    road: Network, lane: int, x: float, y: float, other_x: float, other_y: float
+) -> float:
+    other_s, _ = local_coordinates(road, lane, other_x, other_y)
+    s, _ = local_coordinates(road, lane, x, y)
+    return float(other_s - s)
+
+
+@register_jitable
 def is_on_lane(road: Network, lane: int, x: float, y: float, margin: float) -> bool:
     s, r = local_coordinates(road, lane, x, y)
     is_beside = abs(r) <= width_at(road, lane, s) / 2 + margin

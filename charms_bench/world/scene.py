@@ -29,10 +29,12 @@ from charms_bench.errors import DataError, suggestion
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.generator import State
+from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
 from charms_bench.world.recordings import RecordedMoments
-from charms_bench.world.road import Straight
+from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
 
@@ -271,7 +273,6 @@ class SceneSettings(FrozenModel):
         """The constants of a scene as compiled code reads them."""
         profile = self.profile
         return Constants(
-            **self.road._asdict(),
             length=profile.vehicle_length_m,
             width=profile.vehicle_width_m,
             mixed_sizes=len(self.sizes_m) > 1,
@@ -340,6 +341,8 @@ class _Fields(NamedTuple):
     memory: Floats
     """[B, N, Q] what each vehicle's agent remembers, in its first columns; Q is the width of the
     agent that declares most [`Policy.memory_width`, `DriverModel.memory_width`]."""
+    generator: State
+    """[B, 6] the state of the scene's random generator after the draws that placed its vehicles."""
     ego: Ints
     """[B] the ego's place."""
     active: Bools
@@ -349,15 +352,16 @@ class _Fields(NamedTuple):
     rank: Ints
     """[B, N] each vehicle's index in `order`."""
     leaders: Ints
-    """[B, N, L] nearest vehicle ahead on each lane. For speed, -1 stands for none in this table;
-    outside compiled code, use `leader`."""
+    """[B, N, 4] nearest vehicle ahead on each of the `CANDIDATES`, as the last simulation step left
+    them. For speed, -1 stands for none in this table; outside compiled code, use `leader`."""
     followers: Ints
-    """[B, N, L] nearest vehicle behind on each lane, likewise; see `follower`."""
+    """[B, N, 4] nearest vehicle behind on each of the `CANDIDATES`, likewise; see `follower`."""
     impact_x: Floats
     """[B, N] displacement that a collision causes in the next step, m."""
     impact_y: Floats
     impact: Bools
     """[B, N] whether there is such a displacement."""
+    road: Straight
     constants: Constants
 
 
@@ -366,7 +370,7 @@ class Scene(_Fields):
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
-        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.constants.lanes} lanes>"
+        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.road.lanes} lanes>"
 
     @cached_property
     def unpacked(self) -> Unpacked:
@@ -389,7 +393,7 @@ class Scene(_Fields):
         """
         shape = (scenes, settings.vehicles)
         places = np.tile(np.arange(settings.vehicles, dtype=np.int32), (scenes, 1))
-        nobody = np.full((*shape, settings.lanes), -1, dtype=np.int32)
+        nobody = np.full((*shape, len(CANDIDATES)), -1, dtype=np.int32)
         per_vehicle: dict[str, NDArray[Any]] = {
             name: np.zeros(shape, dtype)
             for dtype, names in _PER_VEHICLE.items()
@@ -403,6 +407,7 @@ class Scene(_Fields):
             **per_vehicle,
             parameters=np.zeros((*shape, parameters)),
             memory=np.zeros((*shape, memory)),
+            generator=np.zeros((scenes, 6), dtype=np.uint64),
             ego=np.zeros(scenes, dtype=np.int64),
             active=np.zeros(scenes, dtype=np.bool_),
             entry=places,
@@ -410,21 +415,19 @@ class Scene(_Fields):
             rank=places.copy(),
             leaders=nobody,
             followers=nobody.copy(),
+            road=settings.road,
             constants=settings.constants,
         )
 
     def read_only(self) -> "Scene":
         """The same scenes for a plugin, which can write to `WRITABLE` only."""
-        views = {name: array.view() for name, array in self._asdict().items() if name in _ARRAYS}
+        views = {name: getattr(self, name).view() for name in ARRAYS}
         for name, view in views.items():
             view.flags.writeable = name in WRITABLE
         return self._replace(**views)
 
     def leader(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
-        """The nearest vehicle at or ahead of each vehicle on a lane.
-
-        highway-env's rule (`Road.neighbour_vehicles`): a vehicle is on a lane while its centre
-        is at most half a lane and 1 m from the lane's centre, so it can be on two.
+        """The nearest vehicle at or ahead of each vehicle on a lane; see `candidate_lanes`.
 
         Args:
             vehicles: M vehicles.
@@ -433,11 +436,11 @@ class Scene(_Fields):
         Returns:
             The places (M,), which are only meaningful where the mask (M,) beside them is true.
         """
-        return self._neighbour(self.leaders, vehicles, lane)
+        return self._neighbour(0, vehicles, lane)
 
     def follower(self, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
         """The nearest vehicle behind each vehicle on a lane; see `leader`."""
-        return self._neighbour(self.followers, vehicles, lane)
+        return self._neighbour(1, vehicles, lane)
 
     def gap_to(self, vehicles: Vehicles, ahead: Ints) -> Floats:
         """The gaps (M,) from the fronts of M vehicles to the rears of the vehicles `ahead` (M,), m.
@@ -445,12 +448,13 @@ class Scene(_Fields):
         `ahead` are places in the same scenes, as `leader` returns them.
         """
         other = vehicles[0], ahead
-        lengths = self.length[vehicles], self.length[other]
-        return np.asarray(gap_to(self.x[vehicles], self.x[other], *lengths))
+        positions = self.x[vehicles], self.y[vehicles], self.x[other], self.y[other]
+        distance = distance_along(self.road, self.lane[vehicles], *positions)
+        return np.asarray(gap_to(distance, self.length[vehicles], self.length[other]))
 
-    def _neighbour(self, table: Ints, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
-        on_road = (lane >= 0) & (lane < self.constants.lanes)
-        found = table[vehicles[0], vehicles[1], np.where(on_road, lane, 0)]
+    def _neighbour(self, which: int, vehicles: Vehicles, lane: Ints) -> tuple[Ints, Bools]:
+        on_road = (lane >= 0) & (lane < self.road.lanes)
+        found = neighbours_on(self, vehicles[0], vehicles[1], np.where(on_road, lane, 0))[which]
         present = on_road & (found >= 0)
         return np.where(present, found, 0), present
 
@@ -464,4 +468,5 @@ _PER_VEHICLE: dict[type, str] = {
 """The arrays [B, N] of a `Scene` by the type of their values."""
 WRITABLE = ("timer_s", "memory")
 """The arrays that a driver model may change for its own vehicles."""
-_ARRAYS = set(Scene._fields) - {"constants"}
+ARRAYS = tuple(name for name in Scene._fields if name not in ("road", "constants"))
+"""The fields of a `Scene` that are arrays."""

@@ -36,7 +36,7 @@ def place(
     """Puts every vehicle (x, lane, speed) on its lane's centre."""
     x, lane, speed = np.transpose(vehicles)
     scene.x[0], scene.y[0], scene.speed[0] = x, lane * LANE_M, speed
-    locate(scene, np.array([0]))
-    scene.target_lane[0] = scene.lane[0]
+    scene.target_lane[0] = lane
     if target_lane is not None:
         scene.target_lane[0, 0] = target_lane
+    locate(scene, np.array([0]))

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from charms_bench.engine import ENGINES, EngineName, make_engine
 from charms_bench.engine.draws import LANE, SPEED, ReplayedDraws, draws_of
-from charms_bench.world.scene import Scene, SceneSettings
+from charms_bench.foundation.generator import seeded
+from charms_bench.world.scene import ARRAYS, Scene, SceneSettings
 
 MODELS = {0: Stackelberg(), 1: IdmMobil()}
 SETTINGS = SceneSettings(lanes=4, traffic_vehicles=12, density=2.0)
@@ -26,7 +27,7 @@ def spawned(
 
 
 def assert_same(one: Scene, other: Scene) -> None:
-    for name in set(Scene._fields) - {"constants"}:
+    for name in set(ARRAYS) - {"generator"}:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
 
 
@@ -34,9 +35,16 @@ def assert_same(one: Scene, other: Scene) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_draws_of_a_seed_give_the_scene_of_the_seed(engine: EngineName, ego_slots: int) -> None:
     scene = SETTINGS.model_copy(update={"ego_slots": ego_slots})
-    draws = draws_of(SEEDS, scene)
+    draws = draws_of(seeded(SEEDS), scene)
     assert draws.shape == (40, 4 * 13 + 1)
     assert_same(spawned(engine, scene, SEEDS, draws), spawned(engine, scene, SEEDS))
+
+
+@pytest.mark.parametrize("ego_slots", [1, 6])
+def test_the_generator_is_numpys_after_highway_envs_draws(ego_slots: int) -> None:
+    scene = SETTINGS.model_copy(update={"ego_slots": ego_slots})
+    ours, theirs = (spawned(engine, scene, SEEDS).generator for engine in ENGINES)
+    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_both_engines_place_any_draws_alike() -> None:
@@ -61,7 +69,7 @@ def test_draws_at_a_quarter_and_a_half_place_vehicles_as_computed_by_hand() -> N
 
 
 def test_the_number_for_the_egos_speed_has_no_effect() -> None:
-    draws = draws_of(SEEDS, SETTINGS)
+    draws = draws_of(seeded(SEEDS), SETTINGS)
     changed = draws.copy()
     egos = (draws[:, 0] * SETTINGS.ego_slots).astype(int)
     changed[np.arange(40), SPEED + 4 * egos] = 0.9
@@ -74,14 +82,14 @@ def test_the_number_for_the_egos_speed_has_no_effect() -> None:
 @given(st.integers(0, 2**64 - 1), st.integers(1, 2000), st.integers(2, 8))
 def test_integers_are_those_of_numpys_generator(seed: int, slots: int, lanes: int) -> None:
     scene = SceneSettings(traffic_vehicles=2000, ego_slots=slots, lanes=lanes)
-    (draws,) = draws_of(np.array([seed], dtype=np.uint64), scene)
+    (draws,) = draws_of(seeded(np.array([seed], dtype=np.uint64)), scene)
     rng = np.random.default_rng(seed)
     assert int(draws[0] * slots) == rng.integers(slots)
     assert int(draws[LANE] * lanes) == rng.choice(lanes)
 
 
 def test_replayed_draws_are_used_up_by_a_scene() -> None:
-    replayed = ReplayedDraws(draws_of(SEEDS[:1], SETTINGS)[0], SETTINGS)
+    replayed = ReplayedDraws(draws_of(seeded(SEEDS[:1]), SETTINGS)[0], SETTINGS)
     replayed.integers(0, 6)
     for _ in range(4 * 13 - 1):
         replayed.random()

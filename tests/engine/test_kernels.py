@@ -18,6 +18,7 @@ from charms_bench.engine.collision_detection import collide
 from charms_bench.engine.motion import follow_no_lane, move, room_to_turn
 from charms_bench.engine.neighbours import locate
 from charms_bench.foundation.compiled import wrap_to_pi
+from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET, neighbours_on
 from charms_bench.world.road import Straight, closest_lane, is_reachable
 from charms_bench.world.scene import Scene
 
@@ -27,7 +28,7 @@ ROW = np.array([0])
 
 def road_of(scene: Scene, vehicle_class: type = Vehicle) -> Road:
     """highway-env's road with the vehicles of a scene."""
-    c, network = scene.constants, RoadNetwork()
+    c, network = scene.road, RoadNetwork()
     for lane in range(c.lanes):
         ends = np.array([[0.0, lane * c.lane_width], [c.road_length, lane * c.lane_width]])
         network.add_lane("0", "1", StraightLane(*ends, width=c.lane_width, speed_limit=30))
@@ -50,13 +51,28 @@ def moved(scene: Scene, modelled: bool) -> None:
     move(scene, 0, 1, np.full((1, vehicles), modelled), nobody, room)
 
 
+def on_lane(scene: Scene, i: int, lane: int) -> tuple[int, int]:
+    """The leader and the follower of a vehicle on any lane."""
+    leader, follower = neighbours_on(scene, ROW, np.array([i]), np.array([lane]))[:, 0]
+    return leader, follower
+
+
 @settings(derandomize=True, deadline=None)
 @given(scenes())
 def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
     for i in range(scene.x.shape[1]):
-        for lane in range(scene.constants.lanes):
-            found = scene.leaders[0, i, lane], scene.followers[0, i, lane]
-            assert found == naive.neighbours(scene, i, lane)
+        for lane in range(scene.road.lanes):
+            assert on_lane(scene, i, lane) == naive.neighbours(scene, i, lane)
+        lane, target_lane = scene.lane[0, i], scene.target_lane[0, i]
+        for candidate, on in {
+            OWN: lane,
+            LEFT: lane - 1,
+            RIGHT: lane + 1,
+            TARGET: target_lane,
+        }.items():
+            exists = 0 <= on < scene.road.lanes
+            found = scene.leaders[0, i, candidate], scene.followers[0, i, candidate]
+            assert found == (naive.neighbours(scene, i, on) if exists else (-1, -1))
 
 
 @settings(derandomize=True, deadline=None)
@@ -64,26 +80,25 @@ def test_neighbours_are_those_of_the_plain_search(scene: Scene) -> None:
 def test_neighbours_are_those_of_highway_env(scene: Scene) -> None:
     vehicles = (road := road_of(scene)).vehicles
     for i, vehicle in enumerate(vehicles):
-        for lane in range(scene.constants.lanes):
-            found = (scene.leaders[0, i, lane], scene.followers[0, i, lane])
+        for lane in range(scene.road.lanes):
             places = [
                 -1 if other is None else [v is other for v in vehicles].index(True)
                 for other in road.neighbour_vehicles(vehicle, ("0", "1", lane))
             ]
-            assert found == tuple(places)
+            assert on_lane(scene, i, lane) == tuple(places)
 
 
 def test_of_vehicles_at_one_x_the_last_spawned_leads_and_the_first_spawned_follows() -> None:
     scene = scene_of(x=[50.0, 20.0, 20.0, 20.0, 5.0], y=[0.0] * 5)
-    assert scene.followers[0, 0, 0] == 1
-    assert scene.leaders[0, 4, 0] == 3
-    assert [scene.leaders[0, i, 0] for i in (1, 2, 3)] == [3, 3, 2]
-    assert [scene.followers[0, i, 0] for i in (1, 2, 3)] == [4, 4, 4]
+    assert scene.followers[0, 0, OWN] == 1
+    assert scene.leaders[0, 4, OWN] == 3
+    assert [scene.leaders[0, i, OWN] for i in (1, 2, 3)] == [3, 3, 2]
+    assert [scene.followers[0, i, OWN] for i in (1, 2, 3)] == [4, 4, 4]
 
 
 def test_a_vehicle_between_two_lanes_is_a_neighbour_on_both() -> None:
     scene = scene_of(x=[10.0, 30.0], y=[0.0, 2.5])
-    assert list(scene.leaders[0, 0]) == [1, 1, -1]
+    assert [on_lane(scene, 0, lane)[0] for lane in range(3)] == [1, 1, -1]
 
 
 def test_a_vehicle_beside_the_road_is_nobodys_neighbour() -> None:
@@ -101,9 +116,9 @@ def test_the_road_reaches_5_m_beyond_its_ends_whatever_the_length_of_vehicles(
         y=[0.0] * 5,
         sizes={"length": length, "road_length": 100.0},
     )
-    assert (scene.leaders[0, 0, 0], scene.followers[0, 0, 0]) == (3, 2)
+    assert (scene.leaders[0, 0, OWN], scene.followers[0, 0, OWN]) == (3, 2)
     x = np.array([-0.1, 0.0, 104.9, 105.0])
-    assert list(is_reachable(scene.constants, 1, x, 0.0)) == [False, True, True, False]
+    assert list(is_reachable(scene.road, 1, x, 0.0)) == [False, True, True, False]
 
 
 @settings(derandomize=True, deadline=None)

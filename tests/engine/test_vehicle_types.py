@@ -15,6 +15,7 @@ from charms_bench.engine.draws import draws_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import ARRAYS
 from charms_bench.errors import InputError
+from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Scene, SceneSettings
@@ -149,7 +150,7 @@ def test_a_state_continues_with_its_types_in_either_engine(engine: EngineName) -
 def test_draws_place_vehicles_with_the_types_of_their_seeds() -> None:
     made, drawn = started(), started()
     seeds = np.arange(2, dtype=np.uint64)
-    drawn.reset(seeds, draws=draws_of(seeds, MIXED))
+    drawn.reset(seeds, draws=draws_of(seeded(seeds), MIXED))
     for name in ("x", "length", "target_speed", "parameters"):
         np.testing.assert_array_equal(getattr(drawn.scene, name), getattr(made.scene, name))
 

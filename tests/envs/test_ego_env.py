@@ -199,7 +199,7 @@ def test_scenes_and_traffics_are_what_was_asked_for() -> None:
     env.reset(seed=0)
     assert env.simulation.scene.x.shape == (1, 41)
     assert set(env.simulation.drivers[0]) == {"", "idm_mobil", "stackelberg"}
-    assert env.simulation.scene.constants.lanes == 5
+    assert env.simulation.scene.road.lanes == 5
     given = EgoEnv(
         traffic=make_traffic("stackelberg"), profile={"name": "charms", "speed_max_mps": 35}
     )

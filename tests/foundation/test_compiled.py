@@ -23,7 +23,7 @@ def _sum(scene: Scene, values: Floats, factor: float) -> float:
     total = 0.0
     for value in values:
         total += value
-    return total * factor + scene.x[0, 0] + scene.constants.lanes
+    return total * factor + scene.x[0, 0] + scene.road.lanes
 
 
 def _scene(x: float = 0.0) -> Scene:

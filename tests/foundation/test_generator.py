@@ -5,7 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from charms_bench.foundation.generator import integers, random, seeded, uniform, word
+from charms_bench.foundation.generator import (
+    choice,
+    from_numpy,
+    integers,
+    normal,
+    random,
+    seeded,
+    to_numpy,
+    uniform,
+    word,
+)
 
 SEEDS = st.integers(0, 2**64 - 1)
 
@@ -24,17 +34,46 @@ def test_small_seeds_are_those_of_numpys_generator(seed: int) -> None:
 
 
 @settings(deadline=None)
-@given(SEEDS, st.lists(st.integers(0, 2), max_size=40), st.integers(1, 2**32 - 1))
-def test_any_sequence_of_draws_is_numpys(seed: int, kinds: list[int], count: int) -> None:
-    state = seeded(np.array([seed], dtype=np.uint64))[0]
-    numpys = np.random.default_rng(seed)
+@given(
+    SEEDS,
+    st.lists(st.integers(0, 5), max_size=40),
+    st.integers(1, 2**32 - 1),
+    st.lists(st.floats(0.0, 9.0), min_size=1, max_size=6).filter(lambda some: sum(some) > 0.1),
+)
+def test_any_sequence_of_draws_is_numpys(
+    seed: int, kinds: list[int], count: int, some: list[float]
+) -> None:
+    state, weights = seeded(np.array([seed], dtype=np.uint64))[0], np.array(some) / sum(some)
+    rng = np.random.default_rng(seed)
     for kind in kinds:
         if kind == 0:
-            assert integers(state, -3, count - 3) == numpys.integers(-3, count - 3)
+            assert integers(state, -3, count - 3) == rng.integers(-3, count - 3)
         elif kind == 1:
-            assert random(state) == numpys.random()
+            assert random(state) == rng.random()
+        elif kind == 2:
+            assert uniform(state, -1.5, 7.0) == rng.uniform(-1.5, 7.0)
+        elif kind == 3:
+            assert normal(state, -1.5, 7.0) == rng.normal(-1.5, 7.0)
+        elif kind == 4:
+            assert choice(state, weights) == rng.choice(weights.size, p=weights)
         else:
-            assert uniform(state, -1.5, 7.0) == numpys.uniform(-1.5, 7.0)
+            assert integers(state, 0, len(some)) == rng.choice(len(some))
+    assert (state == from_numpy(rng)).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_many_normal_numbers_are_numpys_even_in_the_tails(seed: int) -> None:
+    state, rng = seeded(np.array([seed], dtype=np.uint64))[0], np.random.default_rng(seed)
+    found = np.array([normal(state, 0.0, 1.0) for _ in range(20_000)])
+    assert (found == rng.standard_normal(20_000)).all()
+    assert np.abs(found).max() > 3.66  # beyond the last strip, where the algorithm is another one
+
+
+def test_numpys_generator_continues_from_a_state() -> None:
+    state = seeded(np.array([7], dtype=np.uint64))[0]
+    integers(state, 0, 10)  # leaves the half of a word
+    rng = to_numpy(state)
+    assert [rng.integers(0, 10) for _ in range(9)] == [integers(state, 0, 10) for _ in range(9)]
 
 
 def test_a_copied_state_continues_as_the_original() -> None:

@@ -70,9 +70,9 @@ def test_sums_are_those_of_a_plain_count_over_trajectories(traffic: Traffic) -> 
     assert rows.schema == DRIVER_SCHEMA
     events: Counter[str] = Counter()
     for b, history in enumerate(histories):
-        fault = at_fault(history, every, settings.constants)
+        fault = at_fault(history, every, settings.road)
         decisions = {name: values[::every] for name, values in history.items()}
-        vehicles = conduct(decisions, dt, settings.constants, fault)
+        vehicles = conduct(decisions, dt, settings.road, fault)
         for row in rows.filter(pl.col("episode") == made.seeds[b]).iter_rows(named=True):
             places = [
                 i
@@ -164,7 +164,7 @@ def test_the_new_follower_of_a_lane_change_is_watched_for_two_seconds() -> None:
         steps, ego = recording.steps().filter(pl.col("episode") == seed), made.scene.ego[b]
         h = {name: np.stack([f[name][b] for f in frames[: made.steps[b]]]) for name in NAMES}
         for t, row in enumerate(steps.iter_rows(named=True)):
-            follower = ahead(h, t, ego, row["lane"], settings.constants, -1)
+            follower = ahead(h, t, ego, row["lane"], settings.road, -1)
             expected = None
             if t > 0 and h["lane"][t, ego] != h["lane"][t - 1, ego] and follower >= 0:
                 drives = ~h["crashed"][t : t + 6, [ego, follower]].any(axis=1)

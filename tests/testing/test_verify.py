@@ -89,8 +89,8 @@ def test_the_engines_agree_with_vehicles_and_lanes_of_other_sizes(which: int) ->
 def test_vehicles_of_the_default_cases_pass_the_ends_of_the_road(which: int) -> None:
     case = default_cases()[0][which]
     assert case.scene.scenario is not None
-    placed = place(case.scene.scenario, case.scene.constants, np.arange(25))
-    end, duration_s = case.scene.constants.road_length, case.scene.duration_s
+    placed = place(case.scene.scenario, case.scene, np.arange(25))
+    end, duration_s = case.scene.road.road_length, case.scene.duration_s
     if which == -2:
         assert ((placed.x[:, 0] < 0) & (placed.x[:, 0] > -5)).all()
     else:

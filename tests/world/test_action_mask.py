@@ -35,7 +35,7 @@ def test_an_observation_can_end_with_the_mask() -> None:
 
 def target_lanes(profile: str, scene: Scene, action: int) -> np.ndarray:
     """The target lanes after a command to all vehicles of a scene, by the engine."""
-    vehicles, lanes = scene.x.shape[1], scene.constants.lanes
+    vehicles, lanes = scene.x.shape[1], scene.road.lanes
     settings = SceneSettings(
         profile=profile, lanes=lanes, traffic_vehicles=vehicles - 1, ego_slots=1
     )

@@ -31,7 +31,7 @@ def placed(changes: dict[str, Any], **fields: Any) -> Any:
     """The placement of a leader with these changes."""
     leader = {"name": "leader", "lane": 1, "ahead_of": "ego", "gap_m": 20, "speed_mps": 25}
     made = scenario(vehicles=[{**leader, **changes}], **fields)
-    return place(made, SETTINGS.constants, np.arange(4))
+    return place(made, SETTINGS, np.arange(4))
 
 
 def test_a_formula_follows_the_rules_of_arithmetic() -> None:
@@ -125,7 +125,7 @@ def test_an_impossible_placement_is_located(
 
 def test_the_message_names_the_point_that_cannot_be_placed() -> None:
     with pytest.raises(ScenarioError, match=r"at the point gap -\d.*, v 2\d"):
-        place(scenario(parameters={"gap": [-20, 30], "v": [20, 30]}), SETTINGS.constants,
+        place(scenario(parameters={"gap": [-20, 30], "v": [20, 30]}), SETTINGS,
               np.arange(50))  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def test_the_message_names_the_point_that_cannot_be_placed() -> None:
 )
 def test_a_wrong_point_is_refused(points: Any, what: str) -> None:
     with pytest.raises(ScenarioError, match=what):
-        place(scenario(points=points), SETTINGS.constants, np.arange(4))
+        place(scenario(points=points), SETTINGS, np.arange(4))
 
 
 @pytest.mark.parametrize(

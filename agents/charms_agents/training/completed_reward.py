@@ -23,6 +23,7 @@ from charms_agents.training.rewards import (
     Affected,
     Weights,
     affected,
+    distance,
     forward_speed,
     others,
 )
@@ -30,6 +31,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
 from charms_bench.world.actions import Actions
+from charms_bench.world.candidate_lanes import OWN, TARGET
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Floats, Ints, Scene
 
@@ -139,10 +141,10 @@ def _safety(scene: Scene, horizon_s: float, loses_mps: float) -> Floats:
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        result[b] = _share(scene, b, ego, scene.leaders[b, ego, target], horizon_s, loses_mps)
+        result[b] = _share(scene, b, ego, scene.leaders[b, ego, TARGET], horizon_s, loses_mps)
         if lane != target:
-            rear = _share(scene, b, scene.followers[b, ego, target], ego, horizon_s, loses_mps)
-            left = _share(scene, b, ego, scene.leaders[b, ego, lane], horizon_s, loses_mps)
+            rear = _share(scene, b, scene.followers[b, ego, TARGET], ego, horizon_s, loses_mps)
+            left = _share(scene, b, ego, scene.leaders[b, ego, OWN], horizon_s, loses_mps)
             result[b] = min(0.5 * result[b] + 0.5 * rear, left)
     return result
 
@@ -154,8 +156,8 @@ def _share(
     """The time to collision as a share of the horizon, from 0 to 1; -1 stands for no vehicle."""
     if behind < 0 or ahead < 0:
         return 1.0
-    x, length = scene.x, scene.length
-    gap = gap_to(x[b, behind], x[b, ahead], length[b, behind], length[b, ahead])
+    apart, length = distance(scene, b, behind, ahead), scene.length
+    gap = gap_to(apart, length[b, behind], length[b, ahead])
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead) + loses_mps
     if closing <= 0.0:
         return 1.0 if gap > 0.0 else 0.0

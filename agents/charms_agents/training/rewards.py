@@ -15,6 +15,8 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.fields import FrozenModel
 from charms_bench.world.actions import Actions
+from charms_bench.world.candidate_lanes import TARGET, follower_on, leader_on
+from charms_bench.world.road import distance_along
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
 Svo = Literal["competitive", "egoistic", "prosocial", "altruistic"]
@@ -122,11 +124,11 @@ def safety(scene: Scene) -> Floats:
     for b in range(result.size):
         ego = scene.ego[b]
         lane, target = scene.lane[b, ego], scene.target_lane[b, ego]
-        front = _safe(scene, b, ego, scene.leaders[b, ego, target])
+        front = _safe(scene, b, ego, scene.leaders[b, ego, TARGET])
         if lane == target:
             result[b] = front
         else:
-            rear = _safe(scene, b, scene.followers[b, ego, target], ego)
+            rear = _safe(scene, b, scene.followers[b, ego, TARGET], ego)
             result[b] = 0.5 * front + 0.5 * rear
     return result
 
@@ -141,9 +143,7 @@ def efficiency(scene: Scene) -> Floats:
 
 def affected(scene: Scene, egos: Vehicles, others_count: bool) -> Affected:
     """What r_o needs of the scenes before a decision; without expectations if it has no weight."""
-    followers = scene.followers[egos]
-    expected = _expected(scene, followers) if others_count else np.zeros(followers.shape)
-    return Affected(scene.lane[egos], followers, expected)
+    return Affected(scene.lane[egos], *_expected(scene, others_count))
 
 
 @compiled
@@ -171,6 +171,13 @@ def forward_speed(scene: Scene, b: int, i: int) -> float:
 
 
 @compiled
+def distance(scene: Scene, b: int, i: int, j: int) -> float:
+    """How far vehicle j is ahead of vehicle i along its lane, centre to centre, m."""
+    x, y, lane = scene.x, scene.y, scene.lane[b, i]
+    return float(distance_along(scene.road, lane, x[b, i], y[b, i], x[b, j], y[b, j]))
+
+
+@compiled
 def _safe(scene: Scene, b: int, behind: int, ahead: int) -> float:
     """Time to collision over `SAFE_TTC_S`, from 0 to 1; -1 means that there is no vehicle."""
     if behind < 0 or ahead < 0:
@@ -178,7 +185,7 @@ def _safe(scene: Scene, b: int, behind: int, ahead: int) -> float:
     safe = 1.0
     closing = forward_speed(scene, b, behind) - forward_speed(scene, b, ahead)
     if closing > 0.0:
-        safe = (scene.x[b, ahead] - scene.x[b, behind]) / closing / SAFE_TTC_S
+        safe = distance(scene, b, behind, ahead) / closing / SAFE_TTC_S
     return float(min(max(safe, 0.0), 1.0))
 
 
@@ -186,14 +193,13 @@ def _safe(scene: Scene, b: int, behind: int, ahead: int) -> float:
 def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     """IDM acceleration of vehicle i on a lane, with the ego in its target lane, m/s2."""
     ego = scene.ego[b]
-    leader = scene.leaders[b, i, lane]
+    leader = leader_on(b, i, lane, scene)
     if scene.target_lane[b, ego] == lane:
-        if scene.x[b, ego] >= scene.x[b, i] and (
-            leader < 0 or scene.x[b, ego] <= scene.x[b, leader]
-        ):
+        is_ahead = distance(scene, b, i, ego) >= 0
+        if is_ahead and (leader < 0 or distance(scene, b, ego, leader) >= 0):
             leader = ego
     elif leader == ego:
-        leader = scene.leaders[b, ego, lane]
+        leader = leader_on(b, ego, lane, scene)
     speed = forward_speed(scene, b, i)
     free = 1 - (max(speed, 0.0) / IDM_SPEED_MPS) ** IDM_EXPONENT
     if leader < 0:
@@ -201,19 +207,21 @@ def expected_acceleration(scene: Scene, b: int, i: int, lane: int) -> float:
     closing = speed - forward_speed(scene, b, leader)
     braking = 2 * math.sqrt(IDM_ACCELERATION * IDM_DECELERATION)
     wanted = IDM_JAM_DISTANCE_M + max(0.0, speed * IDM_HEADWAY_S + speed * closing / braking)
-    gap = max(scene.x[b, leader] - scene.x[b, i], MINIMAL_GAP_M)
+    gap = max(distance(scene, b, i, leader), MINIMAL_GAP_M)
     return float(IDM_ACCELERATION * (free - (wanted / gap) ** 2))
 
 
 @compiled
-def _expected(scene: Scene, followers: Ints) -> Floats:
-    """The expected accelerations (B, L) of the followers on each lane."""
-    expected = np.zeros(followers.shape)
-    for b in range(followers.shape[0]):
-        for lane in range(followers.shape[1]):
-            if followers[b, lane] >= 0:
-                expected[b, lane] = expected_acceleration(scene, b, followers[b, lane], lane)
-    return expected
+def _expected(scene: Scene, matters: bool) -> tuple[Ints, Floats]:
+    """The followers of the egos (B, L) on each lane, and their accelerations if these matter."""
+    shape = (scene.ego.size, scene.road.lanes)
+    followers, expected = np.full(shape, -1), np.zeros(shape)
+    for b in range(shape[0] if matters else 0):
+        for lane in range(shape[1]):
+            follower = followers[b, lane] = follower_on(b, scene.ego[b], lane, scene)
+            if follower >= 0:
+                expected[b, lane] = expected_acceleration(scene, b, follower, lane)
+    return followers, expected
 
 
 @compiled
