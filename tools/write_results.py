@@ -20,7 +20,7 @@ from textwrap import fill
 import polars as pl
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
-from seeds import coverage_table, seeds_table
+from seeds import coverage_table, seeds_table, transfer_seeds_table
 from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
@@ -270,6 +270,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),
+    "transfer-seeds": ("seeds", transfer_seeds_table),
     "seed-coverage": ("seeds", coverage_table),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
