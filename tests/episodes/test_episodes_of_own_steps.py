@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charms_bench.episodes.avoidability import avoidability, collisions
+from charms_bench.episodes.avoidability import _Always, avoidability, collisions
 from charms_bench.episodes.minari_dataset import check_policy
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
@@ -14,21 +14,22 @@ from charms_bench.episodes.what_if import what_if
 from charms_bench.errors import InputError
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
-from charms_bench.world.actions import FASTER, SLOWER
+from charms_bench.world.actions import ACTIONS, FASTER, SLOWER, Actions
+from charms_bench.world.scene import Observations
 
 SCENE = {"duration_s": 6.0, "traffic_vehicles": 9, "density": 1.5, "ego_slots": 3}
-EPISODES = 12
+EPISODES = 30
 
 
 @pytest.fixture
 def cell(network_file: Callable[..., Path], tmp_path: Path) -> RecordedCell:
-    """Its ego always speeds up, by 0.5 m/s and then by 3 m/s."""
+    """Its ego always speeds up, by 4 m/s and then by 3 m/s, to 33 m/s."""
     onnx = pytest.importorskip("onnx")
     weights = np.zeros((35, 5))
     weights[0, FASTER] = 1.0  # the first number that a vehicle observes is 1
     path = network_file(weights, name="hasty.onnx")
     model = onnx.load(path)
-    onnx.helper.set_model_props(model, {"target_speed_steps_mps": "[0.5, 3.0]"})
+    onnx.helper.set_model_props(model, {"target_speed_steps_mps": "[4.0, 3.0]"})
     onnx.save(model, path)
     suite = {
         "suite": "small",
@@ -60,16 +61,50 @@ def test_other_actions_of_the_ego_have_its_steps(cell: RecordedCell) -> None:
     outside.step(np.array([FASTER, SLOWER]))
     outside.step(np.array([SLOWER, SLOWER]))
     after = outside.scene.target_speed[outside.ego_vehicles]
-    np.testing.assert_array_equal(after - before, [0.0, -3.5])
-    found = avoidability(cell, collisions(cell)[:3], agents=["idm_mobil"])
-    replaced = [each for each in found if each.replacement and each.replacement.is_ego]
-    assert replaced
-    for each in replaced:
-        assert each.replacement is not None
-        assert (each.last_step or 0) >= each.replacement.step
+    # From 30 m/s to 33 m/s, the fastest, and 4 m/s back; and down by 4 and by 3 m/s.
+    np.testing.assert_array_equal(after - before, [-1.0, -7.0])
+
+
+def test_a_replaced_action_of_the_ego_has_its_steps(cell: RecordedCell) -> None:
+    """The latest single action that avoids a collision, by plain simulation from the seed."""
+    scene = cell.run.suite.scene
+    settings = scene.model_copy(update={"duration_s": scene.duration_s + 3.0})
+    compared = 0
+    for each in avoidability(cell, collisions(cell), agents=[]):
+        if each.replacement is None or not each.replacement.is_ego:
+            continue
+        (episode,) = replay(cell, [each.episode])
+        until = -(-(int(episode.crashed[:, episode.ego].argmax()) + 30) // 5)
+        others = [action for action in range(len(ACTIONS)) if action != FASTER]
+        tried = [(step, action) for step in range(1, each.step + 1) for action in others]
+        plain = cell.simulation(len(tried), settings=settings, is_ego_outside=True)
+        plain.reset(np.full(len(tried), each.episode, dtype=np.uint64))
+        for decision in range(1, until + 1):
+            plain.step(np.array([a if step == decision else FASTER for step, a in tried]))
+        avoids = [tried[k] for k in np.nonzero(~plain.failed)[0]]
+        latest = max(step for step, _ in avoids)
+        first = next(action for step, action in avoids if step == latest)
+        found = each.replacement
+        assert (found.step, found.instead) == (latest, ACTIONS[first])
+        compared += 1
+    assert compared > 2
+
+
+def test_a_replaced_action_is_carried_out_with_the_steps_of_its_driver(
+    cell: RecordedCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decide, asked = _Always.decide, set()
+
+    def noted(policy: _Always, observations: Observations) -> Actions:
+        asked.add(policy.target_speed_steps_mps)
+        return decide(policy, observations)
+
+    monkeypatch.setattr(_Always, "decide", noted)
+    avoidability(cell, collisions(cell)[:3], agents=[])
+    assert asked == {(4.0, 3.0), ()}  # of the ego, and of level_0 in the traffic
 
 
 def test_no_environment_has_the_actions_of_its_dataset(cell: RecordedCell) -> None:
-    with pytest.raises(InputError, match=r"hasty has speed steps of its own, \[0\.5, 3\.0\] m/s"):
+    with pytest.raises(InputError, match=r"hasty has speed steps of its own, \[4\.0, 3\.0\] m/s"):
         check_policy(cell)
     check_policy(RecordedCell(cell.run, 1, Path()))
