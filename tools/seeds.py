@@ -1,9 +1,9 @@
 """The test of docs/training-plan.md, for `tools/write_results.py`.
 
-Egos of `suites/seeds.yaml` and of the folder `suites/seeds` whose labels differ only in the seed are
-one training configuration. Each value is the mean over its seeds, with Student's t interval, and the
-value of the worst seed. `python tools/seeds.py` prints how often such an interval contains the mean
-of several distributions.
+Egos of `suites/seeds.yaml` and of the folder `suites/seeds` whose labels differ only in the seed
+are one training configuration. Each value is the mean over its seeds, with Student's t interval,
+and the value of the worst seed. `python tools/seeds.py` prints how often such an interval contains
+the mean of several distributions.
 """
 
 from collections.abc import Callable
