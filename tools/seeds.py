@@ -1,134 +1,95 @@
-"""The test of docs/training-plan.md, for `tools/write_results.py`.
+"""The results of several training seeds of each configuration, for `tools/write_results.py`.
 
-Egos of `suites/seeds.yaml` and of the folder `suites/seeds` whose labels differ only in the seed
-are one training configuration. Each value is the mean over its seeds, with Student's t interval,
-and the value of the worst seed. `python tools/seeds.py` prints how often such an interval contains
-the mean of several distributions.
+Of the egos of `suites/seeds.yaml`, those whose labels differ only in the seed are one training
+configuration. Each value is the mean over its seeds, with Student's t interval, and the value of
+the worst seed. `python tools/seeds.py` prints how often such an interval contains the mean of
+several distributions.
 """
 
-from collections.abc import Callable
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+from matplotlib.ticker import PercentFormatter
 from scipy import special
 
-from charms_bench.metrics import STANDARD
+from charms_bench.metrics import METRIC_SETS
+from charms_bench.report.figures.drawing import SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
 from charms_bench.runs.finished_run import open_finished
+from charms_bench.runs.folder import RunFolder
 from charms_bench.statistics.intervals import CONFIDENCE, Bounds
 from charms_bench.world.scene import Floats
 
 ROOT = Path(__file__).parent.parent
-Worst = Callable[[Floats], float]
-
-
-def _furthest(low: float, high: float) -> Worst:
-    """Of values that are to lie between two limits, the one that lies furthest outside."""
-    return lambda values: float(max(values, key=lambda each: max(low - each, each - high)))
-
-
-DRIVING: dict[str, tuple[str, str, Worst]] = {
-    "crashed_at_fault": ("crashed at fault", ".1%", max),
-    "crashed_episodes": ("crashed", ".1%", max),
-    "speed_mean": ("speed, m/s", ".2f", min),
-    "lane_changes_per_km": ("lane changes per km", ".2f", _furthest(0.1, 0.75)),
-    "lane_changes_undone": ("undone", ".0%", max),
-    "mean_acceleration_std": ("acceleration std, m/s²", ".2f", _furthest(0.2, 0.5)),
-    "strong_acceleration_rate": ("above 1.1 m/s²", ".1%", max),
-    "acceleration_reversals_per_min": ("reversals per minute", ".1f", _furthest(1.0, 6.0)),
-    "centre_headway_below_1s": ("headway < 1 s", ".1%", _furthest(0.05, 0.21)),
+COLUMNS = {
+    "crashed_episodes": ("standard", "episodes crashed", ".1%", max),
+    "crashed_at_fault": ("standard", "crashed at fault", ".1%", max),
+    "speed_mean": ("paper", "speed, m/s", ".2f", min),
+    "ttc_below_3s": ("paper", "TTC < 3 s", ".3f", max),
+    "acc_std": ("paper", "acceleration std, m/s²", ".2f", max),
+    "harsh_acc_rate": ("paper", "harsh", ".3f", max),
+    "conflicts_per_1000km": ("standard", "conflicts per 1,000 km", ",.0f", max),
+    "lane_changes_per_km": ("standard", "lane changes per km", ".1f", None),
 }
-"""Header and format of each metric, and which of the seeds' values is the worst."""
-SEALED: dict[str, tuple[str, str, Worst]] = {
-    "crashed_at_fault": ("crashed at fault", ".1%", max),
-    "crashed_episodes": ("crashed", ".1%", max),
-    "speed_mean": ("speed, m/s", ".2f", min),
-    "lag_gap_mean": ("lag gap, m", ".1f", min),
-    "imposed_braking_mean": ("imposed braking, m/s²", ".2f", max),
-    "conflicts_per_1000km": ("conflicts per 1,000 km", ",.0f", max),
-}
-CONDITIONS = {
-    "seeds": "3 lanes, density 1",
-    "seeds-density-1-5": "density 1.5",
-    "seeds-density-2-0": "density 2",
-    "seeds-lanes-2": "2 lanes",
-    "seeds-lanes-5": "5 lanes",
-    "seeds-density-1-25": "density 1.25 (sealed)",
-    "seeds-lanes-4": "4 lanes (sealed)",
-    "seeds-trucks": "trucks (sealed)",
-}
-"""The runs of the test, by their folders."""
-KEYS = ("condition", "traffic", "ego", "over the seeds")
-SEEDS = 10
+"""Metric set, header and format of each metric, and which of the seeds' values is the worst, if
+any is better than another."""
+SHARES = ("crashed_episodes", "crashed_at_fault", "ttc_below_3s", "harsh_acc_rate")
+DRAWN = {"crashed_episodes": (0.002, 1.0), "ttc_below_3s": (0.005, 1.0)}
+"""The metrics of the figure, and the smallest and largest value on their axes."""
+SEEDS = 5
 REPETITIONS = 200_000
 
 
 def seeds_table(run: Path) -> str:
-    """The table of the main test; writes `docs/results/seeds.csv`, which has all conditions."""
-    values = pl.concat(
-        of_seeds(run.parent / folder, condition)
-        for folder, condition in CONDITIONS.items()
-        if (run.parent / folder).is_dir()
-    )
+    """The table of configurations; also writes `docs/results/seeds.csv` and `docs/seeds.png`."""
+    values = of_seeds(run)
     values.write_csv(ROOT / "docs" / "results" / "seeds.csv")
-    is_main = (pl.col("condition") == CONDITIONS["seeds"]) & pl.col("traffic").is_in(MAIN)
-    return f"{summary(values.filter(is_main), DRIVING, KEYS[1:])}\n"
+    draw_seeds(values, ROOT / "docs" / "seeds.png")
+    return f"{summary(values)}\n{RunFolder(run).suite().note}\n"
 
 
-def transfer_seeds_table(run: Path) -> str:
-    """The table of the other conditions, in which training seeds are compared with IDM+MOBIL."""
-    values = pl.read_csv(ROOT / "docs" / "results" / "seeds.csv")
-    is_main = (pl.col("condition") == CONDITIONS["seeds"]) & pl.col("traffic").is_in(MAIN)
-    shown = pl.col("ego").is_in(["IDM+MOBIL", "Stackelberg", "Human (I-75)", "CHARMS"])
-    return f"{summary(values.filter(~is_main & shown), SEALED, KEYS)}\n"
-
-
-MAIN = ("Human (I-75)", "IDM+MOBIL")
-"""The traffics of the main test."""
-
-
-def of_seeds(run: Path, condition: str) -> pl.DataFrame:
-    """The metrics of every seed of every configuration, one row per traffic and seed."""
+def of_seeds(run: Path) -> pl.DataFrame:
+    """The metrics of every seed of every configuration, one row per seed."""
     finished = open_finished(run)
-    names = DRIVING | SEALED
-    metrics = [each for each in STANDARD.metrics if each.name in names]
+    known = {(found.name, each.name): each for found in METRIC_SETS for each in found.metrics}
+    metrics = [known[of, name] for name, (of, *_) in COLUMNS.items()]
+    networks = {ego.title: ROOT / "suites" / ego.agent.name for ego in finished.suite.egos}
     records: list[dict[str, Any]] = []
     for cell in finished.cells():
-        ego, _, seed = cell.agent.partition(", seed ")
+        configuration, _, seed = cell.agent.rpartition(", seed ")
         sums = cell.sums(metrics, finished.suite.scene)
         pairs = zip(metrics, sums, strict=True)
         found = {metric.name: float(metric.value(each.sum(axis=0))) for metric, each in pairs}
-        labels = {"condition": condition, "traffic": cell.traffic, "ego": ego}
-        records.append({**labels, "seed": int(seed) if seed else None, **found})
+        minutes = _process_minutes(networks[cell.agent])
+        labels = {"configuration": configuration, "seed": int(seed)}
+        records.append({**labels, **found, "process_minutes": minutes})
     return pl.DataFrame(records, infer_schema_length=None).with_columns(
         pl.selectors.float().round_sig_figs(6)
     )
 
 
-def summary(
-    values: pl.DataFrame, columns: dict[str, tuple[str, str, Worst]], keys: tuple[str, ...]
-) -> str:
+def summary(values: pl.DataFrame) -> str:
     """The table of configurations from the metrics of every seed, as Markdown."""
+    keys = ("training configuration", "over the seeds")
     records: list[dict[str, Any]] = []
-    by = [key for key in keys if key != KEYS[-1]]
-    for labels, part in values.group_by(by, maintain_order=True):
-        over = f"mean of {part.height} [t interval]" if part.height > 1 else ""
-        mean: dict[str, Any] = dict(zip(keys, (*labels, over), strict=True))
-        worst: dict[str, Any] = dict(zip(keys, (*[""] * len(by), "worst seed"), strict=True))
-        for metric, (header, form, worst_of) in columns.items():
+    for (name,), part in values.group_by("configuration", maintain_order=True):
+        mean: dict[str, Any] = dict(zip(keys, (name, "mean [t interval]"), strict=True))
+        worst: dict[str, Any] = dict(zip(keys, ("", "worst seed"), strict=True))
+        for metric, (_, header, _, worst_of) in COLUMNS.items():
             found = part[metric].to_numpy()
-            mean[header] = Number(float(found.mean()), None, None, len(found))
-            if len(found) > 1:
-                low, high = t_interval(found)
-                highest = 1.0 if form.endswith("%") else np.inf
-                mean[header] = Number(found.mean(), max(low, 0.0), min(high, highest), len(found))
-                worst[header] = worst_of(found)
-        records += [mean, worst] if part.height > 1 else [mean]
-    return markdown(Table.plain(records, keys, {h: form for h, form, _ in columns.values()}))
+            low, high = t_interval(found)
+            highest = 1.0 if metric in SHARES else np.inf
+            mean[header] = Number(found.mean(), max(low, 0.0), min(high, highest), len(found))
+            worst[header] = worst_of(found) if worst_of else None
+        mean["process-minutes"] = part["process_minutes"].mean()
+        records += [mean, worst]
+    forms = {header: form for _, header, form, _ in COLUMNS.values()} | {"process-minutes": ".1f"}
+    return markdown(Table.plain(records, keys, forms))
 
 
 def t_interval(values: Floats) -> Bounds:
@@ -166,6 +127,32 @@ def coverage_table(run: Path | None = None) -> str:
     key, share = "distribution of the seeds", "t intervals that contain the mean"
     records = [{key: name, share: found} for name, found in coverage().items()]
     return markdown(Table.plain(records, (key,), {share: ".1%"}))
+
+
+def _process_minutes(network: Path) -> float | None:
+    """The processor time of the training of a network and of the one that it fine-tunes."""
+    made = json.loads(network.with_suffix(".json").read_text(encoding="utf-8"))
+    before = made.get("starts_from", {}).get("stage")
+    start = _process_minutes(network.with_stem(before)) if before else 0.0
+    if start is None or "cpu_s" not in made:
+        return None  # trained before it was recorded
+    return start + float(made["cpu_s"]) / 60
+
+
+def draw_seeds(values: pl.DataFrame, path: Path) -> None:
+    """Draws every seed of every configuration as a point."""
+    names = values["configuration"].unique(maintain_order=True).to_list()
+    places = [names.index(name) for name in values["configuration"]]
+    figure, axes = panels(len(DRAWN), 4.2, 3.2)
+    for ax, (metric, ends) in zip(axes, DRAWN.items(), strict=True):
+        look = {"color": SERIES[0], "alpha": 0.6, "markersize": 5, "clip_on": False}
+        ax.plot(values[metric], places, "o", **look)
+        ax.set(xlabel=COLUMNS[metric][1], xscale="log", xlim=ends)
+        ax.set_ylim(len(names) - 0.5, -0.5)
+        ax.set_yticks(range(len(names)), names if ax is axes[0] else [""] * len(names))
+        ax.grid(axis="y", linewidth=0.4, alpha=0.4)
+        ax.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=1))
+    save(figure, path)
 
 
 if __name__ == "__main__":

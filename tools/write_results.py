@@ -20,7 +20,7 @@ from textwrap import fill
 import polars as pl
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
-from seeds import coverage_table, seeds_table, transfer_seeds_table
+from seeds import coverage_table, seeds_table
 from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
@@ -37,7 +37,7 @@ from charms_bench.runs.folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
-BLOCK = re.compile(r"(<!-- results: ([a-z0-9-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
 EGO = {
     "episodes crashed": ("crashed_episodes", ".1%"),
     "crashed at fault": ("crashed_at_fault", ".1%"),
@@ -270,7 +270,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
     "seeds": ("seeds", seeds_table),
-    "transfer-seeds": ("seeds", transfer_seeds_table),
     "seed-coverage": ("seeds", coverage_table),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
