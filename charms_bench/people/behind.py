@@ -103,7 +103,7 @@ def drive_behind(
         scene.x[rows, place], scene.speed[rows, place] = x, speed
         low, high = profile.target_speed_min_mps, profile.target_speed_max_mps
         scene.target_speed[rows, place] = np.clip(speed, low, high)
-    home = position(scene.constants, lane, 0.0, 0.0)[1]
+    home = position(scene.road, lane, 0.0, 0.0)[1]
     gaps, speeds = np.empty((count, SECONDS + 1)), np.empty((count, SECONDS + 1))
     for k in range(SECONDS * settings.simulation_hz + 1):
         for array, value in ((scene.y, home), (scene.heading, 0.0), (scene.target_lane, lane)):
