@@ -178,7 +178,32 @@ def test_what_is_wrong_is_named_with_its_place(
         (
             ("human", "simulated", "conditions"),
             "level_9",
-            "human.simulated.conditions: no conditions named 'level_9'",
+            "human.simulated.conditions: no conditions named 'level_9'; this file has: level_0, ",
+        ),
+        (
+            ("human", "simulated", "traffic"),
+            "level_1",
+            "human.simulated.traffic: 'level_1' is a stage; expected installed agents or networks",
+        ),
+        (
+            ("human", "simulated", "traffic"),
+            "humn",
+            "human.simulated.traffic: .*'humn'.*Did you mean 'human'",
+        ),
+        (
+            ("human", "simulated", "agents"),
+            ["humn"],
+            "human.simulated.agents: .*'humn'.*Did you mean 'human'",
+        ),
+        (
+            ("human", "simulated", "scene"),
+            {"decision_hz": 5},
+            "simulated.scene: expected simulation_hz 15 and decision_hz 3, found 15 and 5",
+        ),
+        (
+            ("human", "stages", "charms_safe_egoistic", "drivers"),
+            "simulated",
+            "charms_safe_egoistic.drivers: a stage that fine-tunes learns from recorded drivers; ",
         ),
         (("human", "simulated", "episodes"), 1, "human.simulated.episodes"),
         (("human", "samples", "labels"), "moment", "step_mps is for labels: manoeuvre"),
