@@ -1,11 +1,12 @@
 """The completed reward, by hand: its parts, and what stands beside the paper's."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from charms_agents.training.completed_reward import CompletedReward, RewardScales, safety
-from charms_agents.training.rewards import SVO_ANGLES_RAD, Svo, Weights
+from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
 from handmade_scene import place, simulation_of
 
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, SIDE, TIME
@@ -169,3 +170,59 @@ def test_what_a_follower_gains_counts_as_a_share_of_6_mps2(
     others = math.copysign(math.sqrt(0.5), SVO_ANGLES_RAD[svo]) * gain_mps2 / 6
     expected = math.sqrt(0.5) * 1.0 + others
     assert float(reward(simulation, prepared)[0]) == pytest.approx(expected)
+
+
+def examples() -> dict[str, tuple[float, float]]:
+    """The values of the examples of `docs/reward.md`, by both rewards."""
+
+    def both(
+        simulation: Simulation, weights: Weights, degrees: float = 0.0, gained_mps: float = 0.0
+    ) -> tuple[float, float]:
+        angle, found = math.radians(degrees), []
+        simulation.scene.acceleration[0, 0] = 0.0
+        simulation.action[0, 0], simulation.has_action[0, 0] = IDLE, True
+        scales = RewardScales()
+        for reward in (StyleReward(weights, angle), CompletedReward(weights, angle, scales)):
+            before = reward.prepare(simulation, IDLING)
+            simulation.scene.speed[0, 0] += gained_mps
+            found.append(float(reward(simulation, before)[0]))
+            simulation.scene.speed[0, 0] -= gained_mps
+        return found[0], found[1]
+
+    def failure(degrees: float) -> tuple[float, float]:
+        simulation = simulation_of((500.0, 1, 30.0))
+        simulation.ending[0] = REAR_END
+        paper, completed = both(simulation, SAFE, degrees)
+        share = math.cos(math.radians(degrees))
+        return paper / share, completed / share
+
+    leaving = simulation_of((500.0, 1, 30.0), (510.0, 1, 27.5), target_lane=0)
+    lone = simulation_of((500.0, 1, 30.0))
+    return {
+        "$r_s$, 10 m behind an equally fast leader": both(
+            simulation_of((500.0, 1, 30.0), (515.0, 1, 30.0)), SAFETY
+        ),
+        "$r_s$, leaving a lane 5 m behind a leader at 27.5 m/s": both(leaving, SAFETY),
+        "$r_e$ at 32 m/s": both(simulation_of((500.0, 1, 32.0)), EFFICIENCY),
+        "$r_c$, same action, 1.2 m/s²": both(lone, COMFORT, gained_mps=1.2 / HZ),
+        "$r_o$, nobody affected": both(lone, SAFETY, 90.0),
+        "failure / $\\cos\\varphi$, egoistic": failure(0.0),
+        "failure / $\\cos\\varphi$, prosocial": failure(45.0),
+        "failure / $\\cos\\varphi$, altruistic at 67.5°": failure(67.5),
+    }
+
+
+def test_the_page_has_the_values_of_its_examples() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reward.md").read_text(encoding="utf-8")
+    for name, values in examples().items():
+        (line,) = (line for line in page.splitlines() if line.startswith(f"| {name} |"))
+        said = [cell.strip() for cell in line.split("|")[2:4]]
+        for text, value in zip(said, values, strict=True):
+            decimals = len(text.partition(".")[2])
+            assert value == pytest.approx(float(text), abs=0.5 * 10**-decimals), name
+
+
+def test_the_page_has_the_defaults_of_all_scales() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "reward.md").read_text(encoding="utf-8")
+    for name, value in RewardScales().model_dump().items():
+        assert f"`{name}` ({value:g}" in page
