@@ -2,14 +2,15 @@
 
 `python tools/human_frontier.py SUITE NETWORK RECORDINGS` fine-tunes NETWORK, which a stage of
 the training suite SUITE with the file's name made, once for each pull, with and without rehearsal.
-Networks of the same folder drive the stage's traffic where they have the name of its driver. It
-draws docs/human-frontier.png, and writes and prints docs/results/human-frontier.md, which
-`write_results.py` copies to the pages.
+In the traffic of the stage's conditions, networks of the same folder drive the vehicles whose
+driver has their name. It draws docs/human-frontier.png, and writes and prints
+docs/results/human-frontier.md, which `write_results.py` copies to the pages.
 
 The likelihood and the agreement are those of held-out drivers; the episodes are validation
 episodes of the scene of suites/ego.yaml.
 """
 
+import json
 import sys
 import tempfile
 from pathlib import Path
@@ -24,7 +25,9 @@ from charms_agents.training.own_driving import own_driving
 from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
     FIRST_TRAINING_SEED,
+    Stage,
     Supervised,
+    TrainingSuite,
     load_training,
 )
 from charms_agents.training.standardised import folded
@@ -54,13 +57,17 @@ Outcomes = dict[str, dict[str, Number]]
 """The numbers of `FORMS` of each network, by name."""
 
 
-def driven(fits: dict[str, Fit], folder: Path) -> Outcomes:
+def driven(fits: dict[str, Fit], training: TrainingSuite, stage: Stage, folder: Path) -> Outcomes:
     """The outcomes of networks that have learnt; each drives the same episodes."""
+    facts = {"decision_hz": f"{Policy.decision_hz:g}"}
+    if steps := stage.scene.profile.target_speed_steps_mps:
+        facts["target_speed_steps_mps"] = json.dumps(steps)
+    seen, draws = training.observed, stage.prior is not None
     suite = yaml.safe_load((DOCS.parent / "suites" / "ego.yaml").read_text(encoding="utf-8"))
     egos = []
     for number, (name, fit) in enumerate(fits.items()):
         file = folder / f"{number}.onnx"
-        export(fit.network, file, {"decision_hz": f"{Policy.decision_hz:g}"}, fit.observations)
+        export(fit.network, file, facts, fit.observations, seen, stochastic=draws)
         egos.append({"agent": str(file), "label": name})
     suite |= {"egos": egos, "seed": FIRST_SEED, "episodes": EPISODES}
     path = folder / "suite.yaml"
@@ -84,23 +91,22 @@ def commonest(samples: Samples) -> float:
     return float(agrees[samples.held_out, action].mean())
 
 
-def learnt(suite_file: Path, start: Path, samples: Samples) -> dict[str, Fit]:
+def learnt(suite: TrainingSuite, start: Path, samples: Samples) -> dict[str, Fit]:
     """Learns in each way, by what the table calls it."""
-    suite = load_training(suite_file)
     assert suite.human is not None
     stage, seed = suite.stages[start.stem], suite.seed
     standardised = suite.hyperparameters_of(stage).standardised
-    traffic = suite.traffic_of(stage)
-    files = {name: start.parent / f"{name}.onnx" for name in traffic.agents}
+    files = {name: start.parent / f"{name}.onnx" for name in suite.drivers_of(stage)}
     drivers = {
         name: OnnxPolicy(file) if file.exists() else make_agent(name)
         for name, file in files.items()
     }
     network = read_network(start)
     first_seed = FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED
-    own = own_driving(network, stage.scene, traffic, drivers, first_seed)
+    own = own_driving(network, suite.places_of(stage), drivers, first_seed, suite.observed)
     tuning, imitation = suite.human.fine_tuning, suite.human.imitation
-    fresh = folded(untrained(suite.hyperparameters.hidden_layers, seed))
+    rows, columns = suite.observed.shape
+    fresh = folded(untrained(suite.hyperparameters.hidden_layers, seed, rows * columns))
     before = tuning.model_copy(update={"epochs": 0})
     fits = {
         "before": Fit(network, samples, before, seed, standardised),
@@ -142,13 +148,14 @@ def draw(found: Outcomes) -> None:
     save(figure, DOCS / "human-frontier.png")
 
 
-def main(suite: Path, start: Path, recordings: Path) -> None:
+def main(suite_file: Path, start: Path, recordings: Path) -> None:
     torch.set_num_threads(1)
-    human = load_training(suite).human
-    assert human is not None
+    suite = load_training(suite_file)
+    assert suite.human is not None
     with tempfile.TemporaryDirectory() as folder:
-        samples = SampleStore(recordings, Path(folder), human.samples).load()
-        found = driven(learnt(suite, start, samples), Path(folder))
+        samples = SampleStore(recordings, Path(folder), suite.human.samples, suite.observed).load()
+        fits = learnt(suite, start, samples)
+        found = driven(fits, suite, suite.stages[start.stem], Path(folder))
     draw(found)
     records = ({"lambda": name, **numbers} for name, numbers in found.items())
     text = markdown(Table.plain(records, ("lambda",), FORMS))

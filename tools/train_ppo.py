@@ -1,10 +1,11 @@
 """Trains stock PPO on a stage of a training suite, once per seed, for `suites/seeds.yaml`.
 
 PPO is Stable-Baselines3's with its default hyperparameters, including its own network. Scene,
-traffic and reward are those of the stage. The traffic's networks are those of the suite's run
-folder. Finished seeds are not trained again.
+traffic and reward are those of the stage, which has a single condition, and the observation is
+that of the suite. The traffic's networks are those of the suite's run folder. Finished seeds are
+not trained again.
 
-    python tools/train_ppo.py suites/train-seeds.yaml efficient_egoistic runs/train-seeds networks
+    python tools/train_ppo.py suites/train-baselines.yaml prior_level_k RUN networks
 """
 
 import argparse
@@ -63,12 +64,13 @@ def train(suite: TrainingSuite, stage: Stage, stage_name: str, trained: Path, ou
     """Trains with one seed, and writes `ppo.onnx`, `ppo.json` and `ppo.csv`."""
     drivers = {
         name: OnnxPolicy(trained / f"{name}.onnx") if name in suite.names else make_agent(name)
-        for name in suite.traffic_of(stage).agents
+        for name in suite.drivers_of(stage)
     }
-    reward = stage.reward(suite.weights[stage.weights])
+    reward = stage.reward_of(suite.weights[stage.weights])
     first_seed = FIRST_TRAINING_SEED + suite.seed * EPISODES_OF_A_SEED
-    traffic = suite.traffic_of(stage)
-    episodes = HighwayVectorEnv(stage.scene, SCENES, traffic, drivers, reward, first_seed)
+    ((scene, traffic),) = suite.places_of(stage)
+    seen = suite.observed
+    episodes = HighwayVectorEnv(scene, SCENES, traffic, drivers, reward, first_seed, seen)
     model = PPO("MlpPolicy", EpisodesVecEnv(episodes), seed=suite.seed, device="cpu")
     curve, began = Curve(), time.process_time()
     model.learn(stage.steps, callback=curve)
@@ -77,7 +79,7 @@ def train(suite: TrainingSuite, stage: Stage, stage_name: str, trained: Path, ou
     checkpoint = output / "ppo.zip"
     model.save(checkpoint)
     facts = {"name": "ppo", "seed": str(suite.seed)}
-    export_zip(checkpoint, output / "ppo.onnx", facts)
+    export_zip(checkpoint, output / "ppo.onnx", facts, suite.observed)
     checkpoint.unlink()
     with (output / "ppo.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(curve.rows[0]))

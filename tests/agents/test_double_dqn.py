@@ -10,6 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
 from charms_agents.training.double_dqn import DoubleDQN
+from charms_agents.training.episodes import Episodes
 from charms_agents.training.rewards import StyleReward, Weights
 from charms_agents.training.settings import Hyperparameters
 from handmade_scene import Idle
@@ -22,9 +23,9 @@ from charms_bench.world.scene import SceneSettings
 def double_dqn(scenes: int = 2, total: int = 1000, **hyperparameters: Any) -> DoubleDQN:
     settings = SceneSettings(traffic_vehicles=1, ego_slots=1)
     reward = StyleReward(Weights(safety=1.0, efficiency=1.0, comfort=1.0), 0.0)
-    episodes = HighwayVectorEnv(settings, scenes, OneAgent("idle"), {"idle": Idle()}, reward)
+    made = HighwayVectorEnv(settings, scenes, OneAgent("idle"), {"idle": Idle()}, reward)
     given = {"replay_buffer": 1000, "hidden_layers": (8,), **hyperparameters}
-    return DoubleDQN(episodes, Hyperparameters(scenes=scenes, **given), 0, total)
+    return DoubleDQN(Episodes([made]), Hyperparameters(scenes=scenes, **given), 0, total)
 
 
 def always_value(network: Any, values: tuple[float, ...]) -> None:

@@ -1,21 +1,27 @@
 """What a stage's network depends on."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 
+from charms_agents.charms import packaged
+from charms_agents.training.completed_reward import RewardScales
 from charms_agents.training.job import Job, reinforcement_job
 from charms_agents.training.settings import load_training
 
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
 
-SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
+PROJECT = Path(__file__).parents[2]
+SUITE = PROJECT / "suites" / "train-baselines.yaml"
+POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
 
 
-def job_of(shares: dict[str, float], weights_of: str = "", **options: float) -> Job:
+def job_of(shares: dict[str, float], weights_of: str = "", **options: Any) -> Job:
     """The job of `prior_level_k` in a mixture, with other options and weights in the traffic."""
     suite, name = load_training(SUITE), "prior_level_k"
     changes = {"traffic": TrafficSpec(mixture=shares), **options}
@@ -36,11 +42,22 @@ def test_who_drives_the_others_decides_the_network() -> None:
 
 
 @pytest.mark.parametrize(
-    "option", [{"safe_headway_m": 50.0}, {"lane_change_cost": 0.1}, {"svo_angle_rad": 1.2}]
+    "option", [{"reward": RewardScales(lane_change_cost=3.0)}, {"svo_angle_rad": 1.2}]
 )
-def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, float]) -> None:
+def test_an_option_of_the_reward_decides_the_network_too(option: dict[str, Any]) -> None:
     plain, changed = job_of({"level_0": 1.0}), job_of({"level_0": 1.0}, **option)
     (name,) = option
     assert name not in str(plain.inputs)
     assert name in str(changed.inputs)
     assert plain.key != changed.key
+
+
+def test_the_baselines_suite_gives_the_keys_of_the_networks_in_the_package() -> None:
+    suite = load_training(SUITE)
+    for name in suite.stages:
+        drivers = {
+            driver: packaged(driver) if driver in suite.names else make_agent(driver)
+            for driver in suite.drivers_of(suite.stages[name])
+        }
+        made = json.loads((POLICIES / f"{name}.json").read_text())
+        assert reinforcement_job(Path(), "", name, suite, drivers).key == made["key"]

@@ -1,4 +1,4 @@
-"""The networks in the package are those that the project's training suite makes."""
+"""The networks in the package: the paper's baselines are those that their training suite makes."""
 
 import hashlib
 import json
@@ -21,10 +21,10 @@ from charms_bench.world.highd import find_trios
 
 PROJECT = Path(__file__).parents[2]
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
-SUITE = load_training(PROJECT / "suites" / "train.yaml")
+SUITE = load_training(PROJECT / "suites" / "train-baselines.yaml")
 STAGES = tuple(SUITE.stages)
 HUMAN_STAGES = tuple(SUITE.human_stages)
-ALL = (*STAGES, *HUMAN_STAGES)
+ALL = tuple(sorted(file.stem for file in POLICIES.glob("*.onnx")))
 US101 = PROJECT.parent / "shared" / "data" / "us101_highd_format"
 
 

@@ -18,7 +18,7 @@ from handmade_scene import place, simulation_of
 
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, SIDE, TIME
 from charms_bench.engine.simulation import Simulation
-from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT
+from charms_bench.world.actions import FASTER, IDLE
 
 SAFE = Weights(safety=1.0, efficiency=0.8, comfort=0.2)
 IDLING = np.array([IDLE])
@@ -41,37 +41,6 @@ def test_safety_is_the_time_to_collision_with_the_leader_over_three_seconds(
     assert safety(simulation.scene) == pytest.approx(expected)
 
 
-def test_a_longer_horizon_asks_for_more_time_to_collision() -> None:
-    simulation = simulation_of((500.0, 1, 30.0), (545.0, 1, 20.0))  # 4.5 s
-    assert safety(simulation.scene, 3.0) == 1.0
-    assert safety(simulation.scene, 10.0) == pytest.approx(0.45)
-    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, 10.0)
-    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(0.45)
-
-
-@pytest.mark.parametrize(
-    ("gap_m", "leader_mps", "expected"),
-    [
-        (20.0, 31.0, 0.4),  # pulls away, but is 20 m of 50 m ahead
-        (60.0, 31.0, 1.0),
-        (30.0, 20.0, 0.3 * 0.6),  # 3 s of 10 s away, 30 m of 50 m
-        (10.0, 28.0, 0.5 * 0.2),  # 5 s of 10 s away, 10 m of 50 m
-    ],
-)
-def test_a_safe_headway_makes_a_short_one_unsafe(
-    gap_m: float, leader_mps: float, expected: float
-) -> None:
-    simulation = simulation_of((500.0, 1, 30.0), (500.0 + gap_m, 1, leader_mps))
-    assert safety(simulation.scene, 10.0, 50.0) == pytest.approx(expected)
-    reward = StyleReward(Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, 10.0, 50.0)
-    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(expected)
-
-
-def test_a_safe_headway_looks_behind_in_a_lane_change() -> None:
-    simulation = simulation_of((500.0, 1, 30.0), (490.0, 0, 25.0), target_lane=0)
-    assert safety(simulation.scene, 3.0, 50.0) == pytest.approx(0.5 * 1.0 + 0.5 * 0.2)
-
-
 def test_a_lone_ego_is_safe_in_its_lane_and_between_lanes() -> None:
     assert safety(simulation_of((500.0, 1, 30.0)).scene) == 1.0
     assert safety(simulation_of((500.0, 1, 30.0), target_lane=0).scene) == 1.0
@@ -86,17 +55,6 @@ def test_a_lane_change_is_as_safe_as_leader_and_follower_in_the_target_lane() ->
     own_leader = (503.0, 1, 22.0)
     simulation = simulation_of((500.0, 1, 30.0), leader, follower, own_leader, target_lane=0)
     assert safety(simulation.scene) == pytest.approx(0.5 * 0.5 + 0.5 * 0.25)
-
-
-def test_the_leader_in_the_lane_that_the_ego_leaves_counts_if_asked() -> None:
-    own_leader = (510.0, 1, 20.0)  # 1 s away
-    simulation = simulation_of((500.0, 1, 30.0), own_leader, target_lane=0)
-    assert safety(simulation.scene) == 1.0
-    assert safety(simulation.scene, 3.0, 0.0, True) == pytest.approx(1 / 3)
-    reward = StyleReward(
-        Weights(safety=1.0, efficiency=0.0, comfort=0.0), 0.0, safe_in_both_lanes=True
-    )
-    assert reward(simulation, reward.prepare(simulation, IDLING)) == pytest.approx(1 / 3)
 
 
 @pytest.mark.parametrize(
@@ -130,17 +88,6 @@ def test_the_first_decision_is_not_comfortable() -> None:
     assert reward_of(simulation_of((500.0, 1, 33.0)), "egoistic") == pytest.approx(1.8 / 2)
 
 
-def test_a_decision_for_another_lane_costs_what_it_is_told_to_once() -> None:
-    reward = StyleReward(SAFE, 0.0, lane_change_cost=0.25)
-    free = StyleReward(SAFE, 0.0)
-    before = simulation_of((500.0, 1, 28.0))
-    prepared = reward.prepare(before, np.array([LANE_LEFT]))
-    place(before.scene, (500.0, 1, 28.0), target_lane=0)
-    assert free(before, prepared) - reward(before, prepared) == pytest.approx(0.25)
-    under_way = reward.prepare(before, IDLING)
-    assert reward(before, under_way) == pytest.approx(free(before, under_way))
-
-
 @pytest.mark.parametrize("ending", [REAR_END, SIDE, OFF_ROAD])
 @pytest.mark.parametrize("svo", SVO_ANGLES_RAD)
 def test_a_crash_or_leaving_the_road_costs_ten(ending: int, svo: Svo) -> None:
@@ -161,7 +108,7 @@ def gain(
     """r_o of a decision that leads from one scene to another."""
     prepared = StyleReward(SAFE, SVO_ANGLES_RAD["prosocial"]).prepare(before, IDLING)
     place(before.scene, *vehicles, target_lane=target_lane)
-    return float(others(before.scene, prepared)[0])
+    return float(others(before.scene, prepared.affected)[0])
 
 
 # At 33 m/s nobody accelerates freely, and the desired gap to an equally fast leader is

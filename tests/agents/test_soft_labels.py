@@ -1,7 +1,12 @@
 """What a driver meant, and CHARMS eq. 9 and 10."""
 
 import numpy as np
-from charms_agents.human.soft_labels import lateral_intents, longitudinal_intents, soft_labels
+from charms_agents.human.soft_labels import (
+    lateral_intents,
+    longitudinal_intents,
+    soft_labels,
+    step_labels,
+)
 
 
 def test_a_weak_acceleration_means_nothing() -> None:
@@ -33,3 +38,23 @@ def test_one_intent_is_one_action_and_none_is_idle() -> None:
     )
     assert labels.argmax(axis=1).tolist() == [3, 4, 2, 0, 1]
     assert (labels.sum(axis=1) == 1).all()
+
+
+def test_steps_drawn_from_the_labels_accelerate_on_average_as_the_driver_does() -> None:
+    acceleration = np.random.default_rng(0).uniform(-0.75, 0.75, 1000)
+    labels = step_labels(np.zeros(1000, np.int8), acceleration, strongest_mps2=0.75)
+    # Three decisions per second, each of which changes the speed by 0.25, 0 or -0.25 m/s.
+    mean = 3 * labels @ np.array([0.0, 0.0, 0.0, 0.25, -0.25])
+    np.testing.assert_allclose(mean, acceleration, atol=1e-6)
+    np.testing.assert_allclose(labels.sum(axis=1), 1.0, rtol=1e-6)
+    assert (labels >= 0).all()
+
+
+def test_a_driver_that_accelerates_more_than_steps_can_takes_every_step() -> None:
+    labels = step_labels(np.zeros(2, np.int8), np.array([2.0, -2.0]), strongest_mps2=0.75)
+    assert labels.tolist() == [[0, 0, 0, 1, 0], [0, 0, 0, 0, 1]]
+
+
+def test_a_lane_change_is_certain_whatever_the_speed_does() -> None:
+    labels = step_labels(np.array([-1, 1], np.int8), np.array([0.5, -0.5]), strongest_mps2=0.75)
+    assert labels.tolist() == [[1, 0, 0, 0, 0], [0, 0, 1, 0, 0]]

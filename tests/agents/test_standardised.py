@@ -11,7 +11,7 @@ from charms_agents.training.network import layers_of, untrained
 from charms_agents.training.standardised import FACTORS, folded, standardise, unfolded
 from handmade_scene import simulation_of
 
-from charms_bench.world.observations import neighbours
+from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
 
 
 def seen(*vehicles: tuple[float, int, float]) -> np.ndarray:
@@ -40,7 +40,16 @@ def test_unfolding_undoes_folding_except_for_inputs_without_effect() -> None:
     network = untrained((8,), 0)
     (weight, bias), *_ = layers_of(network)
     (found, found_bias), *_ = layers_of(unfolded(folded(network)))
-    has_effect = FACTORS.numpy() != 0
+    has_effect = FACTORS[:35].numpy() != 0
     np.testing.assert_allclose(found[:, has_effect], weight[:, has_effect], rtol=1e-6)
     np.testing.assert_array_equal(found[:, ~has_effect], 0.0)
     np.testing.assert_allclose(found_bias, bias, rtol=1e-5, atol=1e-6)
+
+
+def test_commands_are_seen_in_metres_per_second_and_lanes() -> None:
+    made = simulation_of((500.0, 1, 28.0), target_lane=0)
+    scene, ego = made.scene, (np.array([0]), np.array([0]))
+    scene.target_speed[0, 0], scene.acceleration[0, 0], scene.repeats[0, 0] = 30.0, -1.5, 2
+    observed = torch.from_numpy(Neighbours(commands=True)(scene, ego)).flatten(1)
+    row = standardise(observed).numpy().reshape(8, 5)[COMMANDS]
+    np.testing.assert_allclose(row, [2.0, 2 / 4, -1.0, -0.5, 0.0], atol=1e-5)

@@ -58,10 +58,6 @@ stages:
   second:
     steps: 200
     variant: steady
-    safety_horizon_s: 10.0
-    validation:
-      {last_steps: 100, every_steps: 20, episodes: 3, traffic: idm_mobil, ttc_below_3s: 1.0,
-       crashed_episodes: 1.0}
     weights: plain
     svo: prosocial
     scene: {traffic_vehicles: 3, ego_slots: 2, duration_s: 5.0}

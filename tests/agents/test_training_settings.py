@@ -7,27 +7,40 @@ from typing import Any
 import charms_agents.charms
 import pytest
 import yaml
-from charms_agents.training.settings import FIRST_TRAINING_SEED, Hyperparameters, load_training
+from charms_agents.human.samples import SampleSettings
+from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.rewards import StyleReward
+from charms_agents.training.settings import (
+    FIRST_TRAINING_SEED,
+    Condition,
+    Hyperparameters,
+    Supervised,
+    load_training,
+)
 
 from charms_bench.errors import SuiteError
 from charms_bench.world.scene import EVALUATION_SEEDS
 
-SUITE = Path(__file__).parents[2] / "suites" / "train.yaml"
+SUITES = Path(__file__).parents[2] / "suites"
+SUITE = SUITES / "train-baselines.yaml"
+SHIPPED = SUITES / "train.yaml"
 
 
-def changed(tmp_path: Path, *path: str, value: Any) -> Path:
-    """The project's training suite with one value changed."""
-    data = yaml.safe_load(SUITE.read_text())
+def changed(tmp_path: Path, *path: str, value: Any, suite: Path = SUITE) -> Path:
+    """A training suite of the project with one value changed, or removed if it is None."""
+    data = yaml.safe_load(suite.read_text())
     inner = data
     for key in path[:-1]:
         inner = inner[key]
     inner[path[-1]] = value
+    if value is None:
+        del inner[path[-1]]
     file = tmp_path / "train.yaml"
     file.write_text(yaml.safe_dump(data, sort_keys=False))
     return file
 
 
-def test_the_projects_suite_trains_with_the_papers_table() -> None:
+def test_the_papers_baselines_are_trained_with_the_papers_table() -> None:
     suite = load_training(SUITE)
     h = suite.hyperparameters
     assert (h.learning_rate, h.batch_size, h.discount, h.replay_buffer) == (1e-4, 32, 0.99, 50_000)
@@ -41,22 +54,24 @@ def test_a_stage_needs_the_stages_its_traffic_comes_from() -> None:
     suite = load_training(SUITE)
     assert suite.needed_for("level_1") == ("level_1",)
     assert suite.needed_for("prior_level_k") == ("level_1", "prior_level_k")
-    before = ("level_1", "safe_prosocial")
+
+
+def test_a_style_needs_its_prior_and_the_level_1_of_its_conditions() -> None:
+    suite = load_training(SHIPPED)
+    assert suite.needed_for("level_1") == ("people", "level_1")
+    before = ("people", "level_1", "safe_prosocial")
     assert suite.needed_for("charms_safe_prosocial") == (*before, "charms_safe_prosocial")
 
 
-def test_traffic_can_have_stages_that_learn_from_human_driving() -> None:
-    suite = load_training(SUITE)
-    styles = {name for name in suite.human_stages if name.startswith("charms_")}
-    assert set(suite.needs["best_response"]) == styles
-    assert len(styles) == 8
+def test_traffic_can_have_stages_that_learn_from_human_driving(tmp_path: Path) -> None:
+    mixture = {"imitation": 0.5, "idm_mobil": 0.5}
+    path = changed(tmp_path, "stages", "prior_level_k", "traffic", value={"mixture": mixture})
+    assert load_training(path).needs["prior_level_k"] == ("imitation",)
 
 
 def test_the_styles_differ_in_weights_and_orientation_alone() -> None:
-    suite = load_training(SUITE)
-    styles = [
-        suite.stages[name.removeprefix("charms_")] for name in suite.human_stages if "_" in name
-    ]
+    suite = load_training(SHIPPED)
+    styles = [stage for name, stage in suite.stages.items() if name != "level_1"]
     named = {"weights", "svo", "svo_angle_rad"}
     assert len({style.model_dump_json(exclude=named) for style in styles}) == 1
     assert len({(style.weights, style.angle_rad) for style in styles}) == len(styles) == 8
@@ -119,6 +134,95 @@ def test_what_is_wrong_is_named_with_its_place(
 
 
 @pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (
+            ("stages", "level_1", "conditions"),
+            "level_9",
+            "level_1.conditions: no conditions named 'level_9'; this file has: level_0, ",
+        ),
+        (
+            ("conditions", "level_0"),
+            [{"lanes": 3}, {"lanes": 2}, {"lanes": 5}],
+            "stages.level_1.conditions: scenes 500 is not a multiple of 3 conditions",
+        ),
+        (("conditions", "level_0"), [], "conditions.level_0"),
+        (("conditions", "level_0"), [{"lanes": 1}], "conditions.level_0.*lanes"),
+        (("conditions", "level_0"), [{"traffic": "idm_mobi"}], "Did you mean 'idm_mobil'"),
+        (
+            ("stages", "level_1", "prior"),
+            "person",
+            "level_1.prior: no stage named 'person' under human.stages; this file has: people, ",
+        ),
+        (
+            ("hyperparameters", "prior_weight"),
+            0.0,
+            "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised",
+        ),
+        (
+            ("hyperparameters", "standardised"),
+            False,
+            "stages.level_1.prior: needs hyperparameters with a prior_weight, and standardised",
+        ),
+        (("hyperparameters", "prior_weight"), -0.1, "hyperparameters.prior_weight"),
+        (
+            ("human", "stages", "people", "hidden_layers"),
+            [64],
+            "stages.level_1.prior: has 1 hidden layers; expected as many as the stage has, 2",
+        ),
+        (
+            ("human", "simulated"),
+            None,
+            "human: a stage learns from `simulated` drivers: none given",
+        ),
+        (
+            ("human", "simulated", "conditions"),
+            "level_9",
+            "human.simulated.conditions: no conditions named 'level_9'; this file has: level_0, ",
+        ),
+        (
+            ("human", "simulated", "traffic"),
+            "level_1",
+            "human.simulated.traffic: 'level_1' is a stage; expected installed agents or networks",
+        ),
+        (
+            ("human", "simulated", "traffic"),
+            "humn",
+            "human.simulated.traffic: .*'humn'.*Did you mean 'human'",
+        ),
+        (
+            ("human", "simulated", "agents"),
+            ["humn"],
+            "human.simulated.agents: .*'humn'.*Did you mean 'human'",
+        ),
+        (
+            ("human", "simulated", "scene"),
+            {"decision_hz": 5},
+            "simulated.scene: expected simulation_hz 15 and decision_hz 3, found 15 and 5",
+        ),
+        (
+            ("human", "stages", "charms_safe_egoistic", "drivers"),
+            "simulated",
+            "charms_safe_egoistic.drivers: a stage that fine-tunes learns from recorded drivers; ",
+        ),
+        (("human", "simulated", "episodes"), 1, "human.simulated.episodes"),
+        (("human", "samples", "labels"), "moment", "step_mps is for labels: manoeuvre"),
+        (("human", "samples", "step_mps"), 0.0, "human.samples.step_mps"),
+        (("human", "fine_tuning", "loss"), "entropy", "human.fine_tuning.loss"),
+        (("stages", "level_1", "reward"), {"failure": 10.0}, "reward.failure: unknown key"),
+        (("stages", "level_1", "reward"), {"jerk_mps3": 0.0}, "reward.jerk_mps3"),
+        (("observation",), {"type": "neighbours", "action_mask": True}, "without an action mask"),
+    ],
+)
+def test_what_is_wrong_with_priors_and_conditions_is_named_with_its_place(
+    tmp_path: Path, path: tuple[str, ...], value: Any, message: str
+) -> None:
+    file = changed(tmp_path, *path, value=value, suite=SHIPPED)
+    with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
+        load_training(file)
+
+
+@pytest.mark.parametrize(
     ("remaining", "expected"), [(1.0, 1e-3), (0.5, 1e-3), (0.25, 5e-4), (0.0, 0.0)]
 )
 def test_a_decaying_learning_rate_falls_to_zero_in_the_last_steps(
@@ -138,7 +242,7 @@ def test_an_option_counts_as_an_input_only_where_it_is_used() -> None:
 
 
 def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
-    file = changed(tmp_path, "variants", "calm", value={"learning_rate": 2e-4})
+    file = changed(tmp_path, "variants", value={"calm": {"learning_rate": 2e-4}})
     data = yaml.safe_load(file.read_text())
     data["stages"]["prior_level_k"]["variant"] = "calm"
     file.write_text(yaml.safe_dump(data, sort_keys=False))
@@ -148,7 +252,7 @@ def test_a_stage_can_name_other_hyperparameters(tmp_path: Path) -> None:
 
 
 def test_the_papers_suite_has_eight_styles_fine_tuned_as_in_its_table() -> None:
-    suite = load_training(SUITE.with_name("train-paper.yaml"))
+    suite = load_training(SUITES / "train-paper.yaml")
     assert suite.human is not None
     assert suite.variants == {}
     styles = {(s.weights, s.svo) for n, s in suite.stages.items() if n != "level_1"}
@@ -158,3 +262,41 @@ def test_the_papers_suite_has_eight_styles_fine_tuned_as_in_its_table() -> None:
     for stage in tuned:
         ft = suite.human.settings_of(stage)
         assert (ft.learning_rate, ft.batch_size, ft.epochs, ft.pull) == (1e-6, 128, 8, 0.2)
+
+
+def test_environments_are_divided_equally_among_the_conditions() -> None:
+    suite = load_training(SHIPPED)
+    stage = suite.stages["efficient_egoistic"]
+    places = suite.places_of(stage)
+    assert len(places) == len(suite.conditions["level_0_and_1"]) == 20
+    assert suite.hyperparameters_of(stage).scenes % len(places) == 0
+    scenes = [scene for scene, _ in places]
+    assert {scene.lanes for scene in scenes} == {2, 3, 5}
+    assert {scene.density for scene in scenes} == {1.0, 1.5, 2.0}
+    assert {scene.profile.target_speed_steps_mps for scene in scenes} == {(0.25, 0.5, 1.0, 2.0)}
+    assert set(suite.drivers_of(stage)) == {"human", "idm_mobil", "level_1"}
+
+
+def test_a_condition_changes_what_it_names_and_nothing_else() -> None:
+    scene = load_training(SHIPPED).stages["level_1"].scene
+    changed_scene = Condition(lanes=5, density=2.0, duration_s=7.0).applied(scene)
+    assert (changed_scene.lanes, changed_scene.density, changed_scene.duration_s) == (5, 2.0, 7.0)
+    assert Condition().applied(scene) == scene
+    named = {"lanes", "density", "duration_s"}
+    assert changed_scene.model_dump(exclude=named) == scene.model_dump(exclude=named)
+
+
+def test_without_a_reward_of_its_own_a_stage_has_the_papers() -> None:
+    suite = load_training(SUITES / "train-paper.yaml")
+    for stage in suite.stages.values():
+        assert isinstance(stage.reward_of(suite.weights[stage.weights]), StyleReward)
+    suite = load_training(SHIPPED)
+    reward = suite.stages["safe_altruistic"].reward_of(suite.weights["safe"])
+    assert reward == CompletedReward(suite.weights["safe"], 1.1781, RewardScales())
+
+
+def test_options_that_the_paper_lacks_leave_the_keys_of_its_stages_as_they_were() -> None:
+    assert "loss" not in Supervised().model_dump()
+    assert Supervised(loss="cross_entropy").model_dump()["loss"] == "cross_entropy"
+    assert not {"labels", "step_mps"} & SampleSettings().model_dump().keys()
+    assert "prior_weight" not in Hyperparameters().inputs

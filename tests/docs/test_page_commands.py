@@ -34,7 +34,7 @@ NOT_RUN = {
     "d3rlpy-env/bin/pip install torch d3rlpy 'minari[hdf5]' pillow": "tox -e data runs it",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
-    "python tools/human_frontier.py suites/train-seeds.yaml NETWORK FOLDER": "takes minutes, and "
+    "python tools/human_frontier.py suites/train.yaml NETWORK FOLDER": "takes minutes, and "
     "recordings that are not public",
     "python tools/stop_and_go.py": "takes minutes; tests/engine/test_stop_and_go.py calls it",
     "charms-bench calibrate FOLDER --to my-road.json --figure my-road.png": "takes minutes, and "
@@ -58,10 +58,6 @@ SHORTENED = [
         r"(charms-bench run suites/train.yaml) --recordings FOLDER",
         r"\1 --recordings recordings --only charms_efficient_egoistic",
     ),
-    (
-        r"(charms-bench run suites/train-seeds.yaml) --recordings FOLDER",
-        r"\1 --recordings recordings --only imitation",
-    ),
     # The built-in cases are 1,026 episodes of highway-env.
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),
@@ -81,7 +77,7 @@ def short_training(suites: Path) -> None:
     for path in suites.glob("train*.yaml"):
         text = path.read_text(encoding="utf-8")
         for key, value in {"steps": 400, "learning_starts": 200, "curve_steps": 100, "epochs": 1,
-                           "replay_buffer": 500, "scenes": 10,
+                           "replay_buffer": 500, "scenes": 20, "episodes": 2,
                            "steps_per_gradient_step": 5}.items():  # fmt: skip
             text = re.sub(rf"\b{key}: [\d_]+", f"{key}: {value}", text)
         path.write_text(text, encoding="utf-8")

@@ -14,7 +14,7 @@ from charms_bench.errors import DataError
 from charms_bench.people.situations import nearest_to_decisions, situations
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.highd import read_folder
-from charms_bench.world.observations import neighbours
+from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
 from charms_bench.world.scene import SceneSettings
 
 FIVE_LANES = {"upper": "", "lower": "0;3.5;7;10.5;14;17.5"}
@@ -134,3 +134,15 @@ def test_more_vehicles_than_a_scene_holds_are_refused(tmp_path: Path) -> None:
     crowd = [Row(vehicle=k, x=float(k)) for k in range(502)]
     with pytest.raises(DataError, match="frame 1: 502 vehicles in one direction; expected at most"):
         seen(tmp_path, *crowd)
+
+
+def test_a_recorded_driver_is_about_to_do_what_its_acceleration_says(tmp_path: Path) -> None:
+    # With the speed controller's 0.8 s, 1.5 m/s2 are those of a target 1.2 m/s above the speed.
+    rows = [*driven(Row(ax=1.5), 3), Row(vehicle=2, x=130.0, ax=-0.5)]
+    (recording,) = read_folder(write_trio(tmp_path, rows))
+    found, observations = situations(recording, 3, Neighbours(commands=True))
+    first, second = (observations[found["vehicle"].to_list().index(vehicle)] for vehicle in (1, 2))
+    np.testing.assert_allclose(first[COMMANDS], [0.12, 0, 0, 0.15, 0], atol=1e-6)
+    np.testing.assert_allclose(second[COMMANDS], [-0.04, 0, 0, -0.05, 0], atol=1e-6)
+    _, plain = situations(recording, 3)
+    np.testing.assert_array_equal(observations[:, :COMMANDS], plain)

@@ -1,11 +1,21 @@
 """What a policy sees."""
 
+from typing import Any
+
 import naive
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from scenes import all_vehicles, scene_of, scenes
 
+from charms_bench.engine import ENGINES, EngineName
+from charms_bench.engine.simulation import Simulation
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.action_mask import action_masks
+from charms_bench.world.actions import FASTER, LANE_LEFT, SLOWER
 from charms_bench.world.observations import (
+    ACTION_MASK,
+    COMMANDS,
     EGO,
     FRONT,
     LEFT_FRONT,
@@ -19,7 +29,8 @@ from charms_bench.world.observations import (
     observation_described,
     paper_neighbours,
 )
-from charms_bench.world.scene import Scene
+from charms_bench.world.profile import PROFILES
+from charms_bench.world.scene import Scene, SceneSettings
 
 
 @settings(derandomize=True, deadline=None)
@@ -115,3 +126,57 @@ def test_the_two_observations_have_texts_that_tell_them_apart() -> None:
         "right rear; columns presence, x / 165 m, y / 12 m, vx / 66 m/s, vy / 66 m/s"
     )
     assert described(paper_neighbours).startswith("paper_neighbours: (7, 5) float32")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_observed_commands_are_those_that_have_been_given(engine: EngineName) -> None:
+    steps = {"target_speed_steps_mps": (0.25, 0.5, 1.0, 2.0)}
+    settings = SceneSettings(
+        profile=PROFILES["charms"].model_copy(update=steps), traffic_vehicles=0, ego_slots=1
+    )
+    made = Simulation(settings, 1, None, OneAgent(""), {}, engine)
+    seed = next(seed for seed in range(9) if starts_beside_a_left_lane(made, seed))
+    made.reset(np.array([seed], dtype=np.uint64))
+    # The acceleration is (target - speed) / 0.8 s, kept for 1/3 s: 5/12 of the difference.
+    expected = [
+        (30.0, 30.0, 0, 0, 0.0),
+        (30.25, 30.1041667, 1, 0, 0.3125),
+        (30.75, 30.3732639, 2, 0, 0.8072917),
+        (30.5, 30.4260706, -1, 0, 0.1584201),
+        (30.5, 30.4568745, 0, -1, 0.0924118),
+    ]
+    for k, (target, speed, repeats, lane, acceleration) in enumerate(expected):
+        if k:
+            made.step(np.array([(FASTER, FASTER, SLOWER, LANE_LEFT)[k - 1]]))
+        row = Neighbours(commands=True)(made.scene, made.ego_vehicles)[0, COMMANDS]
+        wanted = [(target - speed) / 10, repeats / 4, lane, acceleration / 10, 0.0]
+        np.testing.assert_allclose(row, wanted, atol=1e-6)
+
+
+def starts_beside_a_left_lane(made: Simulation, seed: int) -> bool:
+    made.reset(np.array([seed], dtype=np.uint64))
+    return bool(made.scene.lane[0, 0] > 0)
+
+
+@pytest.mark.parametrize("kind", [neighbours, paper_neighbours])
+def test_options_add_rows_and_change_no_other(kind: Neighbours) -> None:
+    scene = scene_of(x=[100.0, 133.0], y=[4.0, 8.0], target_lane=[0, 2], repeats=[2, 0])
+    both = type(kind)(commands=True, action_mask=True)
+    everybody: Any = all_vehicles(scene)
+    seen = both(scene, everybody)
+    assert seen.shape == (2, *both.shape) == (2, 9, 5)
+    np.testing.assert_array_equal(seen[:, :COMMANDS], kind(scene, everybody))
+    np.testing.assert_array_equal(seen[:, ACTION_MASK], action_masks(scene, everybody))
+    np.testing.assert_allclose(seen[:, COMMANDS], [[0, 0.5, -1, 0, 0], [0, 0, 0, 0, 0]])
+    masked = type(kind)(action_mask=True)(scene, everybody)
+    np.testing.assert_array_equal(masked, seen[:, [*range(7), 8]])
+
+
+@pytest.mark.parametrize("kind", [Neighbours, type(paper_neighbours)])
+def test_an_observation_with_options_has_a_text_of_its_own(kind: type[Neighbours]) -> None:
+    texts = set()
+    for options in ({}, {"commands": True}, {"action_mask": True}):
+        observation = kind.model_validate(options)
+        texts.add(described(observation))
+        assert observation_described(described(observation)) == observation
+    assert len(texts) == 3

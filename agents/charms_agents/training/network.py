@@ -56,7 +56,8 @@ def side_by_side(network: Sequential, factor: float, other: Sequential) -> Seque
     pairs = list(zip(layers_of(network), layers_of(other), strict=True))
     for index, ((weight, bias), (other_weight, other_bias)) in enumerate(pairs):
         if index == len(pairs) - 1:
-            whole = np.hstack([weight * np.float32(factor), other_weight])
+            own = weight * np.float32(factor)
+            whole = np.hstack([own, other_weight]) if index else own + other_weight
             joined.append((whole, bias * np.float32(factor) + other_bias))
             continue
         if index == 0:

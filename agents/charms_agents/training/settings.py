@@ -13,6 +13,7 @@ from pydantic import (
     model_validator,
 )
 
+from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
 from charms_agents.human.samples import SampleSettings
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
@@ -440,12 +441,8 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
             there = f"this file has: {', '.join(suite.stages)}"
             what = f"no stage named '{human.fine_tunes}' under stages; {there}"
             raise document.error((*place, "fine_tunes"), what)
-        simulated = suite.human and suite.human.simulated
-        if human.drivers == "simulated" and not simulated:
-            raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
-        if simulated and simulated.conditions not in (None, *suite.conditions):
-            what = f"no conditions named '{simulated.conditions}'"
-            raise document.error(("human", "simulated", "conditions"), what)
+        if human.drivers == "simulated":
+            _check_simulated(document, suite, name)
     try:
         suite.order  # noqa: B018  # raises
     except CycleError as error:
@@ -467,6 +464,38 @@ def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
     if len(layers) != len(h.hidden_layers):
         what = f"has {len(layers)} hidden layers; expected as many as the stage has"
         raise document.error(at, f"{what}, {len(h.hidden_layers)}")
+
+
+def _check_simulated(document: Document, suite: TrainingSuite, name: str) -> None:
+    """Refuses a stage that cannot learn from simulated drivers."""
+    assert suite.human is not None
+    if suite.human_stages[name].fine_tunes is not None:
+        what = "a stage that fine-tunes learns from recorded drivers; expected no fine_tunes"
+        raise document.error(("human", "stages", name, "drivers"), what)
+    if (simulated := suite.human.simulated) is None:
+        raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
+    at = ("human", "simulated")
+    if simulated.conditions not in (None, *suite.conditions):
+        there = f"this file has: {', '.join(suite.conditions) or 'none'}"
+        what = f"no conditions named '{simulated.conditions}'; {there}"
+        raise document.error((*at, "conditions"), what)
+    rates = simulated.scene.simulation_hz, simulated.scene.decision_hz
+    if rates != (SIMULATION_HZ, DECISION_HZ):
+        what = f"expected simulation_hz {SIMULATION_HZ} and decision_hz {DECISION_HZ}"
+        raise document.error((*at, "scene"), f"{what}, found {rates[0]} and {rates[1]}")
+    key = "agents"
+    try:
+        for agent in simulated.agents:
+            if not is_network(agent.name):
+                find(AGENTS, agent.name)
+        key = "traffic"
+        for driver in suite.drivers_of(simulated):
+            if driver in suite.names:
+                raise RegistryError(f"'{driver}' is a stage; expected installed agents or networks")
+            if not is_network(driver):
+                find(AGENTS, driver)
+    except RegistryError as error:
+        raise document.error((*at, key), str(error)) from error
 
 
 def _resolve_likeness(document: Document) -> None:
