@@ -22,7 +22,7 @@ from charms_bench.runs.suite import load_suite
 SUITES = ROOT / "suites"
 ROADS = {
     "i24": ("i24_car_following.parquet", SUITES / "likeness.yaml"),
-    "i75": ("i75_lane_trajectories.parquet", SUITES / "likeness-naturalistic.yaml"),
+    "i75": ("i75_lane_trajectories.parquet", SUITES / "likeness-all-speeds.yaml"),
 }
 """The recordings of each road, and the suite that is scored against them."""
 RELEASED = SUITES / "released" / "likeness.yaml"

@@ -146,7 +146,10 @@ def find_trios(folder: Path) -> list[Trio]:
             if match := re.fullmatch(rf"([0-9]{{1,9}})_({'|'.join(_KINDS)})\.csv", path.name):
                 found.setdefault(match[1], {})[match[2]] = path
     except OSError as error:
-        raise DataError(f"{folder}: cannot be read: {error.strerror}") from error
+        raise DataError(
+            f"{folder}: cannot be read: {error.strerror}; recordings are not part of charms-bench, "
+            "so give the folder of your own ones, in highD's format"
+        ) from error
     if not found:
         raise DataError(f"{folder}: no recordings; expected files named like 01_tracks.csv")
     trios: dict[int, Trio] = {}

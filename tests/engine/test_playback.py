@@ -1,5 +1,6 @@
 """Episodes of recorded scenes: where vehicles are, how they come and go, and what drives them."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from trios import Row, driven, flowing_road, write_trio
 
@@ -22,6 +24,7 @@ from charms_bench.testing.verify import Case, compare
 from charms_bench.world.moments import moments_of
 from charms_bench.world.scene import SceneSettings
 
+US101 = Path(__file__).parents[3] / "shared" / "data" / "us101_corrected"
 SLOW = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
 UNTIL = "recorded_until_deviation"
 
@@ -88,6 +91,41 @@ def test_every_vehicle_is_where_the_recording_says_at_every_frame(
                 simulation.finish_step()
     assert simulation.truncated.all()
     assert compared > 26 * 20 * 10
+
+
+@pytest.mark.skipif(not US101.is_dir(), reason="needs ../shared/data, human recordings")
+@pytest.mark.parametrize("lanes", [5, 6])
+def test_every_vehicle_of_us101_is_where_the_recording_says(lanes: int) -> None:
+    bounds = {"name": "naturalistic", "speed_max_mps": 60.0, "target_speed_max_mps": 60.0}
+    fields = {"profile": bounds, "simulation_hz": 30, "duration_s": 1.0, "lanes": lanes}
+    settings = SceneSettings.model_validate({**fields, "recording": str(US101)})
+    said, frames = {}, set()
+    for path in US101.glob("*_tracks.csv"):
+        rows = pl.read_csv(path)
+        marking = path.with_name(path.name.replace("tracks", "recordingMeta"))
+        left, right = map(float, pl.read_csv(marking)["lowerLaneMarkings"][0].split(";")[:2])
+        x, y = rows["x"] + rows["width"] / 2, rows["y"] + rows["height"] / 2
+        places = np.stack([x - x.min(), y - (left + right) / 2, rows["width"], rows["height"]], 1)
+        for frame in rows["frame"].unique():
+            said[int(path.name[:2]), frame] = places[rows["frame"] == frame]
+    simulation = simulation_of(settings)
+    starts = [re.findall(r"\d+", name) for name in moments_of(settings).names]
+    for step in range(31):
+        for b, (number, _, _, start) in enumerate(starts if step % 3 == 0 else ()):
+            at = int(number), int(start) + step // 3
+            here = simulation.scene.present[b]
+            found = np.stack([getattr(simulation.scene, name)[b, here]
+                              for name in ("x", "y", "length", "width")], axis=1)  # fmt: skip
+            one, other = (each[np.lexsort(each.round(6).T)] for each in (found, said[at]))
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+            frames.add(at)
+        if step < 30:
+            simulation.advance()
+            if simulation.phase == settings.steps_per_decision:
+                simulation.finish_step()
+    of_recordings = {number for number, _ in frames}
+    assert len(of_recordings) == {5: 11, 6: 20}[lanes]
+    assert len(frames) > 0.95 * sum(number in of_recordings for number, _ in said)
 
 
 def test_between_two_frames_vehicles_are_between_their_positions(tmp_path: Path) -> None:
