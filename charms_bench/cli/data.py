@@ -188,6 +188,13 @@ def likeness(
             "`charms-bench calibrate`."
         ),
     ],
+    half: Annotated[
+        Literal["both", "selection", "test"],
+        typer.Option(
+            help="Compare with the first, third, ... of the held-out drivers (selection), or with "
+            "the others (test), so that what is chosen by some is reported on others."
+        ),
+    ] = "both",
     controls: Annotated[
         bool,
         typer.Option(
@@ -217,7 +224,7 @@ def likeness(
     read = load_suite(suite_file(suite))
     rows, of_controls = [], []
     with interruptible():
-        against = standard(read, absolute(recordings), read_population(population))
+        against = standard(read, absolute(recordings), read_population(population), half)
         for each in scored(read, against):
             note(f"{each.kind} {each.label}")
             rows.append(each)

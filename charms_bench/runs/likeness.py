@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -55,13 +56,22 @@ class Likeness:
     """How much higher a control scores than the calibrated driver."""
 
 
-def standard(suite: Suite, recordings: Path, population: Population) -> Standard:
+Half = Literal["both", "selection", "test"]
+"""Of the held-out drivers in their order: all, the first, third, ..., or the second, fourth, ..."""
+
+
+def standard(
+    suite: Suite, recordings: Path, population: Population, half: Half = "both"
+) -> Standard:
     """What the scores of a suite are measured against.
+
+    What is chosen by the drivers of one `half` can be reported on those of the other.
 
     Raises:
         DataError: The recordings cannot be used, or hold no situation that the profile allows.
     """
     fitted, held_out = split(read_trips(recordings))
+    held_out = of_half(held_out, half)
     parts = _some(fitting(starts(held_out), suite.scene.profile))
     others = _some(fitting(starts(fitted), suite.scene.profile))
     lanes = read_lane_counts(recordings)
@@ -95,6 +105,13 @@ def standard(suite: Suite, recordings: Path, population: Population) -> Standard
     of_others = recorded(others, lanes)
     drivers = human, of_others, at_constant, at_spawn, fitted_own
     return Standard(yardstick, tuple(parts), population, *drivers)
+
+
+def of_half(trips: list[Trip], half: Half) -> list[Trip]:
+    """The trips of the drivers in a half."""
+    drivers = sorted({trip.driver for trip in trips})
+    chosen = drivers if half == "both" else drivers[half == "test" :: 2]
+    return [trip for trip in trips if trip.driver in chosen]
 
 
 def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:

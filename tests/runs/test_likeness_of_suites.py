@@ -3,11 +3,14 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import charms_bench
 from trios import Row, write_trio
+
+from charms_bench.runs.likeness import of_half
 
 ROOT = Path(__file__).parents[2]
 NETWORK = ROOT / "networks" / "seed-0"
@@ -67,6 +70,14 @@ def test_an_onnx_file_is_scored_in_a_profile_whose_steps_grow(folder: Path) -> N
     assert recorded["acceleration_std_mps2"] == pytest.approx(0.72 / 2**0.5, rel=0.05)
     assert rows["control", "lane changes x 5"]["differences"]["closed_loop"]["value"] == 0.0
     assert (folder / "likeness.png").stat().st_size > 10_000
+
+
+def test_a_driver_by_whom_an_agent_is_selected_is_not_one_by_whom_it_is_tested() -> None:
+    trips = [SimpleNamespace(driver=driver, at=k) for k, driver in enumerate([7, 3, 9, 3, 1])]
+    halves = {half: of_half(trips, half) for half in ("both", "selection", "test")}
+    assert [each.at for each in halves["both"]] == [0, 1, 2, 3, 4]
+    assert [each.at for each in halves["selection"]] == [0, 4]  # drivers 1 and 7
+    assert [each.at for each in halves["test"]] == [1, 2, 3]  # drivers 3 and 9
 
 
 def test_the_tables_name_every_driver(folder: Path) -> None:
