@@ -274,3 +274,24 @@ def counts_of_smoothness(
         "lane_changes_undone": [undone, changes],
         "centre_headway_below_1s": [short, near],
     }
+
+
+def completed_safety(scene: Scene, i: int, horizon_s: float, loses_mps: float) -> float:
+    """The completed r_s of vehicle i, from times to collision if vehicles ahead lose speed."""
+    lane, target = scene.lane[0, i], scene.target_lane[0, i]
+
+    def share(behind: int, ahead: int) -> float:
+        if -1 in (behind, ahead):
+            return 1.0
+        bumpers = (scene.length[0, behind] + scene.length[0, ahead]) / 2
+        gap = scene.x[0, ahead] - scene.x[0, behind] - bumpers
+        closing = velocity(scene, behind)[0] - (velocity(scene, ahead)[0] - loses_mps)
+        if gap <= 0:
+            return 0.0
+        return 1.0 if closing <= 0 else float(min(gap / closing / horizon_s, 1.0))
+
+    leader, follower = neighbours(scene, i, target)
+    if lane == target:
+        return share(i, leader)
+    left = share(i, neighbours(scene, i, lane)[0])
+    return min((share(i, leader) + share(follower, i)) / 2, left)

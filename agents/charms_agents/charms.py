@@ -25,7 +25,8 @@ def packaged(network: str) -> OnnxPolicy:
     if not file.is_file():
         raise ModelError(
             f"the network '{network}' is not in this installation of charms-bench; "
-            "suites/train.yaml trains it, and the path of the trained file is an agent's name"
+            "suites/train.yaml or suites/train-baselines.yaml trains it, and the path of the "
+            "trained file is an agent's name"
         )
     return OnnxPolicy(str(file))
 

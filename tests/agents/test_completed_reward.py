@@ -3,16 +3,20 @@
 import math
 from pathlib import Path
 
+import naive
 import numpy as np
 import pytest
 from charms_agents.training.completed_reward import CompletedReward, RewardScales, safety
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
 from handmade_scene import place, simulation_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import scenes
 
 from charms_bench.engine.endings import OFF_ROAD, REAR_END, SIDE, TIME
 from charms_bench.engine.simulation import Simulation
 from charms_bench.world.actions import IDLE
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scene import Scene, SceneSettings
 
 IDLING = np.array([IDLE])
 SAFETY, EFFICIENCY, COMFORT = (
@@ -70,6 +74,14 @@ def test_a_lane_change_is_at_most_as_safe_as_the_lane_that_the_ego_leaves(
     follower = (485.0, 0, 35.0)  # 10 m at 5 + 5 m/s: 1 s
     simulation = simulation_of((500.0, 1, 30.0), leader, follower, left_leader, target_lane=0)
     assert safety(simulation.scene, RewardScales()) == pytest.approx(expected)
+
+
+@settings(derandomize=True, deadline=None)
+@given(scene=scenes(), loses=st.sampled_from([0.0, 5.0, 12.0]), horizon=st.floats(0.5, 20.0))
+def test_safety_is_that_of_the_plain_version(scene: Scene, loses: float, horizon: float) -> None:
+    scales = RewardScales(leader_loses_mps=loses, safety_horizon_s=horizon)
+    expected = naive.completed_safety(scene, 0, horizon, loses)
+    assert safety(scene, scales)[0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_follower_on_the_own_lane_is_no_danger() -> None:

@@ -24,6 +24,7 @@ from trios import Row, busy_road, write_trio
 from charms_bench.errors import DataError
 from charms_bench.people.survey import survey
 from charms_bench.world.highd import find_trios
+from charms_bench.world.observations import COMMANDS, Neighbours
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS, REPEATED = REASONS
@@ -261,3 +262,32 @@ def test_damage_is_an_error_of_the_data_or_does_no_harm(
         samples = collect(tmp_path)
         assert np.isfinite(samples.observations).all()
         np.testing.assert_allclose(samples.labels.sum(axis=1), 1, rtol=1e-6)
+
+
+def test_labels_of_small_steps_accelerate_as_the_drivers_go_on_to_do(folder: Path) -> None:
+    rows = decisions(folder, labels="manoeuvre", step_mps=0.25).filter(
+        pl.col("rejected").is_null(), lateral=0
+    )
+    labels, acceleration = rows["label"].to_numpy(), rows["acceleration"].to_numpy()
+    # 0.25 m/s at each of three decisions per second are 0.75 m/s2 at most.
+    found = 0.75 * labels @ np.array([0.0, 0.0, 0.0, 1.0, -1.0])
+    np.testing.assert_allclose(found, acceleration.clip(-0.75, 0.75), atol=1e-6)
+    assert set(acceleration) == {-0.8, 0.0, 0.5}
+
+
+def test_step_labels_need_manoeuvres() -> None:
+    with pytest.raises(ValueError, match="step_mps is for labels: manoeuvre"):
+        SampleSettings(step_mps=0.25)
+
+
+def test_samples_with_commands_are_cached_beside_those_without(
+    folder: Path, tmp_path: Path
+) -> None:
+    cache, seen = tmp_path / "cache", Neighbours(commands=True)
+    plain = SampleStore(folder, cache, SampleSettings()).load()
+    for _ in range(2):  # collects them, then reads them
+        found = SampleStore(folder, cache, SampleSettings(), seen).load()
+        assert found.observations.shape == (len(plain.labels), 8, 5)
+        np.testing.assert_array_equal(found.observations[:, :COMMANDS], plain.observations)
+        assert found.observations[:, COMMANDS].any()
+    assert len(list(cache.iterdir())) == 2

@@ -13,6 +13,7 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.human.samples import Samples
+from charms_agents.training import own_driving
 from charms_agents.training.curve import Epoch
 from charms_agents.training.network import layers_of, network_of, untrained
 from charms_agents.training.settings import Supervised
@@ -24,6 +25,12 @@ from charms_agents.training.supervised import (
     spread,
     squared_distance,
 )
+from handmade_scene import Idle
+
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import IDLE
+from charms_bench.world.observations import EGO, Neighbours
+from charms_bench.world.scene import SceneSettings
 
 THIRD = math.log(3)
 """Its softmax beside four zeros is 3/7, and theirs 1/7."""
@@ -215,3 +222,36 @@ def test_the_learning_rate_falls_over_the_last_epochs() -> None:
     assert [falling.learning_rate_at(epoch) for epoch in (1, 2, 3, 4)] == [0.8, 0.8, 0.8, 0.4]
     constant = Supervised(learning_rate=0.8, epochs=4)
     assert [constant.learning_rate_at(epoch) for epoch in (1, 4)] == [0.8, 0.8]
+
+
+def test_the_cross_entropy_is_that_of_the_label_and_smallest_at_its_probabilities() -> None:
+    label = np.array([0.5, 0.2, 0.1, 0.1, 0.1], dtype=np.float32)
+    data = samples(count=2, held_out=1)
+    data.labels[:] = label
+
+    def loss(probabilities: np.ndarray) -> float:
+        layers = [(np.zeros((5, 35), np.float32), np.log(probabilities).astype(np.float32))]
+        settings = Supervised(loss="cross_entropy", pull=0.0)
+        return Fit(network_of(layers), data, settings, 0).curve[0].loss
+
+    uniform = np.full(5, 0.2)
+    assert loss(uniform) == pytest.approx(math.log(5))
+    assert loss(label) == pytest.approx(-sum(p * math.log(p) for p in label.tolist()), rel=1e-6)
+    for nearby in (0.98 * label + 0.02 * uniform, 1.02 * label - 0.02 * uniform):
+        assert loss(nearby) > loss(label)
+
+
+def test_own_driving_has_equally_many_episodes_in_each_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(own_driving, "EPISODES", 20)
+    alone = SceneSettings(traffic_vehicles=0, ego_slots=1, duration_s=1.0)
+    longer = alone.model_copy(update={"duration_s": 2.0, "lanes": 5})
+    places = [(alone, OneAgent("idle")), (longer, OneAgent("idle"))]
+    drivers, seen = {"idle": Idle()}, Neighbours(commands=True)
+    stays = network_of([(np.zeros((5, 40), np.float32), np.eye(5, dtype=np.float32)[IDLE])])
+    found = own_driving.own_driving(stays, places, drivers, 0, seen)
+    # Ten episodes of 3 decisions, then ten of 6 decisions.
+    assert found.shape == (10 * 3 + 10 * 6, 8, 5)
+    lanes = np.rint(found[:, EGO, 2] * 12 / 4)
+    assert lanes[:30].max() < 3 <= lanes[30:].max()
