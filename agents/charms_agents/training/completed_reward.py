@@ -52,7 +52,7 @@ class RewardScales(FrozenModel):
     """A mean acceleration of this over a decision takes 1 off r_c, twice this takes 4."""
     jerk_mps3: Positive = 3.0
     """A change of the acceleration of this between two decisions takes 1 off r_c."""
-    lane_change_cost: NonNegative = 25.0
+    lane_change_cost: NonNegative = 60.0
     """What a lane change that begins takes off r_c."""
     failure_cost: NonNegative = 60.0
     """The own reward of a crash, or of leaving the road, is minus this."""

@@ -107,8 +107,9 @@ def reinforcement_job(
     first_seed = suite.first_episode_seed
     weights = {"name": stage.weights, **suite.weights[stage.weights].model_dump()}
     # An option at the paper's value is left out, so that stages without it keep their keys.
-    options = stage.model_dump(mode="json", include={"reward"}, exclude_defaults=True)
-    options |= _conditions(suite, stage)
+    options = _conditions(suite, stage)
+    if stage.reward is not None:
+        options["reward"] = stage.reward.model_dump(mode="json")
     observation = suite.model_dump(include={"observation"}, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     if prior is not None:
