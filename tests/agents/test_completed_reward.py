@@ -126,8 +126,8 @@ def test_comfort_falls_with_the_squares_of_acceleration_and_jerk(
     assert comfort(mean_mps2 / HZ, last_mps2) == pytest.approx(expected)
 
 
-def test_a_lane_change_takes_25_off_comfort_when_it_begins() -> None:
-    assert comfort(0.0, 0.0, target_lane=0) == pytest.approx(1.0 - 25.0)
+def test_a_lane_change_takes_60_off_comfort_when_it_begins() -> None:
+    assert comfort(0.0, 0.0, target_lane=0) == pytest.approx(1.0 - 60.0)
     assert reward_of(simulation_of((500.0, 1, 28.0), target_lane=0), COMFORT) == 1.0
 
 
