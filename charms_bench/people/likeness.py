@@ -152,11 +152,12 @@ class Yardstick:
 
     def scores(self, tested: Driven) -> dict[str, Score]:
         """The components and the total of a driver in the same situations."""
-        return _with_intervals(self._of(tested))
+        return _of_worst(self._of(tested))
 
     def differences(self, tested: Driven, other: Driven) -> dict[str, Score]:
         """How much higher the other driver scores, over the same recorded drivers."""
-        return _with_intervals(self._of(other) - self._of(tested))
+        one, two = (_with_worst(self._of(each)) for each in (tested, other))
+        return _named(_jackknifed(two - one))
 
     def ceiling(self) -> dict[str, Score]:
         """What one half of the recorded drivers scores against the other: 1, with an interval.
@@ -174,24 +175,21 @@ class Yardstick:
         The closed loop compares drivers in one situation, so it has no score.
         """
         found = self._by_part(_Sums(people, self._drivers), self._energy[1], people.lanes)
-        return {
-            name: each for name, each in _with_intervals(found).items() if name in COMPONENTS[1:]
-        }
+        return {name: each for name, each in _of_worst(found).items() if name in COMPONENTS[1:]}
 
     def _of(self, tested: Driven) -> Floats:
         return self._by_part(_Sums(tested), self._energy_of(tested), tested.lanes)
 
     def _by_part(self, sums: _Sums, energy: Floats, units: Floats) -> Floats:
-        """(1 + D, 4) components and total: of all drivers, then without each of them."""
-        found = np.empty((1 + self._drivers, 1 + len(COMPONENTS)))
+        """(1 + D, 6) closed loop, scene and events: of all drivers, then without each of them."""
+        found = np.empty((1 + self._drivers, 2 + len(EVENTS)))
         for part, halves in enumerate(self._parts):
             lanes = self._without(units, part).sum(axis=0)
             apart = halves.distances(sums, lanes).mean(axis=0)
             scores = 1 - (apart - self._of_people[part]) / self._span[part]
             constant, own, of_tested = (halves.weights @ each for each in (*self._energy, energy))
             closed_loop = np.mean((constant - of_tested) / (constant - own))
-            found[part, :3] = closed_loop, scores[0], np.nanmin(scores[1:])
-        found[:, 3] = found[:, :3].min(axis=1)
+            found[part] = closed_loop, *scores
         return found
 
     def _energy_of(self, driven: Driven) -> Floats:
@@ -209,8 +207,23 @@ class Yardstick:
         return np.where(left_out[:, None], 0.0, lanes)
 
 
-def _with_intervals(found: Floats) -> dict[str, Score]:
-    """Scores (1 + D, 4) of all drivers, with intervals from those without each of them.
+def _of_worst(found: Floats) -> dict[str, Score]:
+    """The components and the total of scores (1 + D, 6), see `_by_part`.
+
+    The bounds of the worst are the worst bounds: another score may be the worst of other drivers.
+    """
+    return _named(_with_worst(_jackknifed(found)))
+
+
+def _with_worst(scores: Floats) -> Floats:
+    """(..., 4) closed loop, scene, the worst of the events, and the total, of scores (..., 6)."""
+    events = np.nanmin(scores[..., 2:], axis=-1, keepdims=True)
+    components = np.concatenate([scores[..., :2], events], axis=-1)
+    return np.concatenate([components, components.min(axis=-1, keepdims=True)], axis=-1)
+
+
+def _jackknifed(found: Floats) -> Floats:
+    """(3, C) values and 95 % intervals of C scores (1 + D, C) of all drivers and without each.
 
     The jackknife, with Student's distribution (Efron & Tibshirani 1993, section 11.2).
     """
@@ -219,10 +232,13 @@ def _with_intervals(found: Floats) -> dict[str, Score]:
     value, others = found[0], found[1:]
     apart = ((others - others.mean(axis=0)) ** 2).sum(axis=0) * (1 - 1 / len(others))
     size = t.ppf(0.975, len(others) - 1) * np.sqrt(apart)
-    return {
-        name: Score(float(value[k]), float(value[k] - size[k]), float(value[k] + size[k]))
-        for k, name in enumerate((*COMPONENTS, "total"))
-    }
+    return np.stack([value, value - size, value + size])
+
+
+def _named(scores: Floats) -> dict[str, Score]:
+    """The components and the total, of their values and bounds (3, 4)."""
+    names = *COMPONENTS, "total"
+    return {name: Score(*map(float, each)) for name, each in zip(names, scores.T, strict=True)}
 
 
 def _energy_scores(tested: Driven, human: Driven, scales: Floats) -> Floats:
