@@ -178,7 +178,8 @@ def test_what_a_follower_gains_counts_as_a_share_of_6_mps2(
     simulation = simulation_of((500.0 + gap_m, 1, 33.0), (500.0, 1, 33.0))
     reward = CompletedReward(SAFETY, SVO_ANGLES_RAD[svo], RewardScales())
     prepared = reward.prepare(simulation, IDLING)
-    simulation.scene.target_lane[0, 0] = 0  # frees the follower
+    place(simulation.scene, (500.0 + gap_m, 1, 33.0), (500.0, 1, 33.0), target_lane=0)
+    # Now the follower is free.
     others = math.copysign(math.sqrt(0.5), SVO_ANGLES_RAD[svo]) * gain_mps2 / 6
     expected = math.sqrt(0.5) * 1.0 + others
     assert float(reward(simulation, prepared)[0]) == pytest.approx(expected)
