@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,8 +33,18 @@ class SceneQuestion:
     """The answers; those for crashed vehicles do not matter."""
 
     def part(self, rows: Ints) -> "SceneQuestion":
-        """A copy of the question about the scenes `rows` (R,) in this order."""
-        arrays = {name: getattr(self.scene, name)[rows] for name in ARRAYS}
+        """The question about the scenes `rows` (R,) in this order, ready to be asked.
+
+        What a driver model writes is a copy, and all other arrays cannot be written to.
+        """
+        successive = (
+            rows.size and rows[-1] - rows[0] == rows.size - 1 and (np.diff(rows) == 1).all()
+        )
+        some: Any = slice(rows[0], rows[-1] + 1) if successive else rows
+        arrays = {name: getattr(self.scene, name)[some] for name in ARRAYS}
+        for each in arrays.values():
+            each.flags.writeable = False
+        arrays |= {name: arrays[name].copy() for name in WRITABLE}
         place = np.full(len(self.scene.active), -1)
         place[rows] = np.arange(rows.size)
         shown = place[self.vehicles[0]]
@@ -44,16 +55,20 @@ class SceneQuestion:
 
     def half(self, rng: np.random.Generator) -> "SceneQuestion":
         """A copy of the question about half of the scenes in another order."""
-        return self.part(some_of(np.unique(self.vehicles[0]), rng))
+        return self.part(some_of(self._rows, rng))
 
     def halved(self, times: int) -> "SceneQuestion":
         """A copy of the question about some of the scenes; see `halved`."""
-        rows = np.unique(self.vehicles[0])
-        return self.part(rows[halved(rows.size, times)])
+        return self.part(self._rows[halved(self._rows.size, times)])
+
+    @cached_property
+    def _rows(self) -> Ints:
+        """The scenes of the vehicles, each once."""
+        return np.flatnonzero(np.bincount(self.vehicles[0]))
 
     def check(self, ask: Ask, how: str) -> None:
         """Asks again, once; raises a `BrokenWordError` that says `how` if an answer differs."""
-        again = ask(self.scene.read_only(), tuple(map(np.copy, self.vehicles)))
+        again = ask(self.scene, tuple(map(np.copy, self.vehicles)))
         for then, now in zip(self.said, again, strict=True):
             if now.shape != then.shape:
                 raise BrokenWordError(f"{self.name} returned shape {now.shape} when {how}")
