@@ -288,7 +288,7 @@ def completed_safety(scene: Scene, i: int, horizon_s: float, loses_mps: float) -
         closing = velocity(scene, behind)[0] - (velocity(scene, ahead)[0] - loses_mps)
         if gap <= 0:
             return 0.0
-        return 1.0 if closing <= 0 else float(min(gap / closing / horizon_s, 1.0))
+        return 1.0 if closing <= 0 else min(float(gap) / float(closing) / horizon_s, 1.0)
 
     leader, follower = neighbours(scene, i, target)
     if lane == target:

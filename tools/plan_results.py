@@ -53,11 +53,11 @@ SEALED: dict[str, tuple[str, str, Worst]] = {
 }
 CONDITIONS = {
     "seeds-main": "3 lanes, density 1",
-    "seeds-density-1.5": "density 1.5",
-    "seeds-density-2.0": "density 2",
+    "seeds-density-1-5": "density 1.5",
+    "seeds-density-2-0": "density 2",
     "seeds-lanes-2": "2 lanes",
     "seeds-lanes-5": "5 lanes",
-    "seeds-density-1.25": "density 1.25 (sealed)",
+    "seeds-density-1-25": "density 1.25 (sealed)",
     "seeds-lanes-4": "4 lanes (sealed)",
     "seeds-trucks": "trucks (sealed)",
 }

@@ -37,7 +37,7 @@ from charms_bench.runs.folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
-BLOCK = re.compile(r"(<!-- results: ([a-z-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- results: ([a-z0-9-]+) -->\n\n).*?(<!-- end of results -->)", re.DOTALL)
 EGO = {
     "episodes crashed": ("crashed_episodes", ".1%"),
     "crashed at fault": ("crashed_at_fault", ".1%"),
