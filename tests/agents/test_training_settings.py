@@ -211,6 +211,11 @@ def test_what_is_wrong_is_named_with_its_place(
         (("human", "fine_tuning", "loss"), "entropy", "human.fine_tuning.loss"),
         (("stages", "level_1", "reward"), {"failure": 10.0}, "reward.failure: unknown key"),
         (("stages", "level_1", "reward"), {"jerk_mps3": 0.0}, "reward.jerk_mps3"),
+        (
+            ("stages", "level_1", "reward"),
+            {"desired_speed_mps": 22.0},
+            "reward.desired_speed_mps: 22; expected more than 22 m/s, the lowest target speed of",
+        ),
         (("observation",), {"type": "neighbours", "action_mask": True}, "without an action mask"),
     ],
 )

@@ -419,6 +419,11 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
                 raise document.error((*at, "conditions"), what)
         if stage.prior is not None:
             _check_prior(document, suite, name)
+        slowest = stage.scene.profile.target_speed_min_mps
+        if stage.reward is not None and stage.reward.desired_speed_mps <= slowest:
+            what = f"{stage.reward.desired_speed_mps:g}; expected more than {slowest:g} m/s"
+            where = (*at, "reward", "desired_speed_mps")
+            raise document.error(where, f"{what}, the lowest target speed of the profile")
         if stage.weights not in suite.weights:
             there = f"this file has: {', '.join(suite.weights) or 'none'}"
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
