@@ -13,6 +13,7 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training.network_file import export
 
+from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 
 
@@ -21,3 +22,21 @@ def test_speed_steps_are_read_as_they_were_written(tmp_path: Path) -> None:
     facts = {"target_speed_steps_mps": json.dumps([0.1, 0.25, 2])}
     export(network, tmp_path / "policy.onnx", facts, np.zeros((1, 7, 5), dtype=np.float32))
     assert OnnxPolicy(tmp_path / "policy.onnx").target_speed_steps_mps == (0.1, 0.25, 2.0)
+
+
+@pytest.mark.parametrize(("value", "is_a_tie"), [(40.0, False), (400.0, True)])
+def test_larger_values_may_differ_by_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: float, is_a_tie: bool
+) -> None:
+    layer = torch.nn.Linear(35, 5)
+    with torch.no_grad():
+        layer.weight.zero_()
+        layer.bias.copy_(torch.tensor([value, value + 2e-4, 0.0, 0.0, 0.0]))
+    # As if onnxruntime had rounded the second value down below the first.
+    monkeypatch.setattr(OnnxPolicy, "actions_of", lambda _, values: np.zeros(len(values), int))
+    seen, path = np.zeros((3, 7, 5), dtype=np.float32), tmp_path / "policy.onnx"
+    if is_a_tie:
+        assert export(torch.nn.Sequential(layer), path, {}, seen)["ties"] == 3
+    else:
+        with pytest.raises(ModelError, match="in 3 of 3 observations"):
+            export(torch.nn.Sequential(layer), path, {}, seen)

@@ -23,9 +23,10 @@ from charms_bench.world.scene import Observations
 
 OPSET, IR_VERSION = 17, 8
 """Old versions, which every onnxruntime that the base install allows can read."""
-TIE = 1e-4
-"""Two actions whose values differ by less are equally good to float32's precision; continuous
-actions that differ by less are equal."""
+TIE, TIE_OF = 1e-4, 100.0
+"""Two actions whose values differ by less are equally good to float32's precision, if no value is
+larger than `TIE_OF`; of larger values, proportionally more. Continuous actions that differ by less
+are equal."""
 MASKED = 1e8
 """What a masked action loses of its value, as in sb3-contrib."""
 SMALLEST_DRAW, LARGEST_DRAW = 1e-20, 1 - 2**-24
@@ -118,7 +119,8 @@ def export(
         else:
             lost = expected.max(axis=1) - expected[np.arange(found.size), found]
             ties = found != expected.argmax(axis=1)
-        if count := int((lost > TIE).sum()):
+        largest = np.abs(expected).max(axis=1, initial=TIE_OF)
+        if count := int((lost > TIE * largest / TIE_OF).sum()):
             raise ModelError(
                 f"{path}: would act differently from the network in {count} of {len(found)} "
                 "observations; onnxruntime and torch disagree on this machine"
