@@ -19,6 +19,7 @@ import numpy as np
 import torch
 import yaml
 from charms_agents.human.samples import Samples, SampleStore
+from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import export, read_network
 from charms_agents.training.own_driving import own_driving
@@ -26,11 +27,10 @@ from charms_agents.training.settings import (
     EPISODES_OF_A_SEED,
     FIRST_TRAINING_SEED,
     Stage,
-    Supervised,
     TrainingSuite,
-    load_training,
 )
 from charms_agents.training.standardised import folded
+from charms_agents.training.suite_file import load_training
 from charms_agents.training.supervised import Fit
 
 import charms_bench

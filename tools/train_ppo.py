@@ -22,8 +22,8 @@ from charms_agents.training.settings import (
     FIRST_TRAINING_SEED,
     Stage,
     TrainingSuite,
-    load_training,
 )
+from charms_agents.training.suite_file import load_training
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 

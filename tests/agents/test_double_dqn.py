@@ -11,8 +11,8 @@ torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
 from charms_agents.training.double_dqn import DoubleDQN
 from charms_agents.training.episodes import Episodes
+from charms_agents.training.hyperparameters import Hyperparameters
 from charms_agents.training.rewards import StyleReward, Weights
-from charms_agents.training.settings import Hyperparameters
 from handmade_scene import Idle
 
 from charms_bench.envs.vector_env import HighwayVectorEnv

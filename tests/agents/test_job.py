@@ -11,7 +11,7 @@ pytest.importorskip("torch", reason="needs the extra 'train'")
 from charms_agents.charms import packaged
 from charms_agents.training.completed_reward import RewardScales
 from charms_agents.training.job import Job, reinforcement_job
-from charms_agents.training.settings import load_training
+from charms_agents.training.suite_file import load_training
 
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec

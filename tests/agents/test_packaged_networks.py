@@ -8,12 +8,8 @@ from typing import Any
 import pytest
 from charms_agents.charms import STYLES
 from charms_agents.human.samples import fingerprint
-from charms_agents.training.settings import (
-    EPISODES_OF_A_SEED,
-    FIRST_TRAINING_SEED,
-    Human,
-    load_training,
-)
+from charms_agents.training.settings import EPISODES_OF_A_SEED, FIRST_TRAINING_SEED, Human
+from charms_agents.training.suite_file import load_training
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent

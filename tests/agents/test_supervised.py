@@ -15,8 +15,8 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 from charms_agents.human.samples import Samples
 from charms_agents.training import own_driving
 from charms_agents.training.curve import Epoch
+from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import layers_of, network_of, untrained
-from charms_agents.training.settings import Supervised
 from charms_agents.training.standardised import folded
 from charms_agents.training.supervised import (
     Fit,

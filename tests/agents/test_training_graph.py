@@ -17,8 +17,8 @@ pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training import pipeline
 from charms_agents.training.schedule import _width
-from charms_agents.training.settings import load_training
 from charms_agents.training.stage_progress import Tell
+from charms_agents.training.suite_file import load_training
 from trios import busy_road, write_trio
 
 from charms_bench.errors import DataError, InputError, RunFolderError, SuiteError

@@ -9,14 +9,10 @@ import pytest
 import yaml
 from charms_agents.human.samples import SampleSettings
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
+from charms_agents.training.hyperparameters import Hyperparameters, Supervised
 from charms_agents.training.rewards import StyleReward
-from charms_agents.training.settings import (
-    FIRST_TRAINING_SEED,
-    Condition,
-    Hyperparameters,
-    Supervised,
-    load_training,
-)
+from charms_agents.training.settings import FIRST_TRAINING_SEED, Condition
+from charms_agents.training.suite_file import load_training
 
 from charms_bench.errors import SuiteError
 from charms_bench.world.scene import EVALUATION_SEEDS

@@ -13,16 +13,12 @@ from torch.nn import Sequential
 
 from charms_agents.human.samples import Samples, SampleStore
 from charms_agents.human.simulated import simulated_samples
+from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import untrained
 from charms_agents.training.network_file import read_network
 from charms_agents.training.own_driving import EPISODES, EXPLORATION, own_driving
 from charms_agents.training.reinforcement import Reinforcement
-from charms_agents.training.settings import (
-    SimulatedDrivers,
-    Stage,
-    Supervised,
-    TrainingSuite,
-)
+from charms_agents.training.settings import SimulatedDrivers, Stage, TrainingSuite
 from charms_agents.training.standardised import folded, unfolded
 from charms_agents.training.supervised import Fit
 from charms_bench.foundation.files import write_bytes

@@ -16,9 +16,10 @@ from rich.console import Console
 from charms_agents.human.samples import SampleStore
 from charms_agents.training.job import Job, human_job, reinforcement_job, title_of
 from charms_agents.training.schedule import run_stages
-from charms_agents.training.settings import TrainingSuite, load_training
+from charms_agents.training.settings import TrainingSuite
 from charms_agents.training.stage import Interrupted
 from charms_agents.training.stage_progress import progress
+from charms_agents.training.suite_file import load_training
 from charms_agents.training.summary import write_curves, write_summary
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent

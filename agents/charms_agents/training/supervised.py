@@ -22,8 +22,8 @@ from torch.nn.functional import cross_entropy, log_softmax
 
 from charms_agents.human.samples import Samples
 from charms_agents.training.curve import Epoch
+from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import Arrays, load_state, state_arrays
-from charms_agents.training.settings import Supervised
 from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.temperature import fitted_temperature, log_likelihood
 from charms_bench.world.actions import ACTIONS

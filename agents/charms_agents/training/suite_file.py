@@ -1,0 +1,146 @@
+"""Reads training suites from YAML, and names what is wrong in them with its place."""
+
+from graphlib import CycleError
+from pathlib import Path
+
+from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
+from charms_agents.training.settings import TrainingSuite
+from charms_bench.errors import InputError, RegistryError
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import AGENTS, find, is_network
+from charms_bench.runs.document import Document
+
+
+def load_training(path: Path, seed: int | None = None, steps: int | None = None) -> TrainingSuite:
+    """Reads a training suite; `seed` and `steps` replace those in the file.
+
+    Raises:
+        SuiteError: The file is invalid, or a name in it does not exist.
+    """
+    document = Document(path)
+    _resolve_likeness(document)
+    if seed is not None:
+        document.data |= {"seed": seed, "seeds": []}
+    stages = document.data.get("stages")
+    for stage in stages.values() if steps is not None and isinstance(stages, dict) else ():
+        if isinstance(stage, dict):  # anything else is refused below
+            stage["steps"] = steps
+    suite = document.validate(TrainingSuite)
+    for name, stage in suite.stages.items():
+        at = ("stages", name)
+        if stage.variant is not None and stage.variant not in suite.variants:
+            there = f"this file has: {', '.join(suite.variants) or 'none'}"
+            raise document.error((*at, "variant"), f"no variant named '{stage.variant}'; {there}")
+        h = suite.hyperparameters_of(stage)
+        counts = [(stage.steps, (*at, "steps")), (suite.curve_steps, ("curve_steps",))]
+        for steps, where in counts:
+            if steps % h.scenes:
+                raise document.error(where, f"{steps} is not a multiple of scenes {h.scenes}")
+        if stage.conditions is not None:
+            if stage.conditions not in suite.conditions:
+                there = f"this file has: {', '.join(suite.conditions) or 'none'}"
+                what = f"no conditions named '{stage.conditions}'; {there}"
+                raise document.error((*at, "conditions"), what)
+            if h.scenes % (count := len(suite.conditions[stage.conditions])):
+                what = f"scenes {h.scenes} is not a multiple of {count} conditions"
+                raise document.error((*at, "conditions"), what)
+        if stage.prior is not None:
+            _check_prior(document, suite, name)
+        slowest = stage.scene.profile.target_speed_min_mps
+        if stage.reward is not None and stage.reward.desired_speed_mps <= slowest:
+            what = f"{stage.reward.desired_speed_mps:g}; expected more than {slowest:g} m/s"
+            where = (*at, "reward", "desired_speed_mps")
+            raise document.error(where, f"{what}, the lowest target speed of the profile")
+        if stage.weights not in suite.weights:
+            there = f"this file has: {', '.join(suite.weights) or 'none'}"
+            raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
+        try:
+            for driver in suite.drivers_of(stage):
+                if is_network(driver):
+                    OnnxPolicy(path.parent / driver)
+                elif driver not in suite.names:
+                    find(AGENTS, driver)
+        except RegistryError as error:
+            stages = f"Stages of this file: {', '.join((*suite.stages, *suite.human_stages))}."
+            raise document.error((*at, "traffic"), f"{error} {stages}") from error
+        except InputError as error:
+            raise document.error((*at, "traffic"), str(error)) from error
+    for name, human in suite.human_stages.items():
+        place = ("human", "stages", name)
+        if name in suite.stages:
+            raise document.error(place, f"another stage is also named '{name}'")
+        if human.fine_tunes is not None and human.fine_tunes not in suite.stages:
+            there = f"this file has: {', '.join(suite.stages)}"
+            what = f"no stage named '{human.fine_tunes}' under stages; {there}"
+            raise document.error((*place, "fine_tunes"), what)
+        if human.drivers == "simulated":
+            _check_simulated(document, suite, name)
+    try:
+        suite.order  # noqa: B018  # raises
+    except CycleError as error:
+        what = f"stages depend on each other: {' <- '.join(error.args[1])}"
+        raise document.error(("stages",), what) from error
+    return suite
+
+
+def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
+    """Refuses a stage whose prior cannot regularise it."""
+    stage = suite.stages[name]
+    at, h = ("stages", name, "prior"), suite.hyperparameters_of(stage)
+    if (prior := suite.human_stages.get(str(stage.prior))) is None:
+        there = f"this file has: {', '.join(suite.human_stages) or 'none'}"
+        raise document.error(at, f"no stage named '{stage.prior}' under human.stages; {there}")
+    if not h.prior_weight or not h.standardised:
+        raise document.error(at, "needs hyperparameters with a prior_weight, and standardised")
+    layers = prior.hidden_layers or suite.hyperparameters.hidden_layers
+    if len(layers) != len(h.hidden_layers):
+        what = f"has {len(layers)} hidden layers; expected as many as the stage has"
+        raise document.error(at, f"{what}, {len(h.hidden_layers)}")
+
+
+def _check_simulated(document: Document, suite: TrainingSuite, name: str) -> None:
+    """Refuses a stage that cannot learn from simulated drivers."""
+    assert suite.human is not None
+    if suite.human_stages[name].fine_tunes is not None:
+        what = "a stage that fine-tunes learns from recorded drivers; expected no fine_tunes"
+        raise document.error(("human", "stages", name, "drivers"), what)
+    if (simulated := suite.human.simulated) is None:
+        raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
+    at = ("human", "simulated")
+    if simulated.conditions not in (None, *suite.conditions):
+        there = f"this file has: {', '.join(suite.conditions) or 'none'}"
+        what = f"no conditions named '{simulated.conditions}'; {there}"
+        raise document.error((*at, "conditions"), what)
+    rates = simulated.scene.simulation_hz, simulated.scene.decision_hz
+    if rates != (SIMULATION_HZ, DECISION_HZ):
+        what = f"expected simulation_hz {SIMULATION_HZ} and decision_hz {DECISION_HZ}"
+        raise document.error((*at, "scene"), f"{what}, found {rates[0]} and {rates[1]}")
+    key = "agents"
+    try:
+        for agent in simulated.agents:
+            if not is_network(agent.name):
+                find(AGENTS, agent.name)
+        key = "traffic"
+        for driver in suite.drivers_of(simulated):
+            if driver in suite.names:
+                raise RegistryError(f"'{driver}' is a stage; expected installed agents or networks")
+            if not is_network(driver):
+                find(AGENTS, driver)
+    except RegistryError as error:
+        raise document.error((*at, key), str(error)) from error
+
+
+def _resolve_likeness(document: Document) -> None:
+    """Copies missing settings into each stage that is `like` another stage."""
+    stages = document.data.get("stages")
+    if not isinstance(stages, dict):
+        return
+    said = dict(stages)
+    for name, stage in said.items():
+        if not isinstance(stage, dict) or "like" not in stage:
+            continue
+        model = said.get(stage["like"]) if isinstance(stage["like"], str) else None
+        if not isinstance(model, dict) or "like" in model:
+            what = f"no stage named '{stage['like']}' that is not itself like another"
+            raise document.error(("stages", name, "like"), what)
+        stages[name] = model | {key: value for key, value in stage.items() if key != "like"}
