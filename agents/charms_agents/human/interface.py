@@ -22,7 +22,8 @@ class Commanded(NamedTuple):
     target_speed: Floats
     """(D, M) the target speed before each decision, m/s."""
     repeats: Ints
-    """(D, M) how often FASTER, or SLOWER if it is negative, was the last action in a row."""
+    """(D, M) how often FASTER, or SLOWER if it is negative, was the last action in a row; 0 if the
+    steps do not grow."""
     acceleration: Floats
     """(D, M) the command of the last simulation step before each decision, m/s2."""
 
@@ -50,7 +51,8 @@ def through_interface(speeds: Floats, profile: Profile) -> Commanded:
     signs, actions = np.array([0, 1, -1])[:, None], np.array([IDLE, FASTER, SLOWER])
     result.speed[0] = speed
     for k in range(decisions):
-        result.target_speed[k], result.repeats[k], result.acceleration[k] = target, repeats, last
+        result.target_speed[k], result.acceleration[k] = target, last
+        result.repeats[k] = repeats if steps.size > 1 else 0  # as the engine counts
         again = np.where(signs * repeats > 0, abs(repeats) + 1, 1)
         aimed = target + signs * steps[np.minimum(again, steps.size) - 1]
         after, held = np.broadcast_to(speed, aimed.shape), np.zeros(aimed.shape)
