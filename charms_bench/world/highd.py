@@ -15,9 +15,9 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.world.csv_table import Columns, Numbers, read_table
 from charms_bench.world.profile import CHARMS
-from charms_bench.world.scene import Bools, Floats, Ints
 
 UPPER, LOWER = 1, 2
 """Driving directions; the upper carriageway of the image drives towards smaller x."""

@@ -26,6 +26,9 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import DataError, suggestion
+from charms_bench.foundation.arrays import Bools as Bools
+from charms_bench.foundation.arrays import Floats as Floats
+from charms_bench.foundation.arrays import Ints as Ints
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
 from charms_bench.foundation.files import absolute
@@ -38,9 +41,6 @@ from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.signedinteger[Any]]
-Bools = NDArray[np.bool_]
 Vehicles = tuple[Ints, ...]
 """M vehicles: their scenes (M,) and their places in them (M,). Indexes any `[B, N]` array."""
 Observations = NDArray[np.float32]
