@@ -43,6 +43,8 @@ NOT_RUN = {
     "with recordings that are public",
     "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
     "--figure likeness.png": "takes minutes, and recordings that are not public",
+    "charms-bench likeness suites/seeds/likeness.yaml i24_car_following.parquet --population i24 "
+    "--half selection": "takes minutes, and recordings that are not in the project",
     "python ppo.py": "tests/agents/test_train_your_own.py trains it",
     "charms-bench export ppo.zip ppo.onnx": "it is not trained here",
     "charms-bench run ego --agent ppo.onnx": "it is not trained here",
