@@ -1,26 +1,26 @@
-"""The test of docs/training-plan.md: `python tools/plan_results.py RUNS`.
+"""The tables of docs/training-plan.md, for `tools/write_results.py`.
 
-RUNS holds the run folders of the suites in `suites/seeds`, each under the name of its suite. Egos
-whose labels differ only in the seed are one training configuration: each value is the mean over its
-seeds, with Student's t interval, and the value of the worst seed. Writes all values to
-`docs/results/plan-test.csv` and prints the table of the main test and that of the other conditions.
+Egos whose labels differ only in the seed are one training configuration: each value is the mean
+over its seeds, with Student's t interval, and the value of the worst seed. `docs/results/plan.csv`
+has the values of every seed.
 """
 
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
-from seeds import t_interval
+from scipy import special
 
-from charms_bench.metrics import STANDARD
+from charms_bench.metrics import STANDARD, Metric
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
+from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
-from charms_bench.world.scene import Floats
+from charms_bench.statistics.intervals import CONFIDENCE, Bounds
+from charms_bench.world.scene import Floats, SceneSettings
 
 ROOT = Path(__file__).parent.parent
 Worst = Callable[[Floats], float]
@@ -41,6 +41,8 @@ DRIVING: dict[str, tuple[str, str, Worst]] = {
     "strong_acceleration_rate": ("above 1.1 m/s²", ".1%", max),
     "acceleration_reversals_per_min": ("reversals per minute", ".1f", _furthest(1.0, 6.0)),
     "centre_headway_below_1s": ("headway < 1 s", ".1%", _furthest(0.05, 0.21)),
+    "yaw_std": ("yaw std", ".4f", max),
+    "harsh_acc_rate": ("harsh", ".4f", max),
 }
 """Header and format of each metric, and which of the seeds' values is the worst."""
 SEALED: dict[str, tuple[str, str, Worst]] = {
@@ -62,29 +64,89 @@ CONDITIONS = {
     "seeds-trucks": "trucks (sealed)",
 }
 """The runs of the test, by their folders."""
-KEYS = ("condition", "traffic", "ego", "over the seeds")
-
-
 MAIN = ("Human (I-75)", "IDM+MOBIL")
 """The traffics of the main test."""
+TRAINED = ("CHARMS", "DQN", "PPO")
+KEYS = ("condition", "traffic", "ego", "over the seeds")
+STYLES = {
+    "efficient styles are faster": ("speed_mean", "efficient", "safe"),
+    "safe styles keep longer headways": ("time_headway_mean", "safe", "efficient"),
+    "prosocial and altruistic styles impose less braking": (
+        "imposed_braking_mean",
+        "prosocial altruistic",
+        "competitive egoistic",
+    ),
+    "prosocial and altruistic styles take fewer gaps": (
+        "lane_changes_per_km",
+        "prosocial altruistic",
+        "competitive egoistic",
+    ),
+}
+"""What the plan says of the styles: the metric, and the two groups that it compares."""
+STYLE_FORMS = {
+    "speed_mean": ".2f",
+    "time_headway_mean": ".2f",
+    "imposed_braking_mean": ".3f",
+    "lane_changes_per_km": ".3f",
+}
+BEFORE = " before fine-tuning"
+OF_AN_EPISODE = (
+    "speed_mean",
+    "time_headway_mean",
+    "mean_acceleration_std",
+    "strong_acceleration_rate",
+    "acceleration_reversals_per_min",
+    "lane_changes_per_km",
+    "lag_gap_mean",
+    "centre_headway_below_1s",
+)
+"""What describes an episode when the style of its ego is told."""
+
+
+def plan_main(run: Path) -> str:
+    """The table of the main test; writes the values of every condition and seed, too."""
+    folders = [run.parent / folder for folder in CONDITIONS]
+    values = pl.concat(
+        of_seeds(folder, CONDITIONS[folder.name]) for folder in folders if folder.is_dir()
+    )
+    values.write_csv(ROOT / "docs" / "results" / "plan.csv")
+    return summary(values.filter(_of_main()), DRIVING, KEYS[1:])
+
+
+def plan_conditions(run: Path) -> str:
+    """The table of the other conditions, from the values that `plan_main` has written."""
+    values = pl.read_csv(ROOT / "docs" / "results" / "plan.csv")
+    shown = pl.col("ego").is_in(["IDM+MOBIL", "Stackelberg", "Human (I-75)", *TRAINED])
+    return summary(values.filter(~_of_main() & shown), SEALED, KEYS)
+
+
+def _of_main() -> pl.Expr:
+    is_there = pl.col("condition") == CONDITIONS["seeds-main"]
+    return is_there & pl.col("traffic").is_in(MAIN)
 
 
 def of_seeds(run: Path, condition: str) -> pl.DataFrame:
     """The metrics of every seed of every configuration, one row per traffic and seed."""
     finished = open_finished(run)
-    names = DRIVING | SEALED
-    metrics = [each for each in STANDARD.metrics if each.name in names]
+    metrics = _metrics((*DRIVING, *SEALED))
     records: list[dict[str, Any]] = []
     for cell in finished.cells():
         ego, _, seed = cell.agent.partition(", seed ")
-        sums = cell.sums(metrics, finished.suite.scene)
-        pairs = zip(metrics, sums, strict=True)
-        found = {metric.name: float(metric.value(each.sum(axis=0))) for metric, each in pairs}
         labels = {"condition": condition, "traffic": cell.traffic, "ego": ego}
+        found = _values(cell, metrics, finished.suite.scene)
         records.append({**labels, "seed": int(seed) if seed else None, **found})
     return pl.DataFrame(records, infer_schema_length=None).with_columns(
         pl.selectors.float().round_sig_figs(6)
     )
+
+
+def _metrics(names: Sequence[str]) -> list[Metric]:
+    return [each for each in STANDARD.metrics if each.name in names]
+
+
+def _values(cell: CellRows, metrics: list[Metric], scene: SceneSettings) -> dict[str, float]:
+    pairs = zip(metrics, cell.sums(metrics, scene), strict=True)
+    return {metric.name: float(metric.value(each.sum(axis=0))) for metric, each in pairs}
 
 
 def summary(
@@ -109,21 +171,115 @@ def summary(
     return markdown(Table.plain(records, keys, {h: form for h, form, _ in columns.values()}))
 
 
-def main(runs: Path) -> None:
-    """Writes the values and prints the tables."""
-    values = pl.concat(
-        of_seeds(runs / folder, condition)
-        for folder, condition in CONDITIONS.items()
-        if (runs / folder).is_dir()
+def t_interval(values: Floats) -> Bounds:
+    """Student's t interval of the mean of independent values (..., n), at a nominal 95 %."""
+    n = values.shape[-1]
+    t = special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
+    margin = t * values.std(axis=-1, ddof=1) / np.sqrt(n)
+    mean = values.mean(axis=-1)
+    return mean - margin, mean + margin
+
+
+def plan_styles(run: Path) -> str:
+    """What the plan says of the styles, before and after fine-tuning, and how far they differ."""
+    finished = open_finished(run)
+    scene, names = finished.suite.scene, tuple(STYLE_FORMS)
+    networks = [each.agent.rpartition(", seed ") for each in finished.cells()]
+    found = [_values(each, _metrics(names), scene) for each in finished.cells()]
+    values = pl.DataFrame(
+        [{"style": n[0], "seed": int(n[2]), **v} for n, v in zip(networks, found, strict=True)]
     )
-    values.write_csv(ROOT / "docs" / "results" / "plan-test.csv")
-    is_main = (pl.col("condition") == CONDITIONS["seeds-main"]) & pl.col("traffic").is_in(MAIN)
-    print(summary(values.filter(is_main), DRIVING, KEYS[1:]))
-    shown = pl.col("ego").is_in(["IDM+MOBIL", "Stackelberg", "Human (I-75)", "CHARMS"])
-    print(summary(values.filter(~is_main & shown), SEALED, KEYS))
+    after = values.filter(~pl.col("style").str.ends_with(BEFORE))
+    before = values.filter(pl.col("style").str.ends_with(BEFORE)).with_columns(
+        pl.col("style").str.strip_suffix(BEFORE)
+    )
+    told = told_from_one_episode(
+        [cell for cell in finished.cells() if BEFORE not in cell.agent], scene
+    )
+    low, high = t_interval(told)
+    accuracy = f"{told.mean():.1%} [{100 * low:.1f}, {100 * high:.1f}]".replace("%", " %")
+    styles = after["style"].n_unique()
+    chance = f"{1 / styles:.1%}".replace("%", " %")
+    return (
+        f"{style_statements(before, after)}\n{style_variances(after)}\nFrom one episode, the style "
+        f"is told right in {accuracy} of the cases (mean over {told.size} training seeds, each "
+        f"held out from the classifier); by chance it would be {chance}.\n"
+    )
 
 
-if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python tools/plan_results.py RUNS")
-    main(Path(sys.argv[1]))
+def style_statements(before: pl.DataFrame, after: pl.DataFrame) -> str:
+    """Each statement of the plan by a difference of styles, paired by seed."""
+    records: list[dict[str, Any]] = []
+    for statement, (metric, *groups) in STYLES.items():
+        record: dict[str, Any] = {"statement": statement, "metric": metric}
+        for when, values in (("before", before), ("after", after)):
+            first, second = (_of_group(values, metric, group) for group in groups)
+            difference = first - second
+            low, high = t_interval(difference)
+            number = Number(float(difference.mean()), float(low), float(high))
+            if when == "after":
+                record |= {"first group": first.mean(), "other styles": second.mean()}
+            record[f"difference {when} fine-tuning"] = number
+        records.append(record)
+    forms = {header: ".3f" for header in records[0] if header not in ("statement", "metric")}
+    return markdown(Table.plain(records, ("statement", "metric"), forms))
+
+
+def _of_group(values: pl.DataFrame, metric: str, group: str) -> Floats:
+    """The mean over the styles of a group for every seed, in the order of the seeds."""
+    words = "|".join(group.split())
+    part = values.filter(pl.col("style").str.to_lowercase().str.contains(words))
+    return part.group_by("seed").agg(pl.col(metric).mean()).sort("seed")[metric].to_numpy()
+
+
+def style_variances(values: pl.DataFrame) -> str:
+    """The standard deviation between styles and between the seeds of a style.
+
+    Components of variance of a random model with one factor: the mean square between styles is in
+    expectation the variance between seeds plus n times that between styles, for n seeds.
+    """
+    records: list[dict[str, Any]] = []
+    for metric in STYLE_FORMS:
+        table = np.stack([each[metric].to_numpy() for each in values.partition_by("style")])
+        n = table.shape[1]
+        seeds = table.var(axis=1, ddof=1).mean()
+        styles = max(table.mean(axis=1).var(ddof=1) - seeds / n, 0.0)
+        records.append({"metric": metric, "styles": np.sqrt(styles), "seeds": np.sqrt(seeds)})
+    names = "std between styles", "std between seeds of a style"
+    forms = {"styles": ".3f", "seeds": ".3f"}
+    return markdown(Table.plain(records, ("metric",), forms).named(*names))
+
+
+def told_from_one_episode(cells: Sequence[CellRows], scene: SceneSettings) -> Floats:
+    """The share of episodes whose style is told right, for every seed, which is held out.
+
+    Linear discriminant analysis of `OF_AN_EPISODE`; a metric that is not defined in an episode is
+    put at the mean.
+    """
+    metrics = _metrics(OF_AN_EPISODE)
+    by_seed: dict[str, list[Floats]] = {}
+    for cell in cells:
+        sums = cell.sums(metrics, scene)
+        values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
+        by_seed.setdefault(cell.agent.rpartition(", seed ")[2], []).append(np.stack(values, axis=1))
+    known = np.stack([np.stack(styles) for styles in by_seed.values()])
+    return np.array([_told(np.delete(known, k, axis=0), known[k]) for k in range(len(known))])
+
+
+def _told(known: Floats, asked: Floats) -> float:
+    """The share told right of `asked` [styles, E, K], by `known` [seeds, styles, E, K]."""
+    flat = known.reshape(-1, known.shape[-1])
+    mean, spread = np.nanmean(flat, axis=0), np.nanstd(flat, axis=0)
+
+    def scaled(values: Floats) -> Floats:
+        return np.asarray(np.nan_to_num((values - mean) / np.where(spread > 0, spread, 1.0)))
+
+    of_styles = scaled(known).swapaxes(0, 1).reshape(known.shape[1], -1, known.shape[-1])
+    centres = of_styles.mean(axis=1)
+    within = (of_styles - centres[:, None]).reshape(-1, known.shape[-1])
+    precision = np.linalg.pinv(within.T @ within / len(within))
+    scores = (
+        scaled(asked) @ precision @ centres.T
+        - np.einsum("sk,kl,sl->s", centres, precision, centres) / 2
+    )
+    return float((scores.argmax(axis=-1) == np.arange(len(centres))[:, None]).mean())

@@ -18,10 +18,9 @@ from pathlib import Path
 from textwrap import fill
 
 import polars as pl
+from plan_results import plan_conditions, plan_main, plan_styles
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
-from seeds import coverage_table, seeds_table
-from style_differences import style_differences
 from transfer import transfer_table, with_worst
 
 from charms_bench import open_run
@@ -257,7 +256,6 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),
-    "style-differences": ("styles", style_differences),
     "transfer": ("transfer-traffics", transfer_table),
     "environment": ("environment", partial(of_suite, ENVIRONMENT)),
     "environment-edge-cases": ("environment", partial(rates, EDGE_CASES)),
@@ -269,8 +267,9 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "avoidability": ("ego", avoidability),
     "fine-tuning": ("train", fine_tuning),
     "training-time": ("train", training_time),
-    "seeds": ("seeds", seeds_table),
-    "seed-coverage": ("seeds", coverage_table),
+    "plan-main": ("seeds-main", plan_main),
+    "plan-conditions": ("seeds-main", plan_conditions),
+    "plan-styles": ("seeds-styles", plan_styles),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),

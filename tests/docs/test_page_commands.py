@@ -34,8 +34,6 @@ NOT_RUN = {
     "d3rlpy-env/bin/pip install torch d3rlpy 'minari[hdf5]' pillow": "tox -e data runs it",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
-    "python tools/human_frontier.py suites/train.yaml NETWORK FOLDER": "takes minutes, and "
-    "recordings that are not public",
     "python tools/stop_and_go.py": "takes minutes; tests/engine/test_stop_and_go.py calls it",
     "charms-bench calibrate FOLDER --to my-road.json --figure my-road.png": "takes minutes, and "
     "recordings that are not public",

@@ -1,0 +1,108 @@
+"""The tables of the plan: intervals over seeds, differences of styles, and styles told apart."""
+
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+from written import ROOT
+
+STYLES = [(p, s) for p in ("Efficient", "Safe") for s in ("Egoistic", "Prosocial")]
+
+
+@pytest.fixture(scope="module")
+def tool() -> Iterator[ModuleType]:
+    sys.path.insert(0, str(ROOT / "tools"))
+    import plan_results
+
+    yield plan_results
+    sys.path.remove(str(ROOT / "tools"))
+
+
+def test_the_interval_is_that_of_students_t(tool: ModuleType) -> None:
+    values = np.array([0.8, 0.9, 0.6, 1.0, 1.3])
+    expected = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+    assert tool.t_interval(values) == pytest.approx((expected.low, expected.high), rel=1e-12)
+
+
+def test_the_table_has_the_mean_and_the_worst_seed(tool: ModuleType) -> None:
+    others = dict.fromkeys(tool.DRIVING, 0.5)
+    at_fault, changes = [0.01, 0.02, 0.03, 0.02, 0.02], [0.2, 0.3, 0.05, 0.3, 0.74]
+    rows = [
+        {"traffic": "T", "ego": "A", **others, "crashed_at_fault": crash, "lane_changes_per_km": k}
+        for crash, k in zip(at_fault, changes, strict=True)
+    ]
+    text = tool.summary(pl.DataFrame(rows), tool.DRIVING, tool.KEYS[1:])
+    # A standard deviation of 0.707 %, times 2.776 over the root of 5, is 0.88 %.
+    assert "| T | A | mean of 5 [t interval] | 2.0 % [1.1, 2.9] |" in text
+    worst = next(line for line in text.splitlines() if "worst seed" in line).split(" | ")
+    assert worst[3] == "3.0 %"
+    assert worst[6] == "0.05", "0.05 is further below 0.1 than 0.74 is from 0.75"
+
+
+def values(metrics: dict[str, tuple[float, float]], rng: np.random.Generator) -> pl.DataFrame:
+    """Styles of five seeds; a metric is its first number in safe styles, or else its second."""
+    rows = [
+        {"style": f"{priority}-{svo}", "seed": seed}
+        | {
+            name: safe if priority == "Safe" else efficient
+            for name, (safe, efficient) in metrics.items()
+        }
+        for seed in range(5)
+        for priority, svo in STYLES
+    ]
+    frame = pl.DataFrame(rows)
+    noise = [pl.col(name) + pl.Series(rng.normal(0, 0.01, len(rows))) for name in metrics]
+    return frame.with_columns(noise)
+
+
+def test_a_difference_of_styles_is_paired_by_seed(tool: ModuleType) -> None:
+    means = dict.fromkeys(tool.STYLE_FORMS, (2.0, 3.0))
+    found = values(means, np.random.default_rng(0))
+    offset = pl.col("speed_mean") + 100.0 * pl.col("seed")  # the same for all styles of a seed
+    found = found.with_columns(offset)
+    text = tool.style_statements(found, found)
+    faster = next(line for line in text.splitlines() if "faster" in line)
+    efficient, safe = (
+        found.filter(pl.col("style").str.starts_with(word))
+        .group_by("seed", maintain_order=True)
+        .agg(pl.col("speed_mean").mean())["speed_mean"]
+        .to_numpy()
+        for word in ("Efficient", "Safe")
+    )
+    expected = stats.ttest_rel(efficient, safe).confidence_interval(0.95)
+    difference = (efficient - safe).mean()
+    assert f"{difference:.3f} [{expected.low:.3f}, {expected.high:.3f}]" in faster
+
+
+def test_variances_of_styles_and_seeds_are_those_of_the_simulated_model(tool: ModuleType) -> None:
+    rng = np.random.default_rng(1)
+    rows = []
+    for style in range(400):
+        centre = rng.normal(0, 2.0)
+        rows += [
+            {"style": f"{style:03}", "seed": seed}
+            | dict.fromkeys(tool.STYLE_FORMS, centre + rng.normal(0, 0.5))
+            for seed in range(5)
+        ]
+    line = tool.style_variances(pl.DataFrame(rows)).splitlines()[2]
+    styles, seeds = (float(each) for each in line.strip("| ").split(" | ")[1:])
+    assert styles == pytest.approx(2.0, rel=0.15)
+    assert seeds == pytest.approx(0.5, rel=0.05)
+
+
+def test_styles_are_told_apart_as_well_as_their_distributions_allow(tool: ModuleType) -> None:
+    rng = np.random.default_rng(2)
+    centres = np.array([[0.0, 0.0], [2.0, 0.0]])  # of two styles, in standard deviations
+    draw = rng.standard_normal((5, 2, 4000, 2)) + centres[:, None]
+    stretched = draw @ np.array([[3.0, 1.0], [1.0, 2.0]])  # what is known of the best rule stays
+    told = tool._told(stretched[1:], stretched[0])
+    assert told == pytest.approx(stats.norm.cdf(1.0), abs=0.02)
+
+
+def test_styles_of_one_distribution_are_told_by_chance(tool: ModuleType) -> None:
+    draw = np.random.default_rng(3).standard_normal((5, 8, 500, 3))
+    assert tool._told(draw[1:], draw[0]) == pytest.approx(1 / 8, abs=0.03)
