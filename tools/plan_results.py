@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 from scipy import special
 
-from charms_bench.metrics import STANDARD, Metric
+from charms_bench.metrics import PAPER, STANDARD, Metric
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
@@ -77,7 +77,7 @@ STYLES = {
         "competitive egoistic",
     ),
     "prosocial and altruistic styles take fewer gaps": (
-        "lane_changes_per_km",
+        "gaps_taken_per_1000km",
         "prosocial altruistic",
         "competitive egoistic",
     ),
@@ -87,7 +87,7 @@ STYLE_FORMS = {
     "speed_mean": ".2f",
     "time_headway_mean": ".2f",
     "imposed_braking_mean": ".3f",
-    "lane_changes_per_km": ".3f",
+    "gaps_taken_per_1000km": ".1f",
 }
 BEFORE = " before fine-tuning"
 OF_AN_EPISODE = (
@@ -141,7 +141,9 @@ def of_seeds(run: Path, condition: str) -> pl.DataFrame:
 
 
 def _metrics(names: Sequence[str]) -> list[Metric]:
-    return [each for each in STANDARD.metrics if each.name in names]
+    """The metrics by name, those of the set `standard` first."""
+    known = {each.name: each for found in (PAPER, STANDARD) for each in found.metrics}
+    return [known[name] for name in dict.fromkeys(names)]
 
 
 def _values(cell: CellRows, metrics: list[Metric], scene: SceneSettings) -> dict[str, float]:
