@@ -70,7 +70,7 @@ def test_a_run_opened_from_its_folder_has_the_same_tables(run: charms_bench.Run)
 
 def test_the_mean_speed_of_a_table_is_that_of_the_rows(run: charms_bench.Run) -> None:
     frame = run.table.select("speed_mean").frame()
-    value = frame.filter(agent="IDM", metric_set="standard-4")["value"].item()
+    value = frame.filter(agent="IDM", metric_set="standard-5")["value"].item()
     after_warm_up = pl.col("step") > 9  # 3 s
     driving = run.steps.filter((pl.col("agent") == "IDM") & after_warm_up)
     assert run.episodes["ending"].unique().to_list() == ["time"]
@@ -87,7 +87,7 @@ def test_two_agents_are_compared_metric_by_metric(run: charms_bench.Run) -> None
 def test_other_thresholds_need_no_simulation(suite_file: Path, tmp_path: Path) -> None:
     made = charms_bench.run(suite_file, tmp_path / "run", episodes=2, seed=9, workers=1)
     table = made.rescore("standard:ttc_s=2")
-    assert {column.group for column in table.columns} == {"standard-4(ttc_s=2)"}
+    assert {column.group for column in table.columns} == {"standard-5(ttc_s=2)"}
     assert made.episodes["episode"].unique().sort().to_list() == [9, 10]
     assert made.tables["small"].frame().equals(table.frame())
 

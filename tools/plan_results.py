@@ -51,6 +51,7 @@ SEALED: dict[str, tuple[str, str, Worst]] = {
     "speed_mean": ("speed, m/s", ".2f", min),
     "lag_gap_mean": ("lag gap, m", ".1f", min),
     "imposed_braking_mean": ("imposed braking, m/s²", ".2f", max),
+    "closing_speed_below_1s_mean": ("closing speed at 1 s, m/s", ".2f", max),
     "conflicts_per_1000km": ("conflicts per 1,000 km", ",.0f", max),
 }
 CONDITIONS = {

@@ -1,4 +1,6 @@
-"""How far behind its leader the ego drives: the time headway, from front to front.
+"""How far behind its leader the ego drives, and how fast it closes in as the headway gets short.
+
+Time headways are from front to front.
 
 With a headway above 6 s, a driver drives freely (Vogel 2003, Accident Analysis and Prevention 35).
 """
@@ -7,6 +9,7 @@ import polars as pl
 
 from charms_bench.metrics.metric import Metric, in_name
 from charms_bench.metrics.row_samples import Sample
+from charms_bench.metrics.rows import IS_LATER
 
 FREE_HEADWAY_S = 6.0
 SHORT_HEADWAY_S = 1.0
@@ -17,10 +20,15 @@ HEADWAY = pl.col("time_headway_s")
 
 
 def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
-    """The mean while the ego follows a leader, and the time below a threshold.
+    """The mean while the ego follows a leader, the time below a threshold, and how it gets there.
 
     Studies of recorded drivers often measure from centre to centre, near a leader only.
     """
+    # An episode's rows are aggregated by themselves, so this sees no other episode.
+    was_longer = HEADWAY.shift().ge(threshold_s) & ~pl.col("leader_changed")
+    had_no_leader = IS_LATER & DISTANCE.shift().is_null()
+    falls = HEADWAY.lt(threshold_s) & (was_longer | had_no_leader)
+    closing = (pl.col("speed") - pl.col("leader_speed")).clip(0.0)
     near = driving.among("steps with a leader within 100 m", DISTANCE <= NEAR_M)
     return (
         driving.among("following steps", HEADWAY <= FREE_HEADWAY_S).mean(
@@ -36,5 +44,14 @@ def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
             DISTANCE.lt(threshold_s * pl.col("speed")),
             "proportion of the time with a leader within 100 m in which the distance between "
             f"centres, divided by the ego's speed, is below {threshold_s:g} s",
+        ),
+        driving.among(
+            f"decisions at which the time headway falls below {threshold_s:g} s", falls
+        ).mean(
+            f"closing_speed_below_{in_name(threshold_s)}s_mean",
+            "m/s",
+            closing,
+            "speed at which the ego closes in on its leader when the time headway falls below "
+            f"{threshold_s:g} s, 0 if the leader is faster",
         ),
     )

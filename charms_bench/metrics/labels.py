@@ -39,6 +39,7 @@ LABELS = {
     "time_headway_mean": "Mean time headway",
     "time_headway_below_{}s": "Time headway below {} s",
     "centre_headway_below_{}s": "Headway between centres below {} s",
+    "closing_speed_below_{}s_mean": "Mean closing speed as the headway falls below {} s",
     "dhw_mean": "Mean distance headway",
     "dhw_std": "Distance headway, std",
     "speed_mean": "Mean speed",
@@ -114,7 +115,7 @@ def key_label_of(key: str) -> str:
 
 
 def set_label_of(label: str) -> str:
-    """The heading of a metric set: `Standard metrics (ttc_s=2)` for `standard-4(ttc_s=2)`.
+    """The heading of a metric set: `Standard metrics (ttc_s=2)` for `standard-5(ttc_s=2)`.
 
     A set without a heading keeps its label.
     """

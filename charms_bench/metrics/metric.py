@@ -66,7 +66,7 @@ class MetricSet:
 
     @property
     def label(self) -> str:
-        """The name in tables, such as `paper-2` or `standard-4(ttc_s=2)`."""
+        """The name in tables, such as `paper-2` or `standard-5(ttc_s=2)`."""
         return f"{self.name}-{self.version}" + (f"({self.options})" if self.options else "")
 
 

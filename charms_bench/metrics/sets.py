@@ -64,7 +64,7 @@ def standard(
     driving = driving_after(warm_up_s)
     return MetricSet(
         name="standard",
-        version=4,
+        version=5,
         metrics=(
             *collisions.OF_EGO,
             *of_conflicts(driving, conflict_ttc_s),

@@ -49,10 +49,10 @@ def test_every_table_is_on_a_page(tool: ModuleType) -> None:
 def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> None:
     rows = [
         ("IDM", "mixed", "paper-2", "speed_mean", 23.676, 23.6, 23.7, 100, 23.67),
-        ("IDM", "mixed", "standard-4", "speed_mean", 25.0, 24.9, 25.1, 100, None),
-        ("IDM", "mixed", "standard-4", "crashed_episodes", 0.0301, 0.023, 0.0391, 100, None),
+        ("IDM", "mixed", "standard-5", "speed_mean", 25.0, 24.9, 25.1, 100, None),
+        ("IDM", "mixed", "standard-5", "crashed_episodes", 0.0301, 0.023, 0.0391, 100, None),
         ("other", "mixed", "paper-2", "speed_mean", None, None, None, 0, None),
-        ("other", "mixed", "standard-4", "crashed_episodes", 0.0, None, None, 100, None),
+        ("other", "mixed", "standard-5", "crashed_episodes", 0.0, None, None, 100, None),
     ]
     suite = {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
     long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")

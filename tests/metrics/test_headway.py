@@ -38,3 +38,44 @@ def test_headway_between_centres_is_that_of_leaders_within_100_m() -> None:
     assert math.isnan(measure(short, ({}, [{}])))
     # A leader beside the ego has no gap, but its centre is near.
     assert measure(short, ({}, [behind(4.0)])) == 1.0
+
+
+CLOSING = "closing_speed_below_1s_mean"
+
+
+def closing(distance: float, by: float, leader: int = 1) -> dict[str, float]:
+    """A step at 25 m/s behind a leader that is slower by some speed; 25 m are 1 s."""
+    return {"leader": leader, **behind(distance), "leader_speed": 25.0 - by}
+
+
+def test_closing_speed_is_that_of_decisions_at_which_the_headway_falls_below_1_s() -> None:
+    # The second step and the last one; the leader of the last one is faster.
+    steps = [closing(25.0, 3.0), closing(24.0, 3.0), closing(23.0, 2.0), closing(25.0, -1.0)]
+    steps += [closing(24.0, -1.0)]
+    assert measure(of_standard(CLOSING), ({}, steps)) == pytest.approx(3.0 / 2)
+    at_1_5_s = of_standard("closing_speed_below_1_5s_mean", headway_s=1.5)
+    assert measure(at_1_5_s, ({}, [closing(38.0, 2.0), *steps])) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "mean"),
+    [
+        ({}, 4.0),  # no leader
+        (closing(30.0, 1.0, leader=2), math.nan),  # another one cut in, or left
+        (closing(4.0, 1.0), math.nan),  # beside the ego, so without a headway
+    ],
+)
+def test_a_headway_that_jumps_to_another_leader_does_not_fall(
+    before: dict[str, float], mean: float
+) -> None:
+    found = measure(of_standard(CLOSING), ({}, [before, closing(20.0, 4.0)]))
+    assert found == pytest.approx(mean, nan_ok=True)
+
+
+def test_the_first_decision_a_warm_up_and_a_wreck_have_no_falling_headway() -> None:
+    falls = [closing(26.0, 4.0), closing(24.0, 4.0)]
+    assert math.isnan(measure(of_standard(CLOSING), ({}, falls[:1]), ({}, falls[1:])))
+    assert math.isnan(measure(of_standard(CLOSING, warm_up_s=1.0), ({}, falls)))
+    # The second decision, at 2/3 s, is the first one after 0.5 s.
+    assert measure(of_standard(CLOSING, warm_up_s=0.5), ({}, falls)) == pytest.approx(4.0)
+    assert math.isnan(measure(of_standard(CLOSING), ({"ending": "rear_end"}, falls)))

@@ -25,7 +25,7 @@ SUITE = Suite.model_validate(
 
 def table(*rows: tuple[str, str, str, float | None]) -> Table:
     made = [
-        (agent, traffic, "standard-4", metric, value, value and 0.9 * value, value and 1.1 * value)
+        (agent, traffic, "standard-5", metric, value, value and 0.9 * value, value and 1.1 * value)
         for agent, traffic, metric, value in rows
     ]
     schema = long_schema(KEYS, LONG)

@@ -12,7 +12,7 @@ from charms_bench.report.number import Number
 from charms_bench.report.table import Column, Row, Table
 
 SPEED = Column("speed_mean", "m/s", "speed in logged steps", "logged steps", group="paper-2")
-CRASHED = Column("crashed_episodes", group="standard-4")
+CRASHED = Column("crashed_episodes", group="standard-5")
 TABLE = Table(
     name="ego",
     title="Egos",

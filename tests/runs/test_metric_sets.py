@@ -29,7 +29,7 @@ def test_without_names_there_are_the_usual_sets() -> None:
 
 def test_other_thresholds_show_in_the_label_and_in_names() -> None:
     (found,) = metric_sets(["standard:ttc_s=2,drac_mps2=3.4"])
-    assert found.label == "standard-4(ttc_s=2,drac_mps2=3.4)"
+    assert found.label == "standard-5(ttc_s=2,drac_mps2=3.4)"
     names = [metric.name for metric in found.metrics]
     assert {"ttc_below_2s", "drac_above_3_4"} < set(names)
     assert not {"ttc_below_3s", "drac_above_3_35"} & set(names)
@@ -38,7 +38,7 @@ def test_other_thresholds_show_in_the_label_and_in_names() -> None:
 
 def test_another_warm_up_shows_in_the_label_and_in_what_is_counted() -> None:
     (found,) = metric_sets(["standard:warm_up_s=0"])
-    assert found.label == "standard-4(warm_up_s=0)"
+    assert found.label == "standard-5(warm_up_s=0)"
     counted = {metric.name: metric.rests_on for metric in found.metrics}
     assert counted["speed_mean"] == "steps"
     usual = {metric.name: metric.rests_on for metric in STANDARD.metrics}
@@ -85,7 +85,7 @@ def test_a_run_is_measured_again_from_its_rows_alone(finished: Path, tmp_path: P
     result = rescore(folder)
     assert result.returncode == 0, result.stderr
     table = pl.read_csv(folder / "tables" / "small.csv")
-    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-2", "standard-4"]
+    assert table["metric_set"].unique(maintain_order=True).to_list() == ["paper-2", "standard-5"]
     rows = sorted(path.name for path in folder.rglob("*.parquet"))
     assert rows == sorted(path.name for path in finished.rglob("*.parquet"))
 

@@ -110,7 +110,7 @@ def test_two_drivers_of_one_kind_are_seldom_told_apart(cells: dict[str, CellRows
 def test_a_difference_that_is_known_exactly_is_held(cells: dict[str, CellRows]) -> None:
     rows = compared(cells, "faster")
     speeds = [[found for found in row if found["metric"] == "speed_mean"][-1] for row in rows]
-    assert speeds[0]["metric_set"] == "standard-4"
+    assert speeds[0]["metric_set"] == "standard-5"
     held = np.mean([f["low"] <= -FASTER_MPS <= f["high"] for f in speeds])
     detectable = np.median([f["detectable"] for f in speeds])
     found = np.mean([f["high"] < 0 for f in speeds])
