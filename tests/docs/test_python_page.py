@@ -11,7 +11,7 @@ from written import ROOT, blocks
 def code_of(page: Path) -> str:
     """The Python blocks of a page that use `charms_bench`, with fewer episodes."""
     parts = [block.text for block in blocks(page) if block.language == "python"]
-    # The README's other block is a training, which test_train_your_own.py runs.
+    # The README's other block is a training, which test_your_policy.py runs.
     code = "\n".join(part for part in parts if "PPO" not in part)
     shortened, changed = re.subn(r"episodes=\d+", "episodes=4", code)
     assert changed == 1, "the page runs one suite"
