@@ -34,7 +34,9 @@ class ReferenceSpec(FrozenModel):
     """Names a reference in the package, or a folder of recordings in highD's format."""
 
     name: Name | None = None
+    """A reference in the package: `i24`, `i75`, `us101_corrected` or `us101`."""
     recordings: FilePath | None = None
+    """A folder of recordings, relative to the suite's folder."""
     label: Name | None = None
     """Its name in tables; by default its name, or that of the folder."""
 

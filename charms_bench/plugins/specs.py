@@ -30,7 +30,9 @@ class _Spec(FrozenModel):
     """A plugin by its name; a plain string is the name, and `{onnx: path}` means `{name: path}`."""
 
     name: AgentName | None = None
+    """The name of an installed plugin, or the path of a network (`.onnx`)."""
     options: dict[str, Any] = Field(default={})
+    """Arguments of the plugin's class."""
 
     @model_validator(mode="before")
     @classmethod
@@ -49,6 +51,7 @@ class AgentSpec(_Spec):
     """An agent by its name; a network may be given its decision rate."""
 
     name: AgentName
+    """The name of an installed agent, or the path of a network (`.onnx`)."""
     decision_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     """By default, the rate in the network's file."""
 
@@ -81,11 +84,12 @@ class AgentSpec(_Spec):
 
 
 class TrafficSpec(_Spec):
-    """A traffic or an agent by its name, or a mixture of agents with shares."""
+    """A traffic model or an agent by its name, a mixture of agents, or a scenario."""
 
     mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
+    """The probability of each agent; each vehicle draws one. They sum to 1."""
     scenario: Scenario | None = None
-    """Vehicles that are placed, instead of a traffic that is drawn."""
+    """Vehicles that are placed and prescribed, instead of a traffic model."""
 
     @model_validator(mode="after")
     def _one_of_three(self) -> "TrafficSpec":

@@ -44,9 +44,11 @@ class EgoEntry(FrozenModel):
     """An ego of the suite."""
 
     agent: AgentSpec
+    """The agent that drives the ego; a plain text is its name, or the path of a network."""
     label: Name | None = None
+    """Its name in tables; by default the agent's."""
     paper: dict[str, Finite] = Field(default={})
-    """Values that the paper reports for it, by metric."""
+    """Published values of the metrics of the set `paper`, shown beside the measured ones."""
 
     @property
     def title(self) -> str:
@@ -55,11 +57,14 @@ class EgoEntry(FrozenModel):
 
 
 class TrafficEntry(FrozenModel):
-    """A traffic of the suite."""
+    """A traffic model of the suite."""
 
     traffic: TrafficSpec
+    """The traffic model; a plain text is its name, or that of the agent of every vehicle."""
     label: Name | None = None
+    """Its name in tables; by default the traffic model's."""
     paper: dict[str, Finite] = Field(default={})
+    """Published values of the metrics of the set `paper`, shown beside the measured ones."""
 
     @property
     def title(self) -> str:
@@ -87,25 +92,30 @@ class Cell(FrozenModel):
 
 
 class Suite(FrozenModel):
-    """An evaluation: every ego in every traffic, on the same episodes."""
+    """An evaluation: every ego in every traffic model, on the same episodes."""
 
     suite: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
     """Its name, and that of its tables."""
     title: Line = ""
+    """A line that is printed above its tables."""
     note: Line = ""
     """What a reader of its tables has to know, such as what an agent was trained on."""
     episodes: Annotated[int, Field(ge=1, le=EPISODES_LIMIT)]
+    """Episodes of each ego in each traffic model."""
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
     """Seed of the first episode; the next episodes have the next seeds."""
     scene: SceneSettings = SceneSettings()
+    """The road, the vehicles and the duration of an episode."""
     egos: Annotated[
         tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
     ]
+    """The agents that are evaluated, at most 100."""
     traffics: Annotated[
         tuple[TrafficEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
     ]
+    """What drives the vehicles around the ego, at most 100."""
     columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
-    """Metrics of the printed table; if empty, all that the paper reports."""
+    """Metrics of the printed table; if empty, those of the paper."""
     pairs: bool = False
     """Whether to compare the egos pair by pair in a table."""
     preventable_by: Annotated[
@@ -117,7 +127,7 @@ class Suite(FrozenModel):
     references: Annotated[
         tuple[ReferenceSpec, ...], Field(max_length=ENTRIES_LIMIT, strict=False)
     ] = ()
-    """Human driving to compare each traffic with."""
+    """Human driving data to compare each traffic model with."""
     folder: Path = Field(default=Path(), exclude=True, strict=False)
     """Folder that relative paths start from: that of the suite file."""
 

@@ -30,7 +30,7 @@ class IdmMobilConstants(FrozenModel):
     deceleration_mps2: Positive = 5.0
     """Comfortable deceleration, b [-COMFORT_ACC_MIN]."""
     jam_distance_m: Positive = 10.0
-    """Distance to a standing leader, centre to centre, s0 [DISTANCE_WANTED]."""
+    """Distance to a stationary leader, centre to centre, s0 [DISTANCE_WANTED]."""
     time_headway_s: Positive = 1.5
     """Desired time headway, T [TIME_WANTED]."""
     exponent_low: Positive = 3.5
@@ -63,11 +63,15 @@ class Profile(FrozenModel):
 
     name: str
     lane_width_m: Positive = 4.0
+    """Width of every lane."""
     road_length_m: Positive = 10_000.0
     """The least length; scenes with more vehicles than fit have a longer road."""
     speed_limit_mps: Positive
+    """Speed limit of the road."""
     vehicle_length_m: Positive = 5.0
+    """Length of a vehicle without a type."""
     vehicle_width_m: Positive = 2.0
+    """Width of a vehicle without a type."""
     speed_min_mps: Finite
     """A slower vehicle is accelerated towards this speed [MIN_SPEED]."""
     speed_max_mps: Positive
@@ -94,19 +98,22 @@ class Profile(FrozenModel):
     target speed, then the second, and so on to the last. Any other meta-action begins anew. A
     policy may have steps of its own; see `plugins.agent.Policy`."""
     target_speed_min_mps: Finite
+    """Lowest target speed."""
     target_speed_max_mps: Positive
+    """Highest target speed."""
     target_speeds_mps: tuple[Finite, ...] = Field(default=(), strict=False, max_length=100)
     """Evenly spaced target speeds between which FASTER and SLOWER choose [target_speeds]."""
     spawn_speed_low: Positive = 0.7
-    """Smallest initial speed of the traffic, as a share of the speed limit."""
+    """Smallest initial speed of the traffic, as a proportion of the speed limit."""
     spawn_speed_high: Positive = 0.8
+    """Largest initial speed of the traffic, as a proportion of the speed limit."""
     ego_speed_mps: Positive
     """Initial speed of the ego."""
     ego_spacing: Positive | None = None
     """Spacing at which the ego spawns; by default that of the traffic, 1 / density."""
     ego_control_rate: Literal["decision", "simulation"]
-    """How often the ego's steering and acceleration are computed: once per decision, and then held
-    until the next one, or in every simulation step."""
+    """How often the ego's steering and acceleration are computed: once per decision (zero-order
+    hold) or in every simulation step."""
     offroad_terminal: bool
     """Whether the episode ends when the ego leaves the road."""
     sums_time: bool

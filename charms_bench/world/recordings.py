@@ -15,12 +15,14 @@ class Split(FrozenModel):
     part, and both parts meet the same traffic. By time, the last fifth of each recording is the
     test part. By place, the last fifth of the locations is, and at least one."""
     part: Literal["train", "test"]
+    """Which of the two parts is used."""
 
 
 class RecordedMoments(FrozenModel):
     """Moments of recordings in highD's format; a plain string is the folder."""
 
     folder: FilePath
+    """The folder of the recordings, relative to the suite's folder."""
     main_lanes: Annotated[int, Field(ge=1)] | None = None
     """The egos start on this many lanes, counted from the left; by default on any."""
     split: Split | None = None

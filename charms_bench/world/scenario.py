@@ -75,8 +75,11 @@ class EgoStart(FrozenModel):
     """Where the ego starts."""
 
     lane: Formula
+    """Its lane; 0 is the leftmost."""
     speed_mps: Formula
+    """Its speed at the start."""
     x_m: Formula = 100.0
+    """Position of its centre along the road."""
     length_m: Formula | None = None
     """Its length and its width are the profile's by default."""
     width_m: Formula | None = None
@@ -86,8 +89,11 @@ class PlacedVehicle(FrozenModel):
     """A vehicle of the scenario: where it starts, and what drives it."""
 
     name: Name
+    """Its name, for `ahead_of` and `behind` of later vehicles."""
     lane: Formula
+    """Its lane; 0 is the leftmost."""
     speed_mps: Formula
+    """Its speed at the start."""
     length_m: Formula | None = None
     """Its length and its width are the profile's by default."""
     width_m: Formula | None = None
@@ -98,12 +104,14 @@ class PlacedVehicle(FrozenModel):
     behind: Name | None = None
     """The vehicle, or `ego`, from whose rear `gap_m` is measured to this vehicle's front."""
     gap_m: Formula | None = None
+    """The gap from bumper to bumper."""
     agent: Line | None = None
     """The agent that drives it; without one, it keeps its speed and lane but for `actions`."""
     driver_parameters: Annotated[dict[Name, Formula], Field(max_length=100)] = {}  # noqa: RUF012
     """Parameters of its driver, for an agent with `DriverModel.parameters`; the middles of their
     ranges by default."""
     actions: Annotated[tuple[Action, ...], Field(max_length=20, strict=False)] = ()
+    """What a vehicle without an agent does, at most 20 actions."""
 
     @model_validator(mode="after")
     def _is_placed_once(self) -> "PlacedVehicle":
@@ -133,6 +141,7 @@ class Scenario(FrozenModel):
         dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,39}$")], Parameter],
         Field(max_length=20),
     ] = {}  # noqa: RUF012  # a field of pydantic, which copies it
+    """The parameters by name; formulas use these names."""
     points: (
         Literal["sobol", "random", "grid"]
         | LatinHypercube
@@ -143,9 +152,11 @@ class Scenario(FrozenModel):
     ) = "sobol"
     """Which points are the episodes; an episode's seed is the number of its point."""
     ego: EgoStart
+    """Where the ego starts."""
     vehicles: Annotated[
         tuple[PlacedVehicle, ...], Field(min_length=1, max_length=100, strict=False)
     ]
+    """The other vehicles, at most 100."""
 
     @property
     def has_sizes(self) -> bool:

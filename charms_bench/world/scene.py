@@ -93,13 +93,19 @@ class SceneSettings(FrozenModel):
     profile: Annotated[Profile, BeforeValidator(_with_overrides)] = CHARMS
     """A profile, its name, or its name and other values for some of its fields."""
     lanes: Annotated[int, Field(ge=2, le=8)] = 3
+    """Lanes of the road; lane 0 is the leftmost."""
     traffic_vehicles: Annotated[int, Field(ge=0, le=2000)] = 20
+    """Vehicles around the ego at the start."""
     density: Positive = 1.0
+    """The distances between vehicles at the start are proportional to 1 / density."""
     ego_slots: Annotated[int, Field(ge=1)] = 6
     """How many of the first vehicles can be the ego; each is equally likely."""
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
+    """Simulation steps per second."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
+    """Rows per second: how often the ego's decisions are recorded."""
     duration_s: Positive = 20.0
+    """Duration of an episode, unless the ego crashes first."""
     vehicle_types: Annotated[tuple[VehicleType, ...], Field(max_length=100, strict=False)] = ()
     """Types of vehicles, which are drawn for each vehicle; if empty, all are the profile's."""
     ego_type: Name | None = None
@@ -112,7 +118,7 @@ class SceneSettings(FrozenModel):
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
     vehicles, and of lanes if it is not given: that of most vehicles."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
-    """The scenario that places the vehicles; in a suite, it stands in the place of a traffic."""
+    """The scenario that places the vehicles; a suite gives it as the traffic model."""
 
     @model_validator(mode="wrap")
     @classmethod

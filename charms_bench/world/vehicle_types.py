@@ -1,4 +1,4 @@
-"""Types of vehicles in a traffic, such as cars and trucks, and how common each is."""
+"""Types of vehicles in the traffic, such as cars and trucks, and how common each is."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,6 +37,7 @@ class Distribution(FrozenModel):
     """A distribution, truncated to a range."""
 
     range: Annotated[tuple[Finite, Finite], Field(strict=False), AfterValidator(_ordered)]
+    """Least and largest value."""
     normal: Annotated[tuple[Finite, Positive], Field(strict=False)] | None = None
     """Mean and standard deviation."""
     lognormal: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = None
@@ -72,13 +73,16 @@ Uniform = Annotated[tuple[Finite, Finite], Field(strict=False), AfterValidator(_
 
 
 class VehicleType(FrozenModel):
-    """A type; its vehicles are the profile's but for what it gives."""
+    """A type of vehicle; what it does not give is the profile's."""
 
     name: Name
+    """Its name, for `ego_type`."""
     share: Annotated[float, Field(gt=0, le=1)]
     """The proportion of vehicles of this type; those of all types sum to 1."""
     length_m: Length | Distribution | None = None
+    """Its length; by default the profile's."""
     width_m: Width | Distribution | None = None
+    """Its width; by default the profile's."""
     desired_speed_mps: (
         Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_ordered)]
         | Distribution

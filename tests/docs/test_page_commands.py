@@ -16,11 +16,10 @@ pytestmark = pytest.mark.slow
 CONTROL_CODES = r"[\x00-\x08\x0b-\x1f\x7f-\x9f]"
 """Output to a file must not contain these."""
 ELSEWHERE = {
+    "your-policy.md": "tests/agents/test_your_policy.py",
     "plugins.md": "tests/docs/test_plugin_guide.py",
-    "many-learners.md": "tests/agents/test_self_play.py",
-    "highway-env.md": "tests/agents/test_stock_dqn.py",
-    "continuous.md": "tests/agents/test_continuous_page.py",
-    "cluster.md": "tests/runs/test_cluster.py",
+    "environments.md": "tests/agents/test_self_play.py",
+    "running.md": "tests/runs/test_cluster.py",
     "reproduction.md": "tests/runs/test_released_suites.py",
     "training-libraries.md": "tests/docs/test_training_libraries.py",
 }
@@ -43,7 +42,7 @@ NOT_RUN = {
     "--figure likeness.png": "takes minutes, and recordings that are not public",
     "charms-bench likeness suites/seeds/likeness.yaml i24_car_following.parquet --population i24 "
     "--half selection": "takes minutes, and recordings that are not in the project",
-    "python ppo.py": "tests/agents/test_train_your_own.py trains it",
+    "python ppo.py": "tests/agents/test_your_policy.py trains it",
     "charms-bench export ppo.zip ppo.onnx": "it is not trained here",
     "charms-bench run ego --agent ppo.onnx": "it is not trained here",
     "charms-bench run transfer/density-2.0 --agent ppo.onnx": "it is not trained here",

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from written import PAGES, ROOT, blocks, spans
 from charms_bench import __version__
 from charms_bench.cli import app
 from charms_bench.metrics import METRIC_SETS
+from charms_bench.plugins.registry import AGENTS, TRAFFICS, plugins
 
 KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # of a group
 
@@ -48,10 +50,29 @@ def test_every_metric_is_explained() -> None:
 
 
 def test_every_suite_is_described() -> None:
-    text = (ROOT / "docs" / "suites.md").read_text(encoding="utf-8")
-    headings = " ".join(re.findall("^## (.*)$", text, re.MULTILINE))
-    for suite in (ROOT / "suites").glob("*.yaml"):
-        assert re.search(rf"\b{suite.stem}\b", headings), suite.name
+    named = set(spans(ROOT / "docs" / "suites.md"))
+    assert {suite.stem for suite in (ROOT / "suites").glob("*.yaml")} <= named
+
+
+def test_every_agent_and_traffic_model_of_the_package_is_described() -> None:
+    named = set(spans(ROOT / "docs" / "agents.md"))
+    ours = {
+        name
+        for group in (AGENTS, TRAFFICS)
+        for name, each in plugins(group).items()
+        if each.distribution == "charms-bench"
+    }
+    assert ours <= named
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_generated_part_of_a_page_is_what_the_code_says(page: Path) -> None:
+    sys.path.insert(0, str(ROOT / "tools"))
+    import write_reference
+
+    sys.path.remove(str(ROOT / "tools"))
+    text = page.read_text(encoding="utf-8")
+    assert write_reference.filled(text) == text, "python tools/write_reference.py"
 
 
 def test_no_table_of_results_stands_in_more_than_two_places() -> None:

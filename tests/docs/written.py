@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
 PAGES = [
-    ROOT / name for name in ("README.md", "docs/index.md", "docs/suites.md", "docs/training.md")
+    ROOT / name for name in ("README.md", "docs/index.md", "docs/results.md", "docs/training.md")
 ]
 PAGES += sorted({ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")} - set(PAGES))
 """The order in which commands run: later pages use the output of earlier ones."""

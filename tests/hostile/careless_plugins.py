@@ -1,5 +1,7 @@
 """Plugins of careless and of hostile authors, and what becomes of them."""
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
 POLICY = """\
@@ -14,6 +16,8 @@ TRAFFIC = """\
 import numpy as np
 from charms_bench import Traffic
 """
+SAID: dict[str, str] = json.loads((Path(__file__).parent / "messages.json").read_bytes())["plugins"]
+"""The message with which a run rejects each plugin, by its title."""
 AGENTS, TRAFFICS = "charms_bench.agents", "charms_bench.traffic"
 
 
@@ -352,8 +356,3 @@ def decide(self, observations):
 """,
     ),
 )
-
-
-def described(careless: Careless, said: str) -> str:
-    """Returns the entry of a plugin on the page."""
-    return f"- {careless.title}:\n\n  ```text\n  {said}\n  ```\n"

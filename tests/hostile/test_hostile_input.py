@@ -21,9 +21,8 @@ from bad_suites import BASE
 from command_line import charms_bench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from nastiest import NASTIEST, described
+from nastiest import NASTIEST
 
-PAGE = Path(__file__).parents[2] / "docs" / "hostile-input.md"
 ALL: tuple[BadInput, ...] = (
     *bad_arguments.CASES,
     *bad_suites.CASES,
@@ -125,6 +124,5 @@ def test_no_bomb_takes_memory(title: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("title", NASTIEST)
-def test_the_page_says_what_is_printed(title: str, tmp_path: Path) -> None:
-    said = refuses(NAMED[title], tmp_path).replace(f"{tmp_path}/", "")
-    assert described(title, said) in PAGE.read_text()
+def test_the_nastiest_inputs_are_named_in_words(title: str, tmp_path: Path) -> None:
+    assert refuses(NAMED[title], tmp_path).replace(f"{tmp_path}/", "") == NASTIEST[title]

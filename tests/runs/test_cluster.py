@@ -1,4 +1,4 @@
-"""Runs on a cluster, started as in docs/cluster.md: they write the bytes of a local run."""
+"""Runs on a cluster, started as in docs/running.md: they write the bytes of a local run."""
 
 import hashlib
 import os

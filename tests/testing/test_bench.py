@@ -24,7 +24,7 @@ def test_environments_of_both_kinds_are_measured_in_the_same_scene() -> None:
 
 def test_many_learners_are_measured_beside_highway_envs_on_one_core_and_on_all() -> None:
     command = "charms-bench bench --learners"
-    page = Path(__file__).parents[2] / "docs" / "many-learners.md"
+    page = Path(__file__).parents[2] / "docs" / "environments.md"
     assert f"\n{command}\n" in page.read_text(encoding="utf-8")
     options = ["--vehicles", 6, "--seconds", 0.1, "--rounds", 2, "--json"]
     done = charms_bench(*command.split()[1:], *options)

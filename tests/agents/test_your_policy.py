@@ -1,8 +1,9 @@
-"""The code of `docs/train-your-own.md` runs as it is, except for fewer training steps."""
+"""The code of `docs/your-policy.md` runs as it is, except for fewer training steps."""
 
 import json
 import re
 import runpy
+import shlex
 from contextlib import chdir
 from pathlib import Path
 
@@ -22,20 +23,25 @@ def fenced(page: str) -> list[str]:
 
 
 def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None:
-    _, code, *commands = fenced("docs/train-your-own.md")
+    _, code, *commands = fenced("docs/your-policy.md")
     assert STEPS in code
     (tmp_path / "train.py").write_text(code.replace(STEPS, "model.learn(6_400)"))
     with chdir(tmp_path):
         runpy.run_path("train.py")
-    export, evaluate = "".join(commands).splitlines()
-    done = charms_bench(*export.split()[1:], cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
     short = ["--episodes", "2", "--workers", "1", "--json"]
-    finished = charms_bench(*evaluate.split()[1:], *short, cwd=tmp_path)
-    assert "ppo" in {row["agent"] for row in json.loads(finished.stdout)}
+    printed = []
+    for line in "".join(commands).splitlines():
+        words = shlex.split(line)[1:]
+        done = charms_bench(*words, *(short if words[0] == "run" else ()), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        if words[0] == "run":
+            printed.append(json.loads(done.stdout))
+    assert len(printed) == 2
+    assert all("ppo" in {row["agent"] for row in table} for table in printed)
     assert (tmp_path / "runs" / "ego-ppo").is_dir()
+    assert (tmp_path / "ppo.html").exists()
 
 
 def test_the_readme_trains_the_same_policy() -> None:
     (script,) = (block for block in fenced("README.md") if STEPS in block)
-    assert script.removeprefix("# ppo.py\n") == fenced("docs/train-your-own.md")[1]
+    assert script.removeprefix("# ppo.py\n") == fenced("docs/your-policy.md")[1]

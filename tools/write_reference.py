@@ -1,0 +1,259 @@
+"""Writes the generated parts of the pages from the code: `python tools/write_reference.py`.
+
+They are the tables between `<!-- generated: NAME -->` and `<!-- end of generated -->`, so that the
+pages can be read without building the site. With `--check`, it writes nothing and names the pages
+that would change.
+"""
+
+import ast
+import inspect
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from pydantic import BaseModel
+from typer.cli import get_docs_for_click
+
+from charms_bench.cli import app
+from charms_bench.cli.terminal import EXITS
+from charms_bench.metrics import METRIC_SETS
+from charms_bench.people.reference import ReferenceSpec
+from charms_bench.plugins.specs import AgentSpec, TrafficSpec
+from charms_bench.recording.columns import COUNT, DRIVER, EPISODE, STEP
+from charms_bench.runs.suite import EgoEntry, Suite, TrafficEntry
+from charms_bench.world.profile import PROFILES, IdmMobilConstants, Profile
+from charms_bench.world.recordings import RecordedMoments, Split
+from charms_bench.world.scenario import Action, EgoStart, Parameter, PlacedVehicle, Scenario
+from charms_bench.world.scene import Inflow, SceneSettings
+from charms_bench.world.vehicle_types import Distribution, VehicleType
+
+ROOT = Path(__file__).parent.parent
+BLOCK = re.compile(r"(<!-- generated: ([a-z-]+) -->\n\n).*?(<!-- end of generated -->)", re.DOTALL)
+SUITE_KEYS: dict[str, type[BaseModel]] = {
+    "suite": Suite,
+    "egos[]": EgoEntry,
+    "traffics[]": TrafficEntry,
+    "egos[].agent": AgentSpec,
+    "traffics[].traffic": TrafficSpec,
+    "references[]": ReferenceSpec,
+    "scene": SceneSettings,
+    "scene.vehicle_types[]": VehicleType,
+    "a distribution": Distribution,
+    "scene.inflow": Inflow,
+    "scene.recording": RecordedMoments,
+    "scene.recording.split": Split,
+    "scenario": Scenario,
+    "scenario.parameters": Parameter,
+    "scenario.ego": EgoStart,
+    "scenario.vehicles[]": PlacedVehicle,
+    "scenario.vehicles[].actions[]": Action,
+}
+"""The models of a suite, each by the key under which it stands in YAML."""
+NAMED = {
+    "Profile": "[profile](#profiles)",
+    "LatinHypercube": "`{latin_hypercube: N}`",
+}
+"""Models that stand nowhere else in the tables."""
+KINDS = {
+    "integer": "whole number",
+    "number": "number",
+    "string": "text",
+    "boolean": "true or false",
+    "object": "mapping",
+}
+
+
+def table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [header, ("---",) * len(header), *rows]
+    cells = ([re.sub(r"\s+", " ", each).replace("|", r"\|") for each in line] for line in lines)
+    return "".join(f"| {' | '.join(line)} |\n" for line in cells)
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """The docstring below each field of a model and of the models that it extends."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not issubclass(base, BaseModel) or base is BaseModel:
+            continue
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(body, ast.ClassDef)
+        for field, below in zip(body.body, body.body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+                name, text = ast.unparse(field.target), ast.literal_eval(below.value)
+                found[name] = inspect.cleandoc(text)
+    return found
+
+
+def kind(schema: dict[str, Any]) -> str:
+    """What a JSON schema allows, in words."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        keys = [key for key, model in SUITE_KEYS.items() if model.__name__ == name]
+        return f"[`{keys[0]}`](#{anchor(keys[0])})" if keys else NAMED[name]
+    if "anyOf" in schema:
+        parts = [kind(each) for each in schema["anyOf"] if each.get("type") != "null"]
+        if parts == ["number", "text"]:  # `charms_bench.foundation.formula`
+            return "formula"
+        return " or ".join(dict.fromkeys(parts))
+    if "enum" in schema:
+        return " or ".join(f"`{each}`" for each in schema["enum"])
+    if schema.get("type") == "array":
+        if "prefixItems" in schema:
+            return "[" + ", ".join(kind(each) for each in schema["prefixItems"]) + "]"
+        return f"list of {kind(schema['items'])}"
+    return KINDS.get(schema.get("type", ""), "text") + bounds(schema)
+
+
+def bounds(schema: dict[str, Any]) -> str:
+    """The limits of a number; limits that only keep a simulation finite are left out."""
+    low, high = schema.get("minimum"), schema.get("maximum")
+    if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
+        return " above 0" if high is None or high >= 1e9 else f" above 0, up to {high:,g}"
+    low = None if low is None or low <= -1e9 else low
+    high = None if high is None or high >= 1e9 else high
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f" from {low:,g}"
+    return f" from {low:,g} to {high:,.0f}" if low is not None else f" up to {high:,.0f}"
+
+
+def anchor(key: str) -> str:
+    """The fragment of a heading, as the site and GitHub make it."""
+    return re.sub(r"[^\w -]", "", key.lower()).replace(" ", "-")
+
+
+def default(value: object) -> str:
+    if isinstance(value, BaseModel):
+        return "see below"
+    if value is None or value in ((), {}, ""):
+        return "none"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def keys_of(model: type[BaseModel]) -> str:
+    schema = model.model_json_schema()
+    said, required = meanings(model), schema.get("required", [])
+    rows = []
+    for name, field in model.model_fields.items():
+        if field.exclude or name == "sha256":
+            continue
+        fallback = "required" if name in required else default(field.get_default())
+        if name == "profile":
+            fallback = "`charms`"
+        rows.append((f"`{name}`", kind(schema["properties"][name]), fallback, said.get(name, "")))
+    return table(("key", "value", "default", "meaning"), rows)
+
+
+def suite_keys() -> str:
+    parts = []
+    for key, model in SUITE_KEYS.items():
+        heading = f"`{key}`" if key != "a distribution" else key.capitalize()
+        about = inspect.getdoc(model)
+        parts.append(f"### {heading}\n\n{about}\n\n{keys_of(model)}")
+    return "\n".join(parts)
+
+
+def profiles() -> str:
+    """The fields of a profile, and their values in each profile of the package."""
+
+    def rows(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, ...]]:
+        said = meanings(model)
+        for name in model.model_fields:
+            if name in ("name", "idm_mobil"):
+                continue
+            owners = (each.idm_mobil if prefix else each for each in PROFILES.values())
+            values = (getattr(owner, name) for owner in owners)
+            shown = (
+                "–" if value in (None, ()) else f"{value:g}" if isinstance(value, float) else
+                str(value).lower() if isinstance(value, bool) else
+                ", ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
+                for value in values
+            )  # fmt: skip
+            yield (f"`{prefix}{name}`", *shown, said.get(name, ""))
+
+    header = ("key", *(f"`{name}`" for name in PROFILES), "meaning")
+    return table(header, [*rows(Profile, ""), *rows(IdmMobilConstants, "idm_mobil.")])
+
+
+def metrics() -> str:
+    parts = []
+    for metric_set in METRIC_SETS:
+        rows = [
+            (
+                f"`{metric.name}`",
+                metric.unit or "proportion",
+                metric.description,
+                metric.rests_on,
+                metric.interval,
+            )
+            for metric in metric_set.metrics
+        ]
+        header = ("metric", "unit", "what it is", "n", "interval")
+        parts.append(f"### {metric_set.label}\n\n{table(header, rows)}")
+    return "\n".join(parts)
+
+
+def columns() -> str:
+    kinds = {"steps": STEP, "episodes": EPISODE, "drivers": DRIVER, "counts": COUNT}
+    parts = []
+    for name, declared in kinds.items():
+        rows = [
+            (f"`{column}`", str(each.dtype), each.unit, each.meaning)
+            for column, each in declared.items()
+        ]
+        parts.append(f"### {name}\n\n{table(('column', 'type', 'unit', 'meaning'), rows)}")
+    return "\n".join(parts)
+
+
+def exit_codes() -> str:
+    return table(("exit code", "meaning"), ((str(code), said) for code, said in EXITS.items()))
+
+
+def commands() -> str:
+    command = typer.main.get_command(app)
+    context = typer.Context(command, info_name="charms-bench")
+    text = get_docs_for_click(obj=command, ctx=context, name="charms-bench").partition("\n")[2]
+    whole = {
+        name: (each.help or "").partition("\n")[0]
+        for name, each in command.commands.items()  # type: ignore[attr-defined]  # of a group
+    }
+    shown = re.sub(
+        r"^\* `(\S+)`: .*\.\.\.$", lambda m: f"* `{m[1]}`: {whole[m[1]]}", text, flags=re.MULTILINE
+    )
+    return shown.strip().replace("```console", "```text") + "\n"
+
+
+WRITERS: dict[str, Callable[[], str]] = {
+    "suite-keys": suite_keys,
+    "profiles": profiles,
+    "metrics": metrics,
+    "columns": columns,
+    "exit-codes": exit_codes,
+    "commands": commands,
+}
+
+
+def filled(text: str) -> str:
+    """A page with what the code says now in its generated parts."""
+    return BLOCK.sub(lambda found: f"{found[1]}{WRITERS[found[2]]()}\n{found[3]}", text)
+
+
+def main() -> None:
+    stale = []
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (new := filled(text)) != text:
+            stale.append(str(page.relative_to(ROOT)))
+            if "--check" not in sys.argv[1:]:
+                page.write_text(new, encoding="utf-8")
+    print("changed:", ", ".join(stale) or "nothing")
+    sys.exit(bool(stale) and "--check" in sys.argv[1:])
+
+
+if __name__ == "__main__":
+    main()
