@@ -5,6 +5,7 @@ over its seeds, with Student's t interval, and the value of the worst seed. `doc
 has the values of every seed.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import polars as pl
 from scipy import special
 
+from charms_bench import open_run
 from charms_bench.metrics import PAPER, STANDARD, Metric
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
@@ -32,8 +34,8 @@ def _furthest(low: float, high: float) -> Worst:
 
 
 DRIVING: dict[str, tuple[str, str, Worst]] = {
-    "crashed_at_fault": ("crashed at fault", ".1%", max),
-    "crashed_episodes": ("crashed", ".1%", max),
+    "crashed_at_fault": ("crashed at fault", ".2%", max),
+    "crashed_episodes": ("crashed", ".2%", max),
     "speed_mean": ("speed, m/s", ".2f", min),
     "lane_changes_per_km": ("lane changes per km", ".2f", _furthest(0.1, 0.75)),
     "lane_changes_undone": ("undone", ".0%", max),
@@ -65,6 +67,8 @@ CONDITIONS = {
     "seeds-trucks": "trucks (sealed)",
 }
 """The runs of the test, by their folders."""
+AVOIDED = ("IDM+MOBIL", "IDM+MOBIL, varied")
+"""The traffics in which crashes are searched for actions that avoid them."""
 MAIN = ("Human (I-75)", "IDM+MOBIL")
 """The traffics of the main test."""
 TRAINED = ("CHARMS", "DQN", "PPO")
@@ -117,8 +121,66 @@ def plan_main(run: Path) -> str:
 def plan_conditions(run: Path) -> str:
     """The table of the other conditions, from the values that `plan_main` has written."""
     values = pl.read_csv(ROOT / "docs" / "results" / "plan.csv")
-    shown = pl.col("ego").is_in(["IDM+MOBIL", "Stackelberg", "Human (I-75)", *TRAINED])
+    shown = pl.col("ego").is_in(["IDM+MOBIL", "Human (I-75)", *TRAINED])
     return summary(values.filter(~_of_main() & shown), SEALED, KEYS)
+
+
+def plan_avoidability(run: Path) -> str:
+    """Of the crashes of CHARMS, those that no sequence of its meta-actions avoids, by search."""
+    records: list[dict[str, Any]] = []
+    for folder, condition in CONDITIONS.items():
+        if not (run.parent / folder).is_dir():
+            continue
+        opened = open_run(run.parent / folder, ROOT / "suites" / "seeds")
+        finished = open_finished(run.parent / folder)
+        for cell in finished.cells():
+            if not cell.agent.startswith("CHARMS, seed") or cell.traffic not in AVOIDED:
+                continue
+            (metric,) = _metrics(("crashed_at_fault",))
+            at_fault = metric.value(cell.sums([metric], finished.suite.scene)[0]) > 0
+            found = opened.avoidability(ego=cell.agent, traffic=cell.traffic)
+            verdicts = [
+                (each.verdict, bool(at_fault[each.episode - finished.suite.seed])) for each in found
+            ]
+            counts = {
+                "crashed": len(verdicts),
+                "no actions avoid it": sum(verdict == "spawn" for verdict, _ in verdicts),
+                "not known": sum(verdict == "unknown" for verdict, _ in verdicts),
+                "at fault": sum(fault for _, fault in verdicts),
+                "at fault, avoidable": sum(f and verdict != "spawn" for verdict, f in verdicts),
+            }
+            shares = {name: count / len(at_fault) for name, count in counts.items()}
+            records.append({"condition": condition, "traffic": cell.traffic, **shares})
+    means = pl.DataFrame(records).group_by("condition", "traffic", maintain_order=True).mean()
+    worst = (
+        pl.DataFrame(records)
+        .group_by("condition", "traffic", maintain_order=True)
+        .agg(pl.col("at fault, avoidable").max().alias("worst seed"))
+    )
+    table = means.join(worst, on=["condition", "traffic"], maintain_order="left")
+    forms = dict.fromkeys(table.columns[2:], ".1%")
+    return markdown(Table.plain(table.to_dicts(), ("condition", "traffic"), forms))
+
+
+def plan_likeness(run: Path) -> str:
+    """The likeness to the drivers of the test, from what the command `likeness` printed."""
+    scores = json.loads((run / "likeness.json").read_text(encoding="utf-8"))
+    headers = {"closed_loop": "closed loop", "given_scene": "given scene", "events": "events"}
+    headers["total"] = "total"
+    records = [
+        {
+            "driver": each["label"],
+            "kind": each["kind"],
+            **{
+                header: Number(found["value"], found["low"], found["high"])
+                for name, header in headers.items()
+                if (found := each["scores"].get(name))
+            },
+        }
+        for each in scores
+    ]
+    forms = dict.fromkeys(headers.values(), ".2f")
+    return markdown(Table.plain(records, ("driver", "kind"), forms))
 
 
 def _of_main() -> pl.Expr:

@@ -18,7 +18,12 @@ from pathlib import Path
 from textwrap import fill
 
 import polars as pl
-from plan_results import plan_conditions, plan_main, plan_styles
+from plan_results import (
+    plan_avoidability,
+    plan_conditions,
+    plan_likeness,
+    plan_main,
+)
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
 from transfer import transfer_table, with_worst
@@ -269,7 +274,8 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "training-time": ("train", training_time),
     "plan-main": ("seeds-main", plan_main),
     "plan-conditions": ("seeds-main", plan_conditions),
-    "plan-styles": ("seeds-styles", plan_styles),
+    "plan-avoidability": ("seeds-main", plan_avoidability),
+    "plan-likeness": ("seeds-likeness", plan_likeness),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),

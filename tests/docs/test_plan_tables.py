@@ -37,9 +37,9 @@ def test_the_table_has_the_mean_and_the_worst_seed(tool: ModuleType) -> None:
     ]
     text = tool.summary(pl.DataFrame(rows), tool.DRIVING, tool.KEYS[1:])
     # A standard deviation of 0.707 %, times 2.776 over the root of 5, is 0.88 %.
-    assert "| T | A | mean of 5 [t interval] | 2.0 % [1.1, 2.9] |" in text
+    assert "| T | A | mean of 5 [t interval] | 2.00 % [1.12, 2.88] |" in text
     worst = next(line for line in text.splitlines() if "worst seed" in line).split(" | ")
-    assert worst[3] == "3.0 %"
+    assert worst[3] == "3.00 %"
     assert worst[6] == "0.05", "0.05 is further below 0.1 than 0.74 is from 0.75"
 
 
