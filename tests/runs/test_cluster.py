@@ -42,8 +42,9 @@ class SLURMCluster(LocalCluster):
         assert cores == processes
         super().__init__(n_workers=1, threads_per_worker=1, dashboard_address=None)
 
-    def scale(self, jobs):
-        assert jobs > 0
+    def scale(self, n=0, jobs=None):
+        if jobs is None:  # when it closes
+            return super().scale(n)
 """
 """A `dask_jobqueue` that starts its worker here."""
 GUARDED = "import runpy; __name__ == '__main__' and runpy.run_path('on_slurm.py')"
