@@ -10,7 +10,7 @@
   the densities on its two sides give (Rankine and Hugoniot).
 - The time that an hour of this road takes at 2,000 vehicles per hour and lane.
 
-It draws docs/open-road.png and prints the tables of docs/open-road.md.
+It draws docs/open-road.png and prints the tables of docs/results.md.
 """
 
 import argparse

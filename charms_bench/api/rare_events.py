@@ -93,7 +93,10 @@ def rare(
         raise document.error(("scene", "recording"), what)
     for index, entry in enumerate(loaded.traffics):
         if entry.traffic.scenario is not None:
-            what = "rare draws where vehicles start, and a scenario places them; expected a traffic"
+            what = (
+                "rare draws where vehicles start, and a scenario places them; expected a traffic "
+                "model"
+            )
             raise document.error(("traffics", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"

@@ -333,7 +333,7 @@ class Run:
 
     def __repr__(self) -> str:
         suite = self.suite
-        cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffics"
+        cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffic models"
         return f"<Run {self.path}: {cells}, {suite.episodes:,} episodes each>"
 
     def _repr_html_(self) -> str:

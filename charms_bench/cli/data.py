@@ -206,7 +206,7 @@ def likeness(
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Score how much the egos and traffics of a suite drive like recorded drivers."""
+    """Score how much the egos and traffic models of a suite drive like recorded drivers."""
     from charms_bench.foundation.files import absolute
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.drawing import check_figure

@@ -48,7 +48,7 @@ def edge_cases(
         bool,
         typer.Option(
             "--avoidable",
-            help="For each collision, state until when the ego could have avoided it, and which "
+            help="For each collision, state the last avoidable moment, and which "
             "agents would have avoided it.",
         ),
     ] = False,

@@ -106,5 +106,5 @@ def estimate(task: RareTask) -> SubsetRun:
     held.finish(task.title)
     event.finish(f"event '{task.event}', {task.title}")
     if problem := problem_of(names):
-        raise AgentError(f"{task.title}: {problem}; its estimate is refused")
+        raise AgentError(f"{task.title}: {problem}; its estimate is rejected")
     return made

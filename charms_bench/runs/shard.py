@@ -138,7 +138,7 @@ def simulate(task: ShardTask) -> ShardFiles:
             recording.note()
         held.finish(task.title)
     if problem := problem_of(names):
-        raise AgentError(f"{task.title}: {problem}; its rows are refused")
+        raise AgentError(f"{task.title}: {problem}; its rows are rejected")
     # Rows depend on the content of a network and not on its path, like the key.
     copies = {
         driver.key: f"{task.software.agents[driver.origin]['weights_sha256']}.onnx"

@@ -132,7 +132,7 @@ class Suite(FrozenModel):
     """Folder that relative paths start from: that of the suite file."""
 
     def __repr__(self) -> str:
-        cells = f"{len(self.egos)} egos x {len(self.traffics)} traffics"
+        cells = f"{len(self.egos)} egos x {len(self.traffics)} traffic models"
         return f"<Suite {self.suite}: {cells}, {self.episodes:,} episodes each>"
 
     __str__ = __repr__
@@ -156,13 +156,13 @@ class Suite(FrozenModel):
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
             raise ValueError("pairs needs two or more egos and one traffic")
         if self.references and len(self.egos) > 1:
-            raise ValueError("references are compared with traffics; expected one ego")
+            raise ValueError("references are compared with traffic models; expected one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
             raise ValueError("a reference is given twice")
         if self.scene.recording and any(each.traffic.scenario for each in self.traffics):
             raise ValueError("a scenario and scene.recording both place vehicles; remove one")
         if self.scene.scenario is not None:
-            raise ValueError("scene.scenario: give the scenario as a traffic")
+            raise ValueError("scene.scenario: give the scenario as a traffic model")
         labels = [ego.title for ego in self.egos]
         for name in self.preventable_by:
             if name not in labels:

@@ -1,4 +1,4 @@
-"""The script of `docs/data-out.md` trains in d3rlpy; run by `tox -e data`."""
+"""The script of `docs/run-folders.md` trains in d3rlpy; run by `tox -e data`."""
 
 import json
 import os
@@ -46,8 +46,8 @@ def test_d3rlpy_trains_on_the_dataset(tmp_path: Path) -> None:
     run = charms_bench.run(tmp_path / "suite.yaml", tmp_path / "run", workers=1)
     run.dataset("minari", tmp_path / "datasets" / "charms-v0")
 
-    page = blocks(ROOT / "docs" / "data-out.md")
-    (script,) = (block.text for block in page if block.language == "python")
+    page = blocks(ROOT / "docs" / "run-folders.md")
+    (script,) = (block.text for block in page if "import d3rlpy" in block.text)
     shortened = script.replace("3000", str(STEPS)).replace("1000", str(EPOCH))
     assert f"(buffer, n_steps={STEPS}, n_steps_per_epoch={EPOCH})" in shortened
     seeded = shortened.replace("import minari\n", "import minari\n\nd3rlpy.seed(0)\n")

@@ -33,7 +33,6 @@ NOT_RUN = {
     "d3rlpy-env/bin/pip install torch d3rlpy 'minari[hdf5]' pillow": "tox -e data runs it",
     "pip install tox": "tox runs this test",
     "tox": "tox runs this test",
-    "python tools/stop_and_go.py": "takes minutes; tests/engine/test_stop_and_go.py calls it",
     "charms-bench calibrate FOLDER --to my-road.json --figure my-road.png": "takes minutes, and "
     "recordings that are not public",
     "charms-bench run suites/recorded.yaml": "tests/runs/test_recorded_suite.py runs one like it "
@@ -57,6 +56,7 @@ SHORTENED = [
         r"(charms-bench run suites/train.yaml) --recordings FOLDER",
         r"\1 --recordings recordings --only charms_efficient_egoistic",
     ),
+    (r"charms-bench data FOLDER", "charms-bench data recordings"),
     # The built-in cases are 1,026 episodes of highway-env.
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench", r"\g<0> --seconds 0.1 --rounds 1"),

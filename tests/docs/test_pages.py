@@ -14,7 +14,7 @@ from written import PAGES, ROOT, blocks, spans
 from charms_bench import __version__
 from charms_bench.cli import app
 from charms_bench.metrics import METRIC_SETS
-from charms_bench.plugins.registry import AGENTS, TRAFFICS, plugins
+from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
 KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # of a group
 
@@ -58,7 +58,7 @@ def test_every_agent_and_traffic_model_of_the_package_is_described() -> None:
     named = set(spans(ROOT / "docs" / "agents.md"))
     ours = {
         name
-        for group in (AGENTS, TRAFFICS)
+        for group in (AGENTS, TRAFFIC)
         for name, each in plugins(group).items()
         if each.distribution == "charms-bench"
     }

@@ -33,6 +33,21 @@ episodes: 600
 egos: [{agent: {onnx: ../network.onnx}}, {agent: stackelberg}]
 traffics: [{traffic: {mixture: {../network.onnx: 0.1, idm_mobil: 0.9}}}]
 """
+PAGE = Path(__file__).parents[2] / "docs" / "running.md"
+JOBQUEUE = """\
+from distributed import LocalCluster
+
+class SLURMCluster(LocalCluster):
+    def __init__(self, cores, processes, memory, walltime):
+        assert cores == processes
+        super().__init__(n_workers=1, threads_per_worker=1, dashboard_address=None)
+
+    def scale(self, n=0, jobs=None):
+        if jobs is None:  # when it closes
+            return super().scale(n)
+"""
+"""A `dask_jobqueue` that starts its worker here."""
+GUARDED = "import runpy; __name__ == '__main__' and runpy.run_path('on_slurm.py')"
 HURRIED = "import charms_bench.runs.cluster as client; client.WORKERLESS_S = 1.0"
 
 
@@ -278,3 +293,24 @@ def children(pid: int) -> list[int]:
         for child in psutil.Process(pid).children()
         if any("spawn_main" in word for word in child.cmdline())
     ]
+
+
+def test_the_script_for_slurm_runs_a_suite_on_the_workers_that_it_asked_for(
+    suite_file: Path, at_home: dict[str, str], tmp_path: Path
+) -> None:
+    (script,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "on_slurm.py").write_text(script)
+    (tmp_path / "dask_jobqueue.py").write_text(JOBQUEUE)
+    done = subprocess.run(
+        [sys.executable, "-c", GUARDED, str(suite_file)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={
+            **os.environ,
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        },
+    )
+    assert done.returncode == 0, done.stderr
+    assert files(tmp_path / "runs" / "away") == at_home

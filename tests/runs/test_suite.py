@@ -85,7 +85,9 @@ def test_a_reference_is_a_shipped_name_or_a_folder(references: list[object], mes
 
 def test_references_are_for_one_ego() -> None:
     egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
-    with pytest.raises(ValueError, match="references are compared with traffics; expected one ego"):
+    with pytest.raises(
+        ValueError, match="references are compared with traffic models; expected one ego"
+    ):
         Suite.model_validate({**MINIMAL, "egos": egos, "references": ["i24"]})
 
 
