@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     overhang: float
 
 
-@compiled
+@inlined
 def motion(b: int, i: int, scene: Scene) -> Motion:
     """The motion of vehicle i of scene b; -1 is a vehicle that does not exist."""
     if i < 0:

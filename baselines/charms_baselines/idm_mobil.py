@@ -15,7 +15,7 @@ from charms_baselines.idm import (
     on_own_lane,
 )
 from charms_bench import DriverModel
-from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import Straight, is_reachable, side_lanes
@@ -50,7 +50,7 @@ def _drive(scene: Scene, rows: Ints, places: Ints) -> tuple[Floats, Ints]:
     return acceleration, target_lane
 
 
-@compiled
+@inlined
 def drive_block(
     scene: Scene,
     rows: Ints,
@@ -114,7 +114,7 @@ def drive_block(
         acceleration[m] = 0.0 if crashed[at] else clip(wanted[m], -limit, limit)
 
 
-@compiled
+@inlined
 def _someone_takes_the_gap(
     b: int,
     i: int,
