@@ -54,14 +54,12 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
         "default": {"train_freq": 1, "gradient_steps": 125},
         "charms": CHARMS,
         "3-step-returns": {**CHARMS, "n_steps": 3},
-        "more-gradient-steps": {**CHARMS, "n_steps": 3, "gradient_steps": 75},
         "discount-0.96": {**CHARMS, "n_steps": 3, "gamma": 0.96},
     },
     "ppo": {
         "default": {"scenes": 100, "n_steps": 20},
         "large-batches": LARGE,
         "normalised-rewards": {**LARGE, "normalised_rewards": True},
-        "learning-rate-0.001": {**LARGE, "normalised_rewards": True, "learning_rate": 1e-3},
         "discount-0.96": {**LARGE, "normalised_rewards": True, "gamma": 0.96},
     },
 }
@@ -69,7 +67,9 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
 
 Beside its arguments, `scenes` is the number of episodes side by side, by default `SCENES`, and
 `normalised_rewards` says whether rewards are divided by the standard deviation of the return.
-docs/training-plan.md says what was chosen."""
+"""
+CHOSEN = {"dqn": "3-step-returns", "ppo": "normalised-rewards"}
+"""The trial with which the networks are trained; docs/training-plan.md says why."""
 SCENES = 500
 CURVE_STEPS = 25_000
 VERSIONS = ("charms-bench", "numba", "numpy", "onnxruntime", "stable_baselines3", "torch")
@@ -201,7 +201,7 @@ def main() -> None:
     parser.add_argument("algorithm", choices=SETTINGS)
     parser.add_argument("networks", type=Path, help="folder of seed-K/level_1.onnx and the results")
     parser.add_argument("seeds", type=int, nargs="+")
-    parser.add_argument("--trial", default="chosen", help="a name in SETTINGS")
+    parser.add_argument("--trial", help="a name in SETTINGS; by default, the one in CHOSEN")
     parser.add_argument("--steps", type=int, help="by default, those of the stage")
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -209,7 +209,8 @@ def main() -> None:
         folder = given.networks / f"seed-{seed}"
         if not (folder / f"{given.algorithm}.json").exists():
             suite = load_training(given.suite, seed, given.steps)
-            train(suite, given.stage, given.algorithm, given.trial, folder)
+            trial = given.trial or CHOSEN[given.algorithm]
+            train(suite, given.stage, given.algorithm, trial, folder)
             print(f"{folder.name}/{given.algorithm}: finished", flush=True)
 
 
