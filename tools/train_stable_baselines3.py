@@ -188,7 +188,7 @@ def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: P
 
 def _take_plain_observations(model: DQN | PPO) -> None:
     """Changes the network that decides into an equal one for plain observations."""
-    policy = model.policy
+    policy: Any = model.policy
     network = policy.q_net.q_net if isinstance(model, DQN) else policy.mlp_extractor.policy_net
     network[0].load_state_dict(folded(network)[0].state_dict())
 

@@ -31,7 +31,7 @@ def driven(**fields: list[float]) -> tuple[Scene, Ints]:
 
 
 @pytest.mark.parametrize(("gap_m", "speed"), [(12.0, 24.0), (35.0, 28.0), (70.0, 31.0)])
-def test_every_driver_follows_idm_with_the_pooled_parameters(gap_m: float, speed: float):
+def test_every_driver_follows_idm_with_the_pooled_parameters(gap_m: float, speed: float) -> None:
     ahead = 25.0
     scene, _ = driven(x=[100.0, 105.0 + gap_m], y=[4.0, 4.0], speed=[speed, ahead])
     braking = speed * (speed - ahead) / (2 * np.sqrt(ACCELERATION * DECELERATION))
@@ -49,7 +49,7 @@ def test_every_driver_follows_idm_with_the_pooled_parameters(gap_m: float, speed
         (40.0, -300.0, 1),  # a fast leader, behind whom a change gains less than 0.2 m/s2
     ],
 )
-def test_lanes_are_chosen_as_by_mobil(leader_speed: float, follower_x: float, lane: int):
+def test_lanes_are_chosen_as_by_mobil(leader_speed: float, follower_x: float, lane: int) -> None:
     _, lanes = driven(
         x=[100.0, 150.0, follower_x, 110.0],
         y=[4.0, 4.0, 0.0, 8.0],
@@ -59,7 +59,7 @@ def test_lanes_are_chosen_as_by_mobil(leader_speed: float, follower_x: float, la
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data, human recordings")
-def test_the_driver_is_the_pooled_point_of_i75():
+def test_the_driver_is_the_pooled_point_of_i75() -> None:
     driver = read_population(str(DRIVER))
     fitted, _ = split(read_trips(DATA / "i75_lane_trajectories.parquet"))
     point = pooled(IDM, fitted, driver.lag_s)
