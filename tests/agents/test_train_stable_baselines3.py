@@ -1,0 +1,87 @@
+"""`tools/train_stable_baselines3.py`, which trains the baselines of docs/training-plan.md."""
+
+# ruff: noqa: E402  (nothing below can be imported without the extra 'train')
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+
+from charms_agents.training.standardised import standardise
+from charms_agents.training.suite_file import load_training
+from stable_baselines3 import DQN, PPO
+
+from charms_bench.engine.endings import TIME
+from charms_bench.envs.vector_env import HighwayVectorEnv
+from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.plugins.registry import make_agent
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+try:
+    import train_stable_baselines3 as tool
+finally:
+    sys.path.remove(str(ROOT / "tools"))
+
+SUITE = load_training(ROOT / "suites/train.yaml")
+STAGE = SUITE.stages["level_1"]
+SCENES = 10
+"""One for each condition of the stage."""
+
+
+@pytest.fixture(scope="module")
+def conditions() -> tool.Conditions:
+    return tool.Conditions(SUITE, STAGE, Path("no networks are needed"), SCENES)
+
+
+def test_the_first_condition_has_the_observations_of_its_own_environment(
+    conditions: tool.Conditions,
+) -> None:
+    scene, traffic = SUITE.places_of(STAGE)[0]
+    reward = STAGE.reward_of(SUITE.weights["safe"])
+    agents, seed = {"human": make_agent("human")}, SUITE.first_episode_seed
+    alone = HighwayVectorEnv(scene, 1, traffic, agents, reward, seed, SUITE.observed)
+    plain = torch.from_numpy(alone.reset()[0].reshape(1, -1))
+    expected = standardise(plain).reshape(SUITE.observed.shape).numpy()
+    np.testing.assert_array_equal(conditions.reset()[0], expected)
+
+
+def test_an_episode_that_ends_by_time_is_truncated(conditions: tool.Conditions) -> None:
+    conditions.reset()
+    ended = 0
+    for _ in range(60):  # 20 s
+        _, _, dones, infos = conditions.step(np.ones(SCENES, dtype=np.int64))
+        for row in np.flatnonzero(dones):
+            is_over = infos[row]["final_info"]["ending"] == TIME
+            assert infos[row]["TimeLimit.truncated"] == is_over
+            assert infos[row]["terminal_observation"].shape == SUITE.observed.shape
+            ended += 1
+    assert ended >= SCENES
+
+
+@pytest.mark.parametrize("algorithm", [DQN, PPO])
+def test_the_saved_network_takes_plain_observations(
+    conditions: tool.Conditions, algorithm: type[DQN | PPO]
+) -> None:
+    model = algorithm("MlpPolicy", conditions, seed=0, device="cpu")
+    rng = np.random.default_rng(0)
+    plain = rng.uniform(-1, 1, (50, *SUITE.observed.shape)).astype(np.float32)
+    seen = standardise(torch.from_numpy(plain).flatten(1)).reshape(plain.shape).numpy()
+    before, _ = model.policy.predict(seen, deterministic=True)
+    tool._take_plain_observations(model)
+    after, _ = model.policy.predict(plain, deterministic=True)
+    assert (before == after).all()
+    assert len(set(after.tolist())) > 1
+
+
+def test_a_finished_seed_has_a_network_with_the_speed_steps_of_the_stage(tmp_path: Path) -> None:
+    suite = load_training(ROOT / "suites/train.yaml", seed=7, steps=1000)
+    tool.train(suite, "level_1", "dqn", "charms", tmp_path)
+    assert OnnxPolicy(tmp_path / "dqn.onnx").target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    manifest = json.loads((tmp_path / "dqn.json").read_text())
+    assert (manifest["seed"], manifest["steps"]) == (7, 1000)
+    assert len(manifest["conditions"]) == SCENES
