@@ -67,6 +67,16 @@ KINDS = {
 }
 
 
+INTERVALS = {
+    "bootstrap": "bootstrap",
+    "share": "Wilson, effective n",
+    "rate": "Poisson score, effective n",
+    "wilson": "Wilson",
+    "garwood": "Garwood",
+}
+"""What `Metric.interval` is called on the page on statistics."""
+
+
 def table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [header, ("---",) * len(header), *rows]
     cells = ([re.sub(r"\s+", " ", each).replace("|", r"\|") for each in line] for line in lines)
@@ -189,7 +199,7 @@ def metrics() -> str:
                 metric.unit or "proportion",
                 metric.description,
                 metric.rests_on,
-                metric.interval,
+                INTERVALS[metric.interval],
             )
             for metric in metric_set.metrics
         ]

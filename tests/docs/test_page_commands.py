@@ -49,7 +49,7 @@ NOT_RUN = {
 """Commands that are not run here, with the reason."""
 SHORTENED = [
     # 1,800 episodes take minutes.
-    (r"charms-bench run suites/(?!train)\S+( --rows \S+)?", r"\g<0> --episodes 2"),
+    (r"charms-bench run suites/(?!train)\S+( --(rows|output) \S+)?", r"\g<0> --episodes 2"),
     (r"charms-bench rare \S+.*", r"\g<0> --runs 5 --samples 100"),
     # An hour, and recordings that are not public: see `short_training` and `recordings`.
     (

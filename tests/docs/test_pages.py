@@ -65,6 +65,13 @@ def test_every_agent_and_traffic_model_of_the_package_is_described() -> None:
     assert ours <= named
 
 
+def test_every_page_is_two_clicks_from_the_readme() -> None:
+    readme, start = (ROOT / name for name in ("README.md", "docs/index.md"))
+    linked = re.findall(r"\]\(docs/([a-z-]+\.md)", readme.read_text(encoding="utf-8"))
+    linked += re.findall(r"\]\(([a-z-]+\.md)", start.read_text(encoding="utf-8"))
+    assert {page.name for page in (ROOT / "docs").glob("*.md")} <= set(linked)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_generated_part_of_a_page_is_what_the_code_says(page: Path) -> None:
     sys.path.insert(0, str(ROOT / "tools"))
