@@ -1,0 +1,276 @@
+"""How well traffic models find faults: `python tools/mutants.py RUN`, a run of suites/mutants.yaml.
+
+Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
+driver in every traffic model to `docs/results/mutants.csv`.
+"""
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from write_results import RESULTS, ROOT, filled
+
+from charms_bench.episodes.avoidability import avoidability, collisions
+from charms_bench.episodes.criticality import COLLISION, criticality
+from charms_bench.episodes.recorded_cell import RecordedCell
+from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
+from charms_bench.report.table import Table
+from charms_bench.runs.finished_run import FinishedRun, open_finished
+from charms_bench.world.scene import Bools, Floats, Ints
+
+SINCE_S = 3.0
+ORDERED = 0.9
+"""A larger Kendall's tau counts as the right order."""
+OF_RESAMPLES = 0.95
+FOUND = 2.95
+"""Standard errors of a found difference: 5 %, two-sided, corrected for 16 drivers (Bonferroni)."""
+SEARCHED = 40
+"""Collisions of each traffic model whose avoidability is searched."""
+LADDERS = ("Headway", "Delay", "Blind spot", "Imposed braking")
+"""The drivers of a ladder have labels that begin so, from the smallest fault to the largest."""
+TOTAL = re.compile(r"^\| (.+?) \| traffic \|.*\| (\S+ \[.+?\]) \|$", re.MULTILINE)
+
+
+class Driven(NamedTuple):
+    """What the drivers did in a traffic model; the first has no fault."""
+
+    severity: Floats
+    """[E, D] by episode and driver."""
+    from_the_start: Floats
+    """[E, D] the same with the first 3 s."""
+    distance_km: Floats
+    """[E, D]."""
+    collided: Bools
+    """[E, D]."""
+
+
+def kendalls_tau(severity: Floats) -> Floats:
+    """Kendall's tau-a between the order of K severities [..., K] and their places."""
+    first, second = np.triu_indices(severity.shape[-1], 1)
+    return np.asarray(np.sign(severity[..., second] - severity[..., first]).mean(axis=-1))
+
+
+def taus(severity: Floats, ladders: Sequence[Sequence[int]]) -> Floats:
+    """[..., L + 1] of severities [..., D]: the tau of each ladder, and the mean of these."""
+    each = np.stack([kendalls_tau(severity[..., list(ladder)]) for ladder in ladders], axis=-1)
+    return np.concatenate([each, each.mean(axis=-1, keepdims=True)], axis=-1)
+
+
+def resampled_means(values: Floats, resamples: int, rng: np.random.Generator) -> Floats:
+    """[R, ...] means of values [E, ...] over resampled episodes."""
+    size = len(values)
+    counts = rng.multinomial(size, np.full(size, 1 / size), size=resamples)
+    return np.tensordot(counts, values, axes=1) / size
+
+
+def episodes_until_ordered(
+    severity: Floats,
+    ladders: Sequence[Sequence[int]],
+    rng: np.random.Generator,
+    resamples: int = 400,
+) -> Floats:
+    """[L + 1] of severities [E, D]: how many episodes put each ladder, and their mean, in order.
+
+    It is the smallest of 60 numbers of resampled episodes, from 10 to E, from which on tau is at
+    least 0.9 in 95 % of the resamples; infinite if there is none.
+    """
+    sizes = np.unique(np.geomspace(10, len(severity), 60).round().astype(int))
+    drawn = severity[rng.integers(len(severity), size=(resamples, len(severity)))]
+    means = np.cumsum(drawn, axis=1)[:, sizes - 1] / sizes[:, None]
+    # Rounding may leave a mean of four taus just below 0.9.
+    ordered = (taus(means, ladders) >= ORDERED - 1e-9).mean(axis=0) >= OF_RESAMPLES
+    from_here = np.logical_and.accumulate(ordered[::-1])[::-1]
+    return np.where(from_here.any(axis=0), sizes[from_here.argmax(axis=0)], np.inf)
+
+
+def found(severity: Floats) -> Bools:
+    """[D - 1] of severities [E, D]: which drivers are worse than the first one, beyond chance."""
+    difference = severity[:, 1:] - severity[:, :1]
+    error = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
+    return np.asarray(difference.mean(axis=0) > FOUND * error)
+
+
+def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
+    """What the drivers of some cells did; all have driven the same episodes."""
+    return Driven(*np.stack([_of_cell(run, cell) for cell in cells], axis=-1))
+
+
+def _of_cell(run: FinishedRun, index: int) -> Floats:
+    """[4, E]."""
+    scene = run.suite.scene
+    since = round(SINCE_S * scene.decision_hz) + 1
+    frames = []
+    for episodes, steps in run.cell(index).parts:
+        late = steps.filter(pl.col("episode").is_in(steps.filter(step=since)["episode"].implode()))
+        heads = episodes.filter(pl.col("episode").is_in(late["episode"].implode()))
+        columns = {
+            "severity": criticality(heads, late, scene, since),
+            "from_the_start": criticality(episodes, steps, scene),
+        }
+        frame = episodes.select("episode", "ending", km=pl.col("distance_m") / 1000)
+        for name, rows in columns.items():
+            named = rows.select("episode", pl.col("criticality").alias(name))
+            frame = frame.join(named, on="episode", how="left")
+        frames.append(frame)
+    rows = pl.concat(frames).sort("episode")
+    return np.stack(
+        [
+            rows["severity"].fill_null(COLLISION).to_numpy(),
+            rows["from_the_start"].to_numpy(),
+            rows["km"].to_numpy(),
+            rows["ending"].is_in(["rear_end", "side"]).cast(pl.Float64).to_numpy(),
+        ]
+    )
+
+
+def avoidable(run: FinishedRun, cells: Sequence[int]) -> Floats:
+    """[E, 2] by episode: the collisions that were searched, and how many of them are avoidable."""
+    first, size = run.suite.seed, run.suite.episodes
+    recorded = [RecordedCell(run, cell, ROOT / "suites") for cell in cells]
+    every = sorted(
+        (seed, place) for place, each in enumerate(recorded) for seed in collisions(each)
+    )[:SEARCHED]
+    counts = np.zeros((size, 2))
+    for place, cell in enumerate(recorded):
+        seeds = [seed for seed, at in every if at == place]
+        for each in avoidability(cell, seeds, agents=()):
+            counts[each.episode - first] += 1, each.verdict == "avoidable"
+    return counts
+
+
+def per_1000_km(driven: Driven, searched: Floats, rng: np.random.Generator) -> Number:
+    """Avoidable collisions per 1,000 km: the rate of collisions times the avoidable proportion."""
+    columns = driven.collided.sum(axis=1), driven.distance_km.sum(axis=1) / 1000
+    sums = np.column_stack([*columns, searched])
+    if not sums[:, 0].any():
+        return Number(0.0, None, None, len(sums))
+
+    def rate(means: Floats) -> Floats:
+        share = means[..., 3] / np.maximum(means[..., 2], 1e-12)
+        return np.asarray(share * means[..., 0] / means[..., 1])
+
+    low, high = np.quantile(rate(resampled_means(sums, 2000, rng)), [0.025, 0.975])
+    return Number(float(rate(sums.mean(axis=0))), low, high, len(sums))
+
+
+def of_resamples(value: float, resampled: Floats) -> Number:
+    """A value with the percentiles of its resamples."""
+    return Number(value, *np.quantile(resampled, [0.025, 0.975]).tolist())
+
+
+def distance(episodes: float, resampled: Floats, km: float, most: int) -> str:
+    """Episodes with the interval of their number, in km; `most` episodes are not exceeded."""
+
+    def text(number: float) -> str:
+        return f"{number * km:,.0f}" if number <= most else f"above {most * km:,.0f}"
+
+    low, high = np.quantile(resampled, [0.025, 0.975], method="nearest")
+    return f"{text(episodes)} [{text(low)}, {text(high)}]"
+
+
+def summary(
+    traffics: Mapping[str, Driven],
+    searched: Mapping[str, Floats],
+    ladders: Mapping[str, Sequence[int]],
+    likeness: Mapping[str, str],
+) -> tuple[Table, Table]:
+    """The table of traffic models, and that of the ladders of each."""
+    places = list(ladders.values())
+    whole, parts = [], []
+    for traffic, driven in traffics.items():
+        rng = np.random.default_rng(731_550_000)
+        severity, size = driven.severity, len(driven.severity)
+        tau = taus(severity.mean(axis=0), places)
+        spread = taus(resampled_means(severity, 2000, rng), places)
+        early = taus(driven.from_the_start.mean(axis=0), places)
+        early_spread = taus(resampled_means(driven.from_the_start, 2000, rng), places)
+        needed = episodes_until_ordered(severity, places, rng)
+        again = np.array(
+            [
+                episodes_until_ordered(severity[rng.integers(size, size=size)], places, rng)
+                for _ in range(100)
+            ]
+        )
+        km, is_found = float(driven.distance_km.mean()), found(severity)
+        columns: list[dict[str, Any]] = [
+            {
+                "τ": of_resamples(float(tau[i]), spread[:, i]),
+                "km until τ ≥ 0.9": distance(float(needed[i]), again[:, i], km, size),
+            }
+            for i in range(len(places) + 1)
+        ]
+        whole.append(
+            {
+                "traffic model": traffic,
+                **columns[-1],
+                "faults found, of 16": f"{is_found.sum()}",
+                "avoidable collisions per 1,000 km": per_1000_km(driven, searched[traffic], rng),
+                "τ with the first 3 s": of_resamples(float(early[-1]), early_spread[:, -1]),
+                "likeness": likeness.get(traffic, "–"),
+            }
+        )
+        for i, (ladder, members) in enumerate(ladders.items()):
+            sizes = ", ".join(str(k) for k in range(1, 5) if is_found[members[k] - 1])
+            row = {"fault": ladder, "traffic model": traffic, **columns[i]}
+            parts.append({**row, "sizes found": sizes or "none"})
+    parts.sort(key=lambda row: list(ladders).index(row["fault"]))
+    return _table(whole, 1), _table(parts, 2)
+
+
+def _table(records: Sequence[dict[str, Any]], keys: int) -> Table:
+    names = list(records[0])
+    forms = {name: ",.0f" if "per" in name else ".2f" for name in names[keys:]}
+    return Table.plain(records, tuple(names[:keys]), forms)
+
+
+def main(folder: Path) -> None:
+    """Writes the tables and the severities."""
+    run = open_finished(folder)
+    egos = [ego.title for ego in run.suite.egos]
+    ladders: dict[str, Sequence[int]] = {
+        name: [0, *(k for k, ego in enumerate(egos) if ego.startswith(name))] for name in LADDERS
+    }
+    cells = {
+        entry.title: [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
+        for entry in run.suite.traffics
+    }
+    traffics = {title: of_traffic(run, places) for title, places in cells.items()}
+    searched = {title: avoidable(run, places) for title, places in cells.items()}
+    rows: list[dict[str, Any]] = []
+    for title, driven in traffics.items():
+        marks: Ints = np.array([0, *found(driven.severity)], dtype=np.int64)
+        error = driven.severity.std(axis=0, ddof=1) / np.sqrt(len(driven.severity))
+        rows += [
+            {
+                "traffic": title,
+                "ego": ego,
+                "severity": driven.severity[:, k].mean(),
+                "standard_error": error[k],
+                "severity_from_the_start": driven.from_the_start[:, k].mean(),
+                "collisions": int(driven.collided[:, k].sum()),
+                "distance_km": driven.distance_km[:, k].sum(),
+                "found": int(marks[k]),
+            }
+            for k, ego in enumerate(egos)
+        ]
+    frame = pl.DataFrame(rows).with_columns(pl.selectors.float().round_sig_figs(6))
+    frame.write_csv(RESULTS / "mutants.csv")
+    for title, counts in searched.items():
+        print(title, "collisions searched, avoidable:", counts.sum(axis=0))
+    likeness = dict(TOTAL.findall((RESULTS / "likeness-i24.md").read_text(encoding="utf-8")))
+    whole, parts = summary(traffics, searched, ladders, likeness)
+    (RESULTS / "mutants.md").write_text(markdown(whole), encoding="utf-8")
+    (RESULTS / "mutants-ladders.md").write_text(markdown(parts), encoding="utf-8")
+    page = ROOT / "docs" / "mutants.md"
+    page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python tools/mutants.py RUN")
+    main(Path(sys.argv[1]))
