@@ -4,6 +4,9 @@ A failure is a preventable collision: the agent collides, and a reference driver
 not. The search minimises the agent's margin to a collision (`severity`); where it collides, the
 larger one of its margin and the negative of the reference drivers' largest margin, which is below 0
 in a failure only. So the reference drivers are simulated only where the agent collides.
+
+An agent that draws its actions draws others in each episode. So its failure is noted only if it
+collides in the episode of the suite of failures, too.
 """
 
 from collections.abc import Callable, Sequence
@@ -115,25 +118,37 @@ class Search:
             for k, names in zip(collides, avoided_by, strict=True)
             if (names or not self.references) and points[k] not in self.failures
         ]
-        if new:
-            self.failures += [point for point, _ in new]
-            self.preventable_by += [names for _, names in new]
-            self.simulations_to_first = self.simulations_to_first or self.simulations
+        for point, names in new:
+            if self._collides_again(point):
+                self.failures.append(point)
+                self.preventable_by.append(names)
+                self.simulations_to_first = self.simulations_to_first or self.simulations
+        if new and self.failures:
             self.found()
         return found
 
-    def _margins(self, agent: AgentSpec, points: list[Point]) -> Floats:
+    def _collides_again(self, point: Point) -> bool:
+        """Whether the ego also collides in this point's episode of the suite of failures."""
+        ego, episode = self.cell.ego.agent, len(self.failures)
+        made = ego.make(networks_of(ego, self.cell.traffic.traffic.make(), self.folder))
+        if not getattr(made, "noise_draws", 0):
+            return True
+        return bool(self._margins(ego, [point], episode)[0] < 0)
+
+    def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
+        """The margins at points, which are those of the episodes from `first` on."""
         cell = self.cell
         assert cell.scene.scenario is not None
         traffic = cell.traffic.traffic.make()
         networks = networks_of(agent, traffic, self.folder)
         agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
-        scenario = cell.scene.scenario.model_copy(update={"points": tuple(points)})
+        numbered = (*points[:1] * first, *points)
+        scenario = cell.scene.scenario.model_copy(update={"points": numbered})
         settings = cell.scene.of_scenario(scenario)
         simulation = Simulation(settings, len(points), agent.key, traffic, agents)
         self.simulations += len(points)
         self.told(len(points))
-        return margins(simulation, np.arange(len(points)))
+        return margins(simulation, first + np.arange(len(points)))
 
 
 def scenario_of(path: Path, suite: Suite, title: str | None) -> int:

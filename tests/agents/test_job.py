@@ -8,17 +8,18 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from charms_agents.charms import packaged
 from charms_agents.training.completed_reward import RewardScales
 from charms_agents.training.job import Job, reinforcement_job
 from charms_agents.training.suite_file import load_training
 
+from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import TrafficSpec
 
 PROJECT = Path(__file__).parents[2]
 SUITE = PROJECT / "suites" / "train-baselines.yaml"
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"
+LEVEL_1 = PROJECT / "networks" / "baselines" / "level_1.onnx"
 
 
 def job_of(shares: dict[str, float], weights_of: str = "", **options: Any) -> Job:
@@ -56,8 +57,9 @@ def test_the_baselines_suite_gives_the_keys_of_the_networks_in_the_package() -> 
     suite = load_training(SUITE)
     for name in suite.stages:
         drivers = {
-            driver: packaged(driver) if driver in suite.names else make_agent(driver)
+            driver: OnnxPolicy(LEVEL_1) if driver == "level_1" else make_agent(driver)
             for driver in suite.drivers_of(suite.stages[name])
         }
-        made = json.loads((POLICIES / f"{name}.json").read_text())
+        folder = LEVEL_1.parent if name == "level_1" else POLICIES
+        made = json.loads((folder / f"{name}.json").read_text())
         assert reinforcement_job(Path(), "", name, suite, drivers).key == made["key"]

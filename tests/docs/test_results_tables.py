@@ -133,32 +133,3 @@ def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleTy
         "| B | speed, m/s | 23.67 | 23.60 [23.47, 23.73] | yes | 23.7 | yes |",
         "| B | episodes crashed, % | – | 25.0 [20.0, 30.0] | – | – | – |",
     ]
-
-
-@pytest.mark.parametrize(
-    ("statement", "column", "digits"),
-    [
-        ("the speed of competitive and altruistic styles varies more", "speed std", 2),
-        (
-            "the acceleration of competitive and altruistic styles varies more",
-            "acceleration std",
-            3,
-        ),
-    ],
-)
-def test_a_statement_about_styles_is_tested_by_the_papers_statistic(
-    tool: ModuleType, statement: str, column: str, digits: int
-) -> None:
-    def table(name: str) -> list[list[str]]:
-        lines = (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8").splitlines()
-        return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if "|" in line]
-
-    header, _, *styles = table("styles")
-    place = header.index(f"{column} (paper)")
-    groups: dict[bool, list[float]] = {True: [], False: []}
-    for row in styles:
-        varies = row[0].endswith(("Competitive", "Altruistic"))
-        groups[varies].append(float(row[place].split()[0]))
-    row = next(row for row in table("style-differences") if row[0] == statement)
-    for cell, values in zip(row[1:3], groups.values(), strict=True):
-        assert float(cell.split()[0]) == pytest.approx(sum(values) / 4, abs=0.6 * 10**-digits)
