@@ -23,6 +23,7 @@ from plan_results import (
     plan_conditions,
     plan_likeness,
     plan_main,
+    plan_styles,
 )
 from rare_comparison import rare_comparison, rare_estimate
 from reproduction import compared, verdicts
@@ -276,6 +277,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "plan-conditions": ("seeds-main", plan_conditions),
     "plan-avoidability": ("seeds-main", plan_avoidability),
     "plan-likeness": ("seeds-likeness", plan_likeness),
+    "plan-styles": ("seeds-styles", plan_styles),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),
