@@ -16,7 +16,7 @@ SUITE = """\
 suite: small
 episodes: 100
 seed: 900000000
-egos: [{agent: charms}]
+egos: [{agent: imitation}]
 traffics: [{traffic: idm_mobil}]
 """
 STEPS, EPOCH = 1500, 500
@@ -44,7 +44,7 @@ def test_d3rlpy_trains_on_the_dataset(tmp_path: Path) -> None:
         pytest.skip("needs d3rlpy in an environment of its own; run by tox -e data")
     (tmp_path / "suite.yaml").write_text(SUITE)
     run = charms_bench.run(tmp_path / "suite.yaml", tmp_path / "run", workers=1)
-    run.dataset("minari", tmp_path / "datasets" / "charms-v0")
+    run.dataset("minari", tmp_path / "datasets" / "imitation-v0")
 
     page = blocks(ROOT / "docs" / "run-folders.md")
     (script,) = (block.text for block in page if "import d3rlpy" in block.text)
