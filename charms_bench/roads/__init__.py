@@ -9,3 +9,20 @@ table (`scenes.VEHICLE`), because compiled code passes a row as one pointer.
 
 Lanes, obstacles and default configurations are read from highway-env's own environments.
 """
+
+TASKS = {
+    "merge-v0": "merge:Merge",
+    "merge-v1": "merge:Merge",
+    "merge-generic-v0": "merge:GenericMerge",
+    "merge-generic-v1": "merge:GenericMerge",
+    "two-way-v0": "two_way:TwoWay",
+    "exit-v0": "exit:Exit",
+    "exit-v1": "exit:Exit",
+    "u-turn-v0": "u_turn:UTurn",
+    "u-turn-v1": "u_turn:UTurn",
+    "roundabout-v0": "roundabout:Roundabout",
+    "roundabout-v1": "roundabout:Roundabout",
+    "roundabout-generic-v0": "roundabout:GenericRoundabout",
+    "roundabout-generic-v1": "roundabout:GenericRoundabout",
+}
+"""The modules and classes of the environments by highway-env's names."""

@@ -1,6 +1,7 @@
 """B episodes of one of highway-env's environments, which advance together."""
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 from charms_bench.engine.exact_maths import exact_roads
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
-from charms_bench.roads import configuration
-from charms_bench.roads.kinematics import observe
+from charms_bench.roads import TASKS, configuration
 from charms_bench.roads.lanes import road_of
+from charms_bench.roads.observing import observer_of
 from charms_bench.roads.scenes import OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
-from charms_bench.roads.tasks import TASKS
+from charms_bench.roads.task import Task
 from charms_bench.world.profile import HIGHWAY_ENV
 from charms_bench.world.scene import Observations
 
@@ -47,10 +48,11 @@ class Episodes:
         with exact_roads():
             stock = source(config=self.config)
         road = road_of(stock.road.network)
-        names = {lane: k for k, lane in enumerate(stock.road.network.lanes_dict())}
-        self.task = TASKS[name](self.config, names)
+        module, kind = TASKS[name].split(":")
+        kinds = import_module(f"charms_bench.roads.{module}")
+        self.task: Task = getattr(kinds, kind)(self.config, stock.road.network)
         self.actions = configuration.meta_actions(self.config)
-        self._observation = configuration.kinematics(self.config["observation"])
+        self.observer = observer_of(self.config, count, self.task.lanes)
         hz = self.config["simulation_frequency"]
         self._frames = int(hz // self.config["policy_frequency"])
         self._interval = 1 / self.config["policy_frequency"]
@@ -70,10 +72,7 @@ class Episodes:
                 where = (*map(float, each.position), float(each.heading), float(each.speed))
                 place(self.scenes, b, self.task.vehicles + k, OBSTACLE, *where)
         self.everyone = np.arange(count)
-        self._ranges = np.tile(self._observation.ranges, (count, 1, 1))
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
-        shape = count, self._observation.rows, self._observation.features.size
-        self._observations = np.zeros(shape, dtype=np.float32)
 
     def seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Seeds the random generators of the scenes `rows`; otherwise, they continue."""
@@ -85,10 +84,7 @@ class Episodes:
         scenes.time[rows] = 0.0
         self.steps[rows] = 0
         self.task.start(scenes, rows)
-        if self._observation.y_range >= 0:
-            lanes = scenes.road.lanes["lanes"][scenes.vehicles["lane"][rows, 0]]
-            half = 4.0 * lanes
-            self._ranges[rows, self._observation.y_range] = np.stack((-half, half), axis=1)
+        self.observer.start(scenes, rows)
 
     def step(self, actions: Ints) -> Decision:
         """Carries out the egos' actions (B,), which are indices into `actions.meaning`."""
@@ -105,7 +101,4 @@ class Episodes:
 
     def observe(self, rows: Ints | None = None) -> Observations:
         """The egos' observations of the scenes `rows`; by default, of all scenes."""
-        rows = self.everyone if rows is None else rows
-        how = self._observation
-        observe(self.scenes, rows, how.features, self._ranges, how.how, self._observations)
-        return self._observations[rows]
+        return self.observer.observe(self.scenes, self.everyone if rows is None else rows)

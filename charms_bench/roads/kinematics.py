@@ -7,7 +7,7 @@ import numpy as np
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
-from charms_bench.world.road import distance_along
+from charms_bench.world.road import distance_along, local_coordinates
 from charms_bench.world.scene import Observations
 
 FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
@@ -29,10 +29,11 @@ def observe(
         features: (F,) indices into `FEATURES`.
         ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
         how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
-            seen and obstacles included.
+            seen and obstacles included; then the lane along which the ego's x is measured, -1 for
+            the x of the road [`ExitObservation`].
         out: The observations.
     """
-    is_absolute, is_sorted, clips, sees_behind, has_obstacles = how
+    is_absolute, is_sorted, clips, sees_behind, has_obstacles, exit_lane = how
     places = scenes.vehicles.shape[1]
     near, away = np.empty(places, dtype=np.int64), np.empty(places)
     values = np.empty(len(FEATURES))
@@ -62,6 +63,8 @@ def observe(
                 continue
             j = near[row - 1] if row else 0
             describe(scenes, b, j, row > 0 and not is_absolute, values)
+            if row == 0 and exit_lane >= 0:
+                values[X], _ = local_coordinates(scenes.road, exit_lane, ego.x, ego.y)
             for f in range(features.size):
                 value, low, high = values[features[f]], ranges[b, f, 0], ranges[b, f, 1]
                 if not math.isnan(low):
