@@ -34,6 +34,8 @@ def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dic
         InputError: A key is unknown, or its value is not supported.
     """
     found = {**default, **(config or {})}
+    if found["offscreen_rendering"] is None:
+        found["offscreen_rendering"] = True  # as without a window [`AbstractEnv.configure`]
     for key, value in found.items():
         if key not in default:
             raise InputError(f"config: no key named '{key}'. {suggestion(key, dict(default))}")

@@ -45,8 +45,9 @@ class Episodes:
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
         self.config = configuration.checked(source.default_config(), config)
         """highway-env's configuration, with the defaults."""
+        plain = {"observation": {"type": "Kinematics"}, "action": {"type": "DiscreteMetaAction"}}
         with exact_roads():
-            stock = source(config=self.config)
+            stock = source(config={**self.config, **plain})
         road = road_of(stock.road.network)
         module, kind = TASKS[name].split(":")
         kinds = import_module(f"charms_bench.roads.{module}")

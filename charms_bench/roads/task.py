@@ -44,7 +44,7 @@ class Task(ABC):
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         """Whether each scene (B,) is over; by default, whether the ego has crashed."""
-        return np.asarray(scenes.vehicles["crashed"][:, 0])
+        return np.array(scenes.vehicles["crashed"][:, 0])
 
     def is_truncated(self, scenes: Scenes) -> Bools:
         """Whether the time of each scene (B,) is over."""
