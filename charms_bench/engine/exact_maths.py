@@ -55,8 +55,8 @@ def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
     """Makes highway-env's vehicles in this process use `charms_bench.foundation.maths`.
 
     Otherwise their bits would be those of NumPy and of the C library, which both choose their
-    functions by the processor. Nothing is changed for the engine `batched`. With `environments`, the
-    roads of highway-env's environments are drawn in the same way.
+    functions by the processor. Nothing is changed for the engine `batched`. With `environments`,
+    the roads of highway-env's environments are drawn in the same way.
 
     Raises:
         RuntimeError: The process was not started with `worker_environment(engine)`.
@@ -84,7 +84,9 @@ def exact_roads() -> Iterator[None]:
 
 def _replace(names: Iterable[str]) -> list[tuple[ModuleType, str, Any]]:
     """Replaces what modules compute with; returns what was there, by module and name."""
-    before: list[tuple[ModuleType, str, Any]] = [(import_module(f"highway_env.{name}"), "np", _numpy) for name in names]
+    before: list[tuple[ModuleType, str, Any]] = [
+        (import_module(f"highway_env.{name}"), "np", _numpy) for name in names
+    ]
     spline: Any = import_module("highway_env.road.spline")
     before.append((spline, "CurvePose", _of_arrays(spline.CurvePose)))
     for k, (module, name, value) in enumerate(before):

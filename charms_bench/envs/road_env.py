@@ -17,7 +17,7 @@ from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
 from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Observations
 
-Spaces = tuple[gymnasium.spaces.Box, gymnasium.spaces.Discrete]
+Spaces = tuple[gymnasium.Space[Any], gymnasium.Space[Any]]
 
 
 class RoadEnv(gymnasium.Env[Observations, Any]):
@@ -44,7 +44,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
     ) -> None:
         self._name = name
         self._episodes = _episodes(name, 1, config, render_mode)
-        self._seed_at_random()
+        self._episodes.seed(self._episodes.everyone, _random_seeds(1))
         self.observation_space, self.action_space = _spaces(self._episodes)
 
     @property
@@ -117,10 +117,6 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
     def _observe(self) -> Observations:
         return np.asarray(self._episodes.observe()[0])
 
-    def _seed_at_random(self) -> None:
-        words = np.random.SeedSequence().generate_state(1, np.uint64)
-        self._episodes.seed(self._episodes.everyone, words)
-
 
 class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
@@ -146,8 +142,7 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        words = np.random.SeedSequence().generate_state(num_envs, np.uint64)
-        self._episodes.seed(self._episodes.everyone, words)
+        self._episodes.seed(self._episodes.everyone, _random_seeds(num_envs))
         self._known = np.ones(num_envs, dtype=np.bool_)
 
     @property
@@ -258,3 +253,8 @@ def _facts(episodes: Episodes) -> dict[str, NDArray[Any]]:
 def _terms(episodes: Episodes, decision: Decision, row: Any = slice(None)) -> Any:
     """The terms of the rewards by name, without their weights."""
     return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)
+
+
+def _random_seeds(count: int) -> NDArray[np.uint64]:
+    """Seeds (B,) from the operating system."""
+    return np.random.SeedSequence().generate_state(count, np.uint64).astype(np.uint64)

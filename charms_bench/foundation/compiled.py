@@ -186,15 +186,7 @@ def is_kept(function: Any) -> bool:
     return bool(call._cache.is_filled(call.targetctx.codegen().magic_tuple()))
 
 
-@intrinsic  # type: ignore[misc]  # numba is untyped
-def row_after(_: Any, row: Any, count: Any) -> Any:
-    """The row of a table of records that comes so many rows after another.
-
-    Compiled code passes a row as one pointer, but an array as seven numbers or more, whose
-    references it counts; for small functions, that takes longer than what they compute. Nothing
-    checks that there is such a row, and the table has to outlive its rows.
-    """
-
+def _row_after(_: Any, row: Any, count: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         first, number = arguments
         number = context.cast(builder, number, signature.args[1], types.intp)
@@ -202,6 +194,14 @@ def row_after(_: Any, row: Any, count: Any) -> Any:
         return cgutils.pointer_add(builder, first, builder.mul(number, size), first.type)
 
     return row(row, count), generate
+
+
+row_after: Any = intrinsic(_row_after)
+"""`row_after(row, count)`, in compiled code, is the row of a table so many rows after another.
+
+Compiled code passes a row as one pointer, but an array as seven numbers or more, whose references
+it counts; for small functions, that takes longer than what they compute. Nothing checks that there
+is such a row, and the table has to outlive its rows."""
 
 
 @inlined

@@ -18,6 +18,8 @@ _ACTIONS = {
     (False, True): ("LANE_LEFT", "IDLE", "LANE_RIGHT"),
 }
 """The meta-actions by whether they are longitudinal and lateral [`DiscreteMetaAction`]."""
+
+
 class MetaActions(NamedTuple):
     """[`DiscreteMetaAction`]"""
 

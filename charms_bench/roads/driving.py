@@ -169,7 +169,8 @@ def free_acceleration(here: Here, i: int, exponent: float) -> float:
     vehicle, c = vehicle_of(here, i), here.constants
     limit = lane_of(here, vehicle.lane).speed_limit
     wanted = abs(not_zero(clip(vehicle.target_speed, 0.0, limit)))
-    return c.acceleration_mps2 * (1 - maths.power(max(vehicle.speed, 0.0) / wanted, exponent))
+    share = max(vehicle.speed, 0.0) / wanted
+    return float(c.acceleration_mps2 * (1 - maths.power(share, exponent)))
 
 
 @compiled
@@ -178,7 +179,7 @@ def interaction(here: Here, i: int, j: int) -> float:
     if j < 0:
         return 0.0
     crowding = desired_gap(here, i, j) / not_zero(distance_to(here, i, j))
-    return here.constants.acceleration_mps2 * (crowding * crowding)
+    return float(here.constants.acceleration_mps2 * (crowding * crowding))
 
 
 @inlined
@@ -196,7 +197,7 @@ def idm(here: Here, i: int, j: int, exponent: float) -> float:
 def distance_to(here: Here, i: int, j: int) -> float:
     """How far vehicle j is ahead on the lane of vehicle i [`RoadObject.lane_distance_to`]."""
     lane = vehicle_of(here, i).lane
-    return coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
+    return float(coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s)
 
 
 @inlined
@@ -207,7 +208,8 @@ def desired_gap(here: Here, i: int, j: int) -> float:
     aside = own.speed * own.direction_y - other.speed * other.direction_y
     closing = ahead * own.direction_x + aside * own.direction_y
     braking = 2 * math.sqrt(c.acceleration_mps2 * c.deceleration_mps2)
-    return c.jam_distance_m + own.speed * c.time_headway_s + own.speed * closing / braking
+    gap = c.jam_distance_m + own.speed * c.time_headway_s + own.speed * closing / braking
+    return float(gap)
 
 
 @inlined
@@ -244,20 +246,19 @@ def gap_is_taken(here: Here, i: int) -> bool:
         other = vehicle_of(here, j)
         if j == i or other.kind <= CONTINUOUS:
             continue
-        if other.lane != target and other.target_lane == target:
-            if 0 < distance_to(here, i, j) < desired_gap(here, i, j):
-                return True
+        is_changing = other.lane != target and other.target_lane == target
+        if is_changing and 0 < distance_to(here, i, j) < desired_gap(here, i, j):
+            return True
     return False
 
 
 @compiled
-def mobil(
-    here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int
-) -> bool:
+def mobil(here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int) -> bool:
     """Whether to change to a lane [`IDMVehicle.mobil`].
 
     `free` and `own` are the IDM accelerations on a free road and on the present lane, on which
-    `front` and `rear` are the neighbours. What costs least is compared first; the result is the same.
+    `front` and `rear` are the neighbours. What costs least is compared first; the result is the
+    same.
     """
     vehicle, c = vehicle_of(here, i), here.constants
     new_front, new_rear = neighbours(here, i, lane)

@@ -50,7 +50,8 @@ class Exit(Task):
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),
-            *map(float, config["reward_speed_range"]),
+            float(config["reward_speed_range"][0]),
+            float(config["reward_speed_range"][1]),
             bool(config["normalize_reward"]),
         )
         self._routes = routes_to(network, ["3"])

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
 from charms_bench.world.road import distance_along, local_coordinates
 from charms_bench.world.scene import Observations
@@ -79,7 +79,10 @@ def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> 
     vehicle, ego = scenes.vehicles[b, j], scenes.vehicles[b, 0]
     values[PRESENCE], values[HEADING] = 1.0, vehicle.heading
     values[X], values[Y] = vehicle.x, vehicle.y
-    values[VX], values[VY] = vehicle.speed * vehicle.direction_x, vehicle.speed * vehicle.direction_y
+    values[VX], values[VY] = (
+        vehicle.speed * vehicle.direction_x,
+        vehicle.speed * vehicle.direction_y,
+    )
     values[COS_H], values[SIN_H] = vehicle.direction_x, vehicle.direction_y
     if relative:
         values[X] -= ego.x

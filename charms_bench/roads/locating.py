@@ -4,7 +4,13 @@ import math
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after, woven, wrap_to_pi
 from charms_bench.roads.scenes import Here, Row, lane_of, vehicle_of
-from charms_bench.world.lane_geometry import CIRCULAR, SINE, line_coordinates, line_heading
+from charms_bench.world.lane_geometry import (
+    CIRCULAR,
+    SINE,
+    STRAIGHT,
+    line_coordinates,
+    line_heading,
+)
 
 
 @woven
@@ -12,7 +18,13 @@ def coordinates_of(here: Here, i: int, lane: int) -> Row:
     """The coordinates of vehicle i on a lane, which are computed when they are first asked for."""
     at = row_after(here.coordinates, i * here.lane_count + lane)
     if math.isnan(at.s):
-        compute(at, lane_of(here, lane), vehicle_of(here, i))
+        row, vehicle = lane_of(here, lane), vehicle_of(here, i)
+        if row.kind == STRAIGHT:  # as in `line_coordinates`, without a call
+            x, y = vehicle.x - row.x, vehicle.y - row.y
+            at.s = x * row.direction_x + y * row.direction_y
+            at.r = x * -row.direction_y + y * row.direction_x
+        else:
+            compute(at, row, vehicle)
     return at
 
 
@@ -48,17 +60,18 @@ def locate(here: Here, i: int) -> None:
     vehicle.lane = best
 
 
-@compiled
+@inlined
 def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
     """[`AbstractLane.distance_with_heading`], or infinity if it is certainly above a bound."""
     at, row, vehicle = coordinates_of(here, i, lane), lane_of(here, lane), vehicle_of(here, i)
     distance = abs(at.r) + max(at.s - row.length, 0.0) + max(0.0 - at.s, 0.0)
     if distance > bound:
         return math.inf
-    return float(distance + abs(wrap_to_pi(vehicle.heading - line_heading(row, at.s))))
+    heading = row.heading if row.kind == STRAIGHT else line_heading(row, at.s)
+    return float(distance + abs(wrap_to_pi(vehicle.heading - heading)))
 
 
-@compiled
+@inlined
 def is_further(lane: Row, vehicle: Row, bound: float) -> bool:
     """Whether a lane is certainly further away than a bound, without its elementary functions."""
     x, y = vehicle.x - lane.x, vehicle.y - lane.y

@@ -56,7 +56,8 @@ class Merge(Task):
             len(network.graph["a"]["b"]),
             lanes["j", "k", 0],
             lanes.get(("b", "c", 2), -1),
-            *map(float, config["reward_speed_range"]),
+            float(config["reward_speed_range"][0]),
+            float(config["reward_speed_range"][1]),
             float(sum(lengths[:3])),
         )
 

@@ -1,6 +1,6 @@
 """What the egos observe: highway-env's observations by a configuration."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -33,11 +33,17 @@ _KINEMATICS: dict[str, Any] = {
 class Observer(Protocol):
     """An observation of B scenes."""
 
-    shape: tuple[int, ...]
-    """That of one observation."""
-    low: float
-    """The bound of its space."""
-    high: float
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of one observation."""
+
+    @property
+    def low(self) -> float:
+        """The least value of its space."""
+
+    @property
+    def high(self) -> float:
+        """The largest value of its space."""
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         """Notes what highway-env keeps from the start of an episode."""
@@ -112,7 +118,7 @@ class TimeToCollision:
         return self._out[rows]
 
 
-_OBSERVERS: dict[str, type[Kinematics] | type[TimeToCollision]] = {
+_OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Observer]] = {
     "Kinematics": Kinematics,
     "ExitObservation": Kinematics,
     "TimeToCollision": TimeToCollision,

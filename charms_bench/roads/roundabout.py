@@ -58,7 +58,7 @@ class Roundabout(Task):
         "on_road_reward",
     )
     vehicles = 5
-    exits = _EXITS
+    exits: tuple[str, ...] = _EXITS
 
     def __init__(self, config: Mapping[str, Any], network: Any) -> None:
         super().__init__(config, network)

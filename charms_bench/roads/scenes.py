@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import Unpacked, compiled, row_after, unpacked, woven
 from charms_bench.foundation.generator import State
 from charms_bench.world.lane_geometry import POLYLINE

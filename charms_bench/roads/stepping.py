@@ -90,8 +90,11 @@ def collide(here: Here, corners: Floats) -> None:
             other = vehicle_of(here, j)
             if other.kind == NOTHING:
                 continue
-            reach = (diagonal + math.sqrt(other.length**2 + other.width**2)) / 2 + own.speed * dt
             dx, dy = other.x - own.x, other.y - own.y
+            sizes = own.length + own.width + other.length + other.width
+            if abs(dx) > sizes + abs(own.speed) * dt:
+                continue  # before the square roots, which would say the same
+            reach = (diagonal + math.sqrt(other.length**2 + other.width**2)) / 2 + own.speed * dt
             if math.sqrt(dx * dx + dy * dy) > reach:
                 continue
             for k, each in enumerate((own, other)):

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -69,7 +70,7 @@ def routes_to(network: Any, destinations: Sequence[str]) -> Ints:
                 path = network.shortest_path(end, destination)
             except KeyError:
                 path = []
-            steps = [lanes[*nodes, 0] for nodes in zip(path, path[1:], strict=False)]
+            steps = [lanes[*nodes, 0] for nodes in pairwise(path)]
             routes[d, lane, : 1 + len(steps)] = len(steps), *steps
     return routes
 

@@ -151,7 +151,9 @@ def _apart(
             "crashed": vehicle["crashed"] == theirs.crashed,
             "route": _route(vehicle, names) == [tuple(step) for step in theirs.route or ()],
         }
-        pairs |= {f"{each} of vehicle {k}": (0.0, 0.0 if is_same[each] else np.inf) for each in is_same}
+        pairs |= {
+            f"{each} of vehicle {k}": (0.0, 0.0 if is_same[each] else np.inf) for each in is_same
+        }
         if hasattr(theirs, "timer"):
             pairs[f"timer of vehicle {k}"] = vehicle["timer_s"], theirs.timer
             pairs[f"exponent of vehicle {k}"] = vehicle["exponent"], theirs.DELTA

@@ -59,8 +59,8 @@ def test_the_vector_environment_is_gymnasiums_of_highway_env() -> None:
     count, mode = 3, AutoresetMode.SAME_STEP
     theirs = SyncVectorEnv([lambda: stock("merge-v0")] * count, autoreset_mode=mode)
     env = vector("merge-v0", count)
-    seen = [each.reset(seed=5)[0] for each in (env, theirs)]
-    np.testing.assert_allclose(*seen, rtol=0, atol=1e-6)
+    seen, expected = env.reset(seed=5)[0], theirs.reset(seed=5)[0]
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-6)
     rng, ended = np.random.default_rng(0), 0
     for _ in range(25):
         actions = rng.integers(5, size=count)
