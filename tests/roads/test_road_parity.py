@@ -1,11 +1,13 @@
 """highway-env's other roads, seed for seed and bit for bit."""
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pytest
 
 from charms_bench.roads import TASKS
+from charms_bench.roads.episodes import Episodes
 from charms_bench.testing.road_parity import compare, verify_road
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
@@ -107,3 +109,9 @@ def test_scenes_start_as_in_highway_env_with_its_own_mathematics(name: str) -> N
     found = compare(name, range(20), decisions=0, tolerance=1e-9)
     assert found.differing == []
     assert found.largest_at_start <= 1e-9
+
+
+def test_highway_env_computes_with_numpy_again_after_its_road_was_read() -> None:
+    Episodes("merge-v0", 1)
+    assert import_module("highway_env.road.lane").np is np
+    assert import_module("highway_env.envs.merge_env").np is np
