@@ -191,7 +191,10 @@ def _row_after(_: Any, row: Any, count: Any) -> Any:
         first, number = arguments
         number = context.cast(builder, number, signature.args[1], types.intp)
         size = context.get_constant(types.intp, row.size)
-        return cgutils.pointer_add(builder, first, builder.mul(number, size), first.type)
+        offset: Any = builder.mul(number, size)
+        return cgutils.pointer_add(  # type: ignore[no-untyped-call]
+            builder, first, offset, first.type
+        )
 
     return row(row, count), generate
 

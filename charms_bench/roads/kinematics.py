@@ -69,7 +69,8 @@ def observe(
                 value, low, high = values[features[f]], ranges[b, f, 0], ranges[b, f, 1]
                 if not math.isnan(low):
                     value = -1 + (value - low) * 2 / (high - low)
-                    value = min(max(value, -1.0), 1.0) if clips else value
+                    if clips and not math.isnan(value):
+                        value = min(max(value, -1.0), 1.0)
                 out[b, row, f] = value
 
 
@@ -77,7 +78,9 @@ def observe(
 def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> None:
     """Fills in the `FEATURES` of a vehicle or an obstacle [`Vehicle.to_dict`]."""
     vehicle, ego = scenes.vehicles[b, j], scenes.vehicles[b, 0]
-    values[PRESENCE], values[HEADING] = 1.0, vehicle.heading
+    values[PRESENCE] = 1.0
+    # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
+    values[HEADING] = math.nan if vehicle.kind == OBSTACLE else vehicle.heading
     values[X], values[Y] = vehicle.x, vehicle.y
     values[VX], values[VY] = (
         vehicle.speed * vehicle.direction_x,

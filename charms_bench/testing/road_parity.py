@@ -175,7 +175,8 @@ def _difference(ours: Any, theirs: Any) -> float:
     one, other = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
     if one.shape != other.shape:
         return float("inf")
-    return float(np.nan_to_num(np.abs(one - other), nan=np.inf).max())
+    apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.abs(one - other))
+    return float(np.nan_to_num(apart, nan=np.inf).max())
 
 
 def _route(vehicle: Any, names: list[Any]) -> list[Any]:
