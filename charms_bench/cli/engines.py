@@ -17,7 +17,15 @@ from charms_bench.cli.terminal import (
     print_records,
     say,
 )
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, suggestion
+
+Road = Annotated[
+    str | None,
+    typer.Option(
+        help="Use one of highway-env's other environments, such as merge-v0, instead of the "
+        "motorway."
+    ),
+]
 
 
 @app.command()
@@ -36,6 +44,7 @@ def verify(
             "--continuous", help="Drive the egos with random accelerations and steering angles."
         ),
     ] = False,
+    road: Road = None,
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -49,6 +58,11 @@ def verify(
     from charms_bench.runs.suite import check_networks, suite_of
     from charms_bench.testing import verify as verification
 
+    if road is not None:
+        if suite is not None or continuous:
+            raise InputError("--road excludes --suite and --continuous")
+        _verify_road(_known(road), episodes or 20, seed, workers, as_json)
+        return
     if suite is None:
         cases, count = verification.default_cases(continuous)
     elif continuous:
@@ -84,6 +98,31 @@ def verify(
         say(f"{total:,} episodes: {verdict}.")
     if differing:
         raise typer.Exit(FAIL)
+
+
+def _verify_road(road: str, episodes: int, seed: int, workers: int | None, as_json: bool) -> None:
+    from charms_bench.report.progress import progress
+    from charms_bench.testing.road_parity import verify_road
+
+    with progress("episodes", episodes) as bar:
+        found = verify_road(road, episodes, seed, workers, lambda done: bar("", done))
+    record = {**asdict(found), "differing": len(found.differing)}
+    forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
+    forms |= {"largest": ".1e", "largest_at_start": ".1e"}
+    print_records("name", [record], forms, as_json)
+    for each in () if as_json else found.differing:
+        say(each)
+    if found.differing:
+        raise typer.Exit(FAIL)
+
+
+def _known(road: str) -> str:
+    """The name of an environment that can be simulated."""
+    from charms_bench.roads import TASKS
+
+    if road not in TASKS:
+        raise InputError(f"--road: no environment named '{road}'. {suggestion(road, TASKS)}")
+    return road
 
 
 @app.command("warm-up")
@@ -126,6 +165,7 @@ def bench(
             "the speed is in decisions of vehicles per second."
         ),
     ] = False,
+    road: Road = None,
     scale: Annotated[
         Path | None,
         typer.Option(
@@ -144,11 +184,21 @@ def bench(
     from charms_bench.api.warming import warm_up
     from charms_bench.testing import bench as benchmark
 
-    warm_up()
-
     def tell(name: str) -> None:
         err().print(f"[dim]{name}[/]", highlight=False)
 
+    if road is not None:
+        from charms_bench.testing.road_bench import bench_road
+
+        found = bench_road(_known(road), seconds, rounds, tell, environments or 100)
+        slowest = found[-1].decisions_per_s
+        records = [
+            {**asdict(each), "times_highway_env": each.decisions_per_s / slowest} for each in found
+        ]
+        forms = dict.fromkeys(("decisions_per_s", "low", "high", "times_highway_env"), ",.1f")
+        print_records("name", records, {"environments": ",.0f", **forms}, as_json)
+        return
+    warm_up()
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
     if scale is not None:

@@ -2,7 +2,8 @@
 
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -27,6 +28,14 @@ _MODULES = (
     "vehicle.objects",
 )
 """The modules of highway-env that move vehicles."""
+_ENVIRONMENTS = (
+    "envs.exit_env",
+    "envs.merge_env",
+    "envs.roundabout_env",
+    "envs.two_way_env",
+    "envs.u_turn_env",
+)
+"""The modules of highway-env that draw roads."""
 
 
 def worker_environment(engine: EngineName) -> dict[str, str]:
@@ -42,11 +51,12 @@ def worker_environment(engine: EngineName) -> dict[str, str]:
     return {**ONE_THREAD, _OPENBLAS: _CORE_TYPE}
 
 
-def use_exact_maths(engine: EngineName) -> None:
+def use_exact_maths(engine: EngineName, environments: bool = False) -> None:
     """Makes highway-env's vehicles in this process use `charms_bench.foundation.maths`.
 
     Otherwise their bits would be those of NumPy and of the C library, which both choose their
-    functions by the processor. Nothing is changed for the engine `batched`.
+    functions by the processor. Nothing is changed for the engine `batched`. With `environments`,
+    the roads of highway-env's environments are drawn in the same way.
 
     Raises:
         RuntimeError: The process was not started with `worker_environment(engine)`.
@@ -55,10 +65,34 @@ def use_exact_maths(engine: EngineName) -> None:
         return
     if _IS_X86 and os.environ.get(_OPENBLAS) != _CORE_TYPE:
         raise RuntimeError("the engine highway-env needs a process with exact maths")
-    for name in _MODULES:
-        import_module(f"highway_env.{name}").np = _numpy  # type: ignore[attr-defined]
+    _replace(_MODULES + _ENVIRONMENTS if environments else _MODULES)
+
+
+@contextmanager
+def exact_roads() -> Iterator[None]:
+    """Makes highway-env draw roads with `charms_bench.foundation.maths`, for the time being.
+
+    That is not enough for vehicles to move with the same bits; see `worker_environment`.
+    """
+    before = _replace(_MODULES + _ENVIRONMENTS)
+    try:
+        yield
+    finally:
+        for module, name, value in before:
+            setattr(module, name, value)
+
+
+def _replace(names: Iterable[str]) -> list[tuple[ModuleType, str, Any]]:
+    """Replaces what modules compute with; returns what was there, by module and name."""
+    before: list[tuple[ModuleType, str, Any]] = [
+        (import_module(f"highway_env.{name}"), "np", _numpy) for name in names
+    ]
     spline: Any = import_module("highway_env.road.spline")
-    spline.CurvePose = _of_arrays(spline.CurvePose)
+    before.append((spline, "CurvePose", _of_arrays(spline.CurvePose)))
+    for k, (module, name, value) in enumerate(before):
+        before[k] = module, name, getattr(module, name)
+        setattr(module, name, value)
+    return before
 
 
 class _Numpy(ModuleType):

@@ -1,4 +1,5 @@
-"""Gymnasium environments. Importing this package registers `charms_bench/Ego-v0`.
+"""Gymnasium environments. Importing this package registers `charms_bench/Ego-v0`, and
+highway-env's other roads under its own names, such as `charms_bench/merge-v0`.
 
     import gymnasium
     import charms_bench.envs
@@ -11,6 +12,8 @@ With the name `charms_bench.envs:charms_bench/Ego-v0`, Gymnasium imports the pac
 
 import gymnasium
 
+from charms_bench.roads import TASKS
+
 ID = "charms_bench/Ego-v0"
 
 gymnasium.register(
@@ -18,3 +21,10 @@ gymnasium.register(
     entry_point="charms_bench.envs.ego_env:EgoEnv",
     vector_entry_point="charms_bench.envs.ego_env:ego_vector_env",
 )
+for _name in TASKS:
+    gymnasium.register(
+        f"charms_bench/{_name}",
+        entry_point="charms_bench.envs.road_env:RoadEnv",
+        vector_entry_point="charms_bench.envs.road_env:RoadVectorEnv",
+        kwargs={"name": _name},
+    )

@@ -12,8 +12,10 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba import types
+from numba.core import cgutils
 from numba.core.caching import FunctionCache
 from numba.experimental import structref
+from numba.extending import intrinsic
 
 from charms_bench.errors import InputError
 
@@ -90,6 +92,15 @@ def compiled(function: F) -> F:
 def inlined(function: F) -> F:
     """Compiles like `compiled`, and into each of its callers, so that their loops vectorise."""
     return cast(F, _compiled(function, forceinline=True))
+
+
+def woven(function: F) -> F:
+    """Repeats the code of a function in its callers: compiled code cannot return a row of a table.
+
+    Such a function calls only compiled functions or others like it.
+    """
+    njit: Any = numba.njit
+    return cast(F, njit(inline="always")(function))
 
 
 def _compiled(function: Any, forceinline: bool = False) -> Any:
@@ -173,6 +184,27 @@ def is_kept(function: Any) -> bool:
     """Whether an earlier process has compiled a function of a scene, for this processor."""
     call = function.compiled
     return bool(call._cache.is_filled(call.targetctx.codegen().magic_tuple()))
+
+
+def _row_after(_: Any, row: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        first, number = arguments
+        number = context.cast(builder, number, signature.args[1], types.intp)
+        size = context.get_constant(types.intp, row.size)
+        offset: Any = builder.mul(number, size)
+        return cgutils.pointer_add(  # type: ignore[no-untyped-call]
+            builder, first, offset, first.type
+        )
+
+    return row(row, count), generate
+
+
+row_after: Any = intrinsic(_row_after)
+"""`row_after(row, count)`, in compiled code, is the row of a table so many rows after another.
+
+Compiled code passes a row as one pointer, but an array as seven numbers or more, whose references
+it counts; for small functions, that takes longer than what they compute. Nothing checks that there
+is such a row, and the table has to outlive its rows."""
 
 
 @inlined

@@ -22,6 +22,42 @@ STEPS_LIMIT = 100
 """Most steps by which repeated speed commands grow."""
 
 
+class IdmMobilParameters(NamedTuple):
+    """`IdmMobilConstants` as compiled code reads them."""
+
+    acceleration_mps2: float
+    deceleration_mps2: float
+    jam_distance_m: float
+    time_headway_s: float
+    exponent_low: float
+    exponent_high: float
+    acceleration_limit_mps2: float
+    politeness: float
+    lane_change_gain_mps2: float
+    imposed_braking_mps2: float
+    lane_change_period_s: float
+    least_gap_m: float = -math.inf
+
+
+class Constants(NamedTuple):
+    """The constants of the vehicles of a scene as compiled code reads them; SI units."""
+
+    length: float
+    """Of a vehicle whose size nothing else gives, as `width`."""
+    width: float
+    mixed_sizes: bool
+    """Whether other sizes can occur; loops that read sizes only then are faster without."""
+    speed_min: float
+    speed_max: float
+    can_reverse: bool
+    tau_acceleration: float
+    tau_heading: float
+    tau_lateral: float
+    steering_limit: float
+    dt: float
+    idm_mobil: IdmMobilParameters
+
+
 class IdmMobilConstants(FrozenModel):
     """IDM (Treiber et al. 2000) and MOBIL (Kesting et al. 2007) as `IDMVehicle` combines them."""
 
@@ -142,6 +178,23 @@ class Profile(FrozenModel):
             raise ValueError("expected target_speeds_mps or target_speed_steps_mps, not both")
         return self
 
+    def constants(self, dt: float, mixed_sizes: bool = False) -> Constants:
+        """The constants as compiled code reads them, for simulation steps of `dt` seconds."""
+        return Constants(
+            length=self.vehicle_length_m,
+            width=self.vehicle_width_m,
+            mixed_sizes=mixed_sizes,
+            speed_min=self.speed_min_mps,
+            speed_max=self.speed_max_mps,
+            can_reverse=self.can_reverse,
+            tau_acceleration=self.tau_acceleration_s,
+            tau_heading=self.tau_heading_s,
+            tau_lateral=self.tau_lateral_s,
+            steering_limit=self.steering_limit_rad,
+            dt=dt,
+            idm_mobil=IdmMobilParameters(**self.idm_mobil.model_dump()),
+        )
+
     @model_serializer(mode="wrap")
     def _without_new_fields(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """As before there were these fields, if none is used: a suite keeps its fingerprint."""
@@ -151,42 +204,6 @@ class Profile(FrozenModel):
         if self.can_reverse:
             del fields["can_reverse"]
         return fields
-
-
-class IdmMobilParameters(NamedTuple):
-    """`IdmMobilConstants` as compiled code reads them."""
-
-    acceleration_mps2: float
-    deceleration_mps2: float
-    jam_distance_m: float
-    time_headway_s: float
-    exponent_low: float
-    exponent_high: float
-    acceleration_limit_mps2: float
-    politeness: float
-    lane_change_gain_mps2: float
-    imposed_braking_mps2: float
-    lane_change_period_s: float
-    least_gap_m: float = -math.inf
-
-
-class Constants(NamedTuple):
-    """The constants of the vehicles of a scene as compiled code reads them; SI units."""
-
-    length: float
-    """Of a vehicle whose size nothing else gives, as `width`."""
-    width: float
-    mixed_sizes: bool
-    """Whether other sizes can occur; loops that read sizes only then are faster without."""
-    speed_min: float
-    speed_max: float
-    can_reverse: bool
-    tau_acceleration: float
-    tau_heading: float
-    tau_lateral: float
-    steering_limit: float
-    dt: float
-    idm_mobil: IdmMobilParameters
 
 
 CHARMS = Profile(

@@ -35,7 +35,7 @@ from charms_bench.foundation.files import absolute
 from charms_bench.foundation.generator import State
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.profile import CHARMS, PROFILES, Constants, IdmMobilParameters, Profile
+from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile
 from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scenario import Scenario
@@ -277,21 +277,7 @@ class SceneSettings(FrozenModel):
     @property
     def constants(self) -> Constants:
         """The constants of a scene as compiled code reads them."""
-        profile = self.profile
-        return Constants(
-            length=profile.vehicle_length_m,
-            width=profile.vehicle_width_m,
-            mixed_sizes=len(self.sizes_m) > 1,
-            speed_min=profile.speed_min_mps,
-            speed_max=profile.speed_max_mps,
-            can_reverse=profile.can_reverse,
-            tau_acceleration=profile.tau_acceleration_s,
-            tau_heading=profile.tau_heading_s,
-            tau_lateral=profile.tau_lateral_s,
-            steering_limit=profile.steering_limit_rad,
-            dt=1.0 / self.simulation_hz,
-            idm_mobil=IdmMobilParameters(**profile.idm_mobil.model_dump()),
-        )
+        return self.profile.constants(1.0 / self.simulation_hz, len(self.sizes_m) > 1)
 
 
 class _Fields(NamedTuple):

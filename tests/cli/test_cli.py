@@ -365,6 +365,18 @@ def test_bench_prints_ratios() -> None:
     assert reference["times_highway_env"] == 1.0
 
 
+def test_verify_and_bench_take_a_road_of_highway_env() -> None:
+    result = charms_bench("verify", "--road", "merge-v1", "--episodes", 2, "--json")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert [row["differing"] for row in json.loads(result.stdout)] == [0]
+    result = charms_bench("bench", "--road", "merge-v1", "--seconds", 0.1, "--rounds", 1, "--json")
+    rows = json.loads(result.stdout)
+    assert [row["name"] for row in rows] == ["charms_bench/merge-v1", "highway-env"]
+    result = charms_bench("verify", "--road", "merg-v1")
+    assert result.returncode == 2
+    assert "no environment named 'merg-v1'" in result.stderr
+
+
 def test_ctrl_c_says_what_is_left_and_exits_130(suite_file: Path) -> None:
     output = suite_file.parent / "run"
     command = [sys.executable, "-m", "charms_bench", "run", str(suite_file)]

@@ -3,9 +3,6 @@
 highway-env has to start with `worker_environment("highway-env")` to give the same bits.
 """
 
-from collections.abc import Callable
-from dataclasses import fields
-from inspect import getclosurevars
 from typing import Any
 
 import numpy as np
@@ -19,8 +16,8 @@ from hypothesis import strategies as st
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.highway_env import highway_env_network
 from charms_bench.foundation.compiled import compiled
+from charms_bench.roads.lanes import road_of
 from charms_bench.world import road as questions
-from charms_bench.world import road_network
 from charms_bench.world.road import Road, Straight
 
 use_exact_maths("highway-env")
@@ -44,33 +41,6 @@ COMMON: dict[str, Any] = {
     "forbidden": st.booleans(),
 }
 WIDTHS = {"width": st.floats(2, 8)}
-
-
-def road_of(network: RoadNetwork) -> road_network.Network:
-    """The project's road for a network of highway-env; its lanes are those of `lanes_list`."""
-    lanes = network.lanes_dict().items()
-    return road_network.network_of(
-        (start, end, _description(lane)) for (start, end, _), lane in lanes
-    )
-
-
-def _description(lane: highway_env_lanes.AbstractLane) -> road_network.Lane:
-    """The description that has the same fields as one of highway-env's lanes."""
-    is_polyline = isinstance(lane, highway_env_lanes.PolyLaneFixedWidth)
-    kind: Any = road_network.PolyLane if is_polyline else getattr(road_network, type(lane).__name__)
-    values = {**vars(lane), "line_types": lane.line_types or (1, 1)}
-    if is_polyline:
-        values["points"] = tuple(
-            zip(*map(_values, (lane.curve.x_curve, lane.curve.y_curve)), strict=True)
-        )
-        values["widths"] = tuple(values.get("width_samples", ()))
-    described: road_network.Lane = kind(**{each.name: values[each.name] for each in fields(kind)})
-    return described
-
-
-def _values(interpolated: Callable[[float], float]) -> list[float]:
-    """The values that one of highway-env's functions interpolates [`numpy_interp1d`]."""
-    return list(map(float, getclosurevars(interpolated).nonlocals["y"]))
 
 
 @st.composite

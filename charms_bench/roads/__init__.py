@@ -1,0 +1,28 @@
+"""highway-env's environments other than the motorway: its roads, seed for seed and bit for bit.
+
+On these roads, vehicles have no common order and no common direction, which is what the engine of
+the straight road is fast by: it sorts vehicles by x, keeps tables of neighbours and computes in
+loops over all vehicles. Here, each vehicle asks the lanes, one after the other, as in highway-env.
+So networks have a small engine of their own, which shares the lanes (`world.road`), the portable
+mathematics, the random generator, the constants and the collision test. A vehicle is a row of a
+table (`scenes.VEHICLE`), because compiled code passes a row as one pointer.
+
+Lanes, obstacles and default configurations are read from highway-env's own environments.
+"""
+
+TASKS = {
+    "merge-v0": "merge:Merge",
+    "merge-v1": "merge:Merge",
+    "merge-generic-v0": "merge:GenericMerge",
+    "merge-generic-v1": "merge:GenericMerge",
+    "two-way-v0": "two_way:TwoWay",
+    "exit-v0": "exit:Exit",
+    "exit-v1": "exit:Exit",
+    "u-turn-v0": "u_turn:UTurn",
+    "u-turn-v1": "u_turn:UTurn",
+    "roundabout-v0": "roundabout:Roundabout",
+    "roundabout-v1": "roundabout:Roundabout",
+    "roundabout-generic-v0": "roundabout:GenericRoundabout",
+    "roundabout-generic-v1": "roundabout:GenericRoundabout",
+}
+"""The modules and classes of the environments by highway-env's names."""

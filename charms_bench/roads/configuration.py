@@ -1,0 +1,81 @@
+"""highway-env's configuration of an environment: what is supported, and its actions."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.world.actions import ACTIONS
+
+_IDM = "highway_env.vehicle.behavior.IDMVehicle"
+_FREE = {"manual_control": False, "other_vehicles_type": _IDM, "controlled_vehicles": 1}
+"""Keys of which one value is supported."""
+_ACTIONS = {
+    (True, True): ACTIONS,
+    (True, False): ("SLOWER", "IDLE", "FASTER"),
+    (False, True): ("LANE_LEFT", "IDLE", "LANE_RIGHT"),
+}
+"""The meta-actions by whether they are longitudinal and lateral [`DiscreteMetaAction`]."""
+
+
+class MetaActions(NamedTuple):
+    """[`DiscreteMetaAction`]"""
+
+    names: tuple[str, ...]
+    meaning: Ints
+    """(A,) the index into `world.actions.ACTIONS` of each action."""
+    target_speeds: Floats
+
+
+def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The default configuration with the values of another.
+
+    Raises:
+        InputError: A key is unknown, or its value is not supported.
+    """
+    found = {**default, **(config or {})}
+    if found["offscreen_rendering"] is None:
+        found["offscreen_rendering"] = True  # as without a window [`AbstractEnv.configure`]
+    for key, value in found.items():
+        if key not in default:
+            raise InputError(f"config: no key named '{key}'. {suggestion(key, dict(default))}")
+        if key in _FREE and value != _FREE[key]:
+            raise InputError(f"config.{key}: {value!r} is not supported; expected {_FREE[key]!r}")
+    return found
+
+
+def meta_actions(config: Mapping[str, Any]) -> MetaActions:
+    """The actions of a configuration.
+
+    Raises:
+        InputError: They are not supported.
+    """
+    known = {"longitudinal": True, "lateral": True, "target_speeds": None}
+    action = options("action", config["action"], {"type": "DiscreteMetaAction", **known})
+    names = _ACTIONS.get((bool(action["longitudinal"]), bool(action["lateral"])))
+    if names is None:
+        raise InputError("config.action: neither longitudinal nor lateral; expected one of them")
+    speeds = action["target_speeds"]
+    speeds = np.linspace(20, 30, 3) if speeds is None else np.array(speeds, dtype=np.float64)
+    if speeds.ndim != 1 or speeds.size < 2 or not (np.diff(speeds) > 0).all():
+        raise InputError("config.action.target_speeds: expected at least two increasing speeds")
+    return MetaActions(names, np.array([ACTIONS.index(name) for name in names]), speeds)
+
+
+def options(what: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of `config[what]`, which may have the `known` keys; these are the defaults.
+
+    Raises:
+        InputError: The type is another, or a key is unknown.
+    """
+    if given.get("type") != known["type"]:
+        raise InputError(
+            f"config.{what}.type: '{given.get('type')}' is not supported; expected "
+            f"'{known['type']}'"
+        )
+    for key in given:
+        if key not in known:
+            raise InputError(f"config.{what}: no key named '{key}'. {suggestion(key, dict(known))}")
+    return {**known, **given}

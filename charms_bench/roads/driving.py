@@ -1,0 +1,287 @@
+"""How vehicles on a network decide: routes, meta-actions, IDM, MOBIL and steering.
+
+Each function names the function of highway-env that it follows, operation for operation.
+"""
+
+import math
+
+import numpy as np
+
+from charms_bench.foundation import maths
+from charms_bench.foundation.compiled import (
+    clip,
+    compiled,
+    inlined,
+    not_zero,
+    row_after,
+    wrap_to_pi,
+)
+from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.scenes import (
+    COMMANDED,
+    CONTINUOUS,
+    IDM,
+    NOTHING,
+    OBSTACLE,
+    Here,
+    Scenes,
+    index_of,
+    lane_of,
+    vehicle_of,
+)
+from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
+from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
+from charms_bench.world.road import NEIGHBOUR_MARGIN_M, next_lane
+from charms_bench.world.road_network import Network
+
+
+@compiled
+def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
+    """Carries out a meta-action [`MDPVehicle.act`, `ControlledVehicle.act`]."""
+    vehicle = vehicle_of(here, i)
+    if action in (FASTER, SLOWER):
+        speeds, change = scenes.target_speeds, 1 if action == FASTER else -1
+        wanted = index_of(vehicle.speed, speeds) + change
+        vehicle.speed_index = min(max(wanted, 0), speeds.size - 1)
+        vehicle.target_speed = speeds[vehicle.speed_index]
+    follow_road(scenes.road, here, i)
+    if action in (LANE_LEFT, LANE_RIGHT):
+        target = lane_of(here, vehicle.target_lane)
+        beside = target.right if action == LANE_RIGHT else target.left
+        lane = beside if beside >= 0 else vehicle.target_lane
+        if is_reachable(here, i, lane):
+            vehicle.target_lane = lane
+
+
+@compiled
+def act(road: Network, here: Here) -> None:
+    """Has the vehicles of a scene decide, one after the other [`Road.act`]."""
+    for i in range(here.places):
+        vehicle = vehicle_of(here, i)
+        if vehicle.kind == COMMANDED:
+            follow_road(road, here, i)
+            vehicle.steering = steering(here, i)
+            gain = 1 / here.constants.tau_acceleration
+            vehicle.acceleration = gain * (vehicle.target_speed - vehicle.speed)
+        elif vehicle.kind == IDM and not vehicle.crashed:
+            follow_road(road, here, i)
+            act_as_idm(here, i)
+
+
+@compiled
+def act_as_idm(here: Here, i: int) -> None:
+    """[`IDMVehicle.act`]"""
+    vehicle, limit = vehicle_of(here, i), here.constants.acceleration_limit_mps2
+    front, rear = neighbours(here, i, vehicle.lane)
+    free = free_acceleration(here, i, vehicle.exponent)
+    own = free - interaction(here, i, front)
+    if vehicle.changes_lanes:
+        choose_lane(here, i, free, own, front, rear)
+    vehicle.steering = steering(here, i)
+    if vehicle.lane != vehicle.target_lane:
+        front, _ = neighbours(here, i, vehicle.target_lane)
+        own = min(own, free - interaction(here, i, front))
+    vehicle.acceleration = clip(own, -limit, limit)
+
+
+@inlined
+def follow_road(road: Network, here: Here, i: int) -> None:
+    """Targets the next lane at the end of the target lane [`ControlledVehicle.follow_road`]."""
+    target = vehicle_of(here, i).target_lane
+    if coordinates_of(here, i, target).s > lane_of(here, target).length - END_MARGIN_M / 2:
+        take_next_lane(road, here, i)
+
+
+@compiled
+def take_next_lane(road: Network, here: Here, i: int) -> None:
+    """[`RoadNetwork.next_lane`], with the part that reads the route."""
+    vehicle = vehicle_of(here, i)
+    target, next_road, next_number = vehicle.target_lane, -1, -1
+    row = lane_of(here, target)
+    if vehicle.route_step < vehicle.route_end:
+        vehicle.route_step += vehicle.route_roads[vehicle.route_step] == row.first
+    if vehicle.route_step < vehicle.route_end:
+        first = vehicle.route_roads[vehicle.route_step]
+        for k in range(row.next_roads, row.next_roads + row.next_count):
+            if road.successors[k] == first:
+                next_road, next_number = first, vehicle.route_numbers[vehicle.route_step]
+    vehicle.target_lane = next_lane(road, target, next_road, next_number, vehicle.x, vehicle.y)
+
+
+@compiled
+def steering(here: Here, i: int) -> float:
+    """The steering angle towards the target lane [`ControlledVehicle.steering_control`]."""
+    vehicle, c = vehicle_of(here, i), here.constants
+    at, speed = coordinates_of(here, i, vehicle.target_lane), not_zero(vehicle.speed)
+    ahead = at.s + vehicle.speed * (0.5 * c.tau_heading)
+    wanted = line_heading(lane_of(here, vehicle.target_lane), ahead)
+    if at.r != 0.0:
+        lateral_speed = -(1 / c.tau_lateral) * at.r
+        angle = maths.asin(clip(lateral_speed / speed, -1.0, 1.0))
+        wanted += clip(angle, -math.pi / 4, math.pi / 4)
+    turn = wrap_to_pi(wanted - vehicle.heading)
+    if turn == 0.0:
+        return 0.0
+    heading_rate = (1 / c.tau_heading) * turn
+    slip = maths.asin(clip(vehicle.length / 2 / speed * heading_rate, -1.0, 1.0))
+    return clip(maths.atan(2 * maths.tan(slip)), -c.steering_limit, c.steering_limit)
+
+
+@inlined
+def is_reachable(here: Here, i: int, lane: int) -> bool:
+    """Whether vehicle i may change to a lane [`AbstractLane.is_reachable_from`]."""
+    row, at = lane_of(here, lane), coordinates_of(here, i, lane)
+    is_close = abs(at.r) <= 2 * row.width and 0 <= at.s < row.length + END_MARGIN_M
+    return is_close and not row.forbidden
+
+
+@compiled
+def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
+    """The nearest vehicles or obstacles ahead and behind on a lane, -1 for none.
+
+    [`Road.neighbour_vehicles`]
+    """
+    search, s = row_after(here.searches, lane), coordinates_of(here, i, lane).s
+    front = rear = -1
+    s_front = s_rear = 0.0
+    for j in range(here.places):
+        if j == i or vehicle_of(here, j).kind == NOTHING:
+            continue
+        for k in range(search.first, search.after):
+            connected = row_after(here.connected, k)
+            row, at = lane_of(here, connected.lane), coordinates_of(here, j, connected.lane)
+            if not abs(at.r) <= row.width / 2 + NEIGHBOUR_MARGIN_M:
+                continue
+            if not -END_MARGIN_M <= at.s < row.length + END_MARGIN_M:
+                continue
+            there = at.s + connected.offset
+            if s <= there and (front < 0 or there <= s_front):
+                front, s_front = j, there
+            if there < s and (rear < 0 or there > s_rear):
+                rear, s_rear = j, there
+            break
+    return front, rear
+
+
+@compiled
+def free_acceleration(here: Here, i: int, exponent: float) -> float:
+    """The first part of `idm`: the acceleration of a vehicle on a free road."""
+    vehicle, c = vehicle_of(here, i), here.constants
+    limit = lane_of(here, vehicle.lane).speed_limit
+    wanted = abs(not_zero(clip(vehicle.target_speed, 0.0, limit)))
+    share = max(vehicle.speed, 0.0) / wanted
+    return float(c.acceleration_mps2 * (1 - maths.power(share, exponent)))
+
+
+@compiled
+def interaction(here: Here, i: int, j: int) -> float:
+    """The second part of `idm`: the deceleration behind vehicle j, -1 for none."""
+    if j < 0:
+        return 0.0
+    crowding = desired_gap(here, i, j) / not_zero(distance_to(here, i, j))
+    return float(here.constants.acceleration_mps2 * (crowding * crowding))
+
+
+@inlined
+def idm(here: Here, i: int, j: int, exponent: float) -> float:
+    """The IDM acceleration of vehicle i behind vehicle j [`IDMVehicle.acceleration`].
+
+    `exponent` is that of the deciding driver. What is no vehicle accelerates by 0.
+    """
+    if i < 0 or vehicle_of(here, i).kind <= OBSTACLE:
+        return 0.0
+    return free_acceleration(here, i, exponent) - interaction(here, i, j)
+
+
+@inlined
+def distance_to(here: Here, i: int, j: int) -> float:
+    """How far vehicle j is ahead on the lane of vehicle i [`RoadObject.lane_distance_to`]."""
+    lane = vehicle_of(here, i).lane
+    return float(coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s)
+
+
+@inlined
+def desired_gap(here: Here, i: int, j: int) -> float:
+    """The gap that vehicle i wants behind vehicle j, m [`IDMVehicle.desired_gap`]."""
+    own, other, c = vehicle_of(here, i), vehicle_of(here, j), here.constants
+    ahead = own.speed * own.direction_x - other.speed * other.direction_x
+    aside = own.speed * own.direction_y - other.speed * other.direction_y
+    closing = ahead * own.direction_x + aside * own.direction_y
+    braking = 2 * math.sqrt(c.acceleration_mps2 * c.deceleration_mps2)
+    gap = c.jam_distance_m + own.speed * c.time_headway_s + own.speed * closing / braking
+    return float(gap)
+
+
+@inlined
+def choose_lane(here: Here, i: int, free: float, own: float, front: int, rear: int) -> None:
+    """[`IDMVehicle.change_lane_policy`] The last four arguments are those of `mobil`."""
+    vehicle = vehicle_of(here, i)
+    if vehicle.lane != vehicle.target_lane:
+        own_road = lane_of(here, vehicle.lane).first
+        if own_road == lane_of(here, vehicle.target_lane).first and gap_is_taken(here, i):
+            vehicle.target_lane = vehicle.lane
+    elif vehicle.timer_s > here.constants.lane_change_period_s:
+        vehicle.timer_s = 0.0
+        if not abs(vehicle.speed) < 1:
+            consider_sides(here, i, free, own, front, rear)
+
+
+@compiled
+def consider_sides(here: Here, i: int, free: float, own: float, front: int, rear: int) -> None:
+    """The part of `change_lane_policy` that asks MOBIL about both sides."""
+    vehicle = vehicle_of(here, i)
+    row = lane_of(here, vehicle.lane)
+    for side in (row.left, row.right):
+        if side < 0 or not is_reachable(here, i, side):
+            continue
+        if mobil(here, i, side, free, own, front, rear):
+            vehicle.target_lane = side
+
+
+@compiled
+def gap_is_taken(here: Here, i: int) -> bool:
+    """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`]."""
+    target = vehicle_of(here, i).target_lane
+    for j in range(here.places):
+        other = vehicle_of(here, j)
+        if j == i or other.kind <= CONTINUOUS:
+            continue
+        is_changing = other.lane != target and other.target_lane == target
+        if is_changing and 0 < distance_to(here, i, j) < desired_gap(here, i, j):
+            return True
+    return False
+
+
+@compiled
+def mobil(here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int) -> bool:
+    """Whether to change to a lane [`IDMVehicle.mobil`].
+
+    `free` and `own` are the IDM accelerations on a free road and on the present lane, on which
+    `front` and `rear` are the neighbours. What costs least is compared first; the result is the
+    same.
+    """
+    vehicle, c = vehicle_of(here, i), here.constants
+    new_front, new_rear = neighbours(here, i, lane)
+    own_after = free - interaction(here, i, new_front)
+    gain, step, wanted = own_after - own, vehicle.route_step, -1
+    if step < vehicle.route_end:
+        wanted = vehicle.route_numbers[step]
+    if wanted >= 0:
+        number = vehicle.target_lane - lane_of(here, vehicle.target_lane).first
+        side = lane - lane_of(here, lane).first
+        if np.sign(side - number) != np.sign(wanted - number):
+            return False
+        if own_after < -c.imposed_braking_mps2:
+            return False
+    elif c.politeness == 0 and gain < c.lane_change_gain_mps2:
+        return False
+    exponent = vehicle.exponent
+    rear_after = idm(here, new_rear, i, exponent)
+    if rear_after < -c.imposed_braking_mps2:
+        return False
+    if wanted < 0 and c.politeness > 0:
+        others = rear_after - idm(here, new_rear, new_front, exponent)
+        others = others + idm(here, rear, front, exponent)
+        gain += c.politeness * (others - idm(here, rear, i, exponent))
+        return not gain < c.lane_change_gain_mps2
+    return True

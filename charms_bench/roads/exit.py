@@ -1,0 +1,124 @@
+"""highway-env's `exit`: leaving a motorway in time."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.generator import choice, uniform
+from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
+from charms_bench.roads.task import Task, plan_route, routes_to, share, weighted
+from charms_bench.world.road import heading_at, local_coordinates
+
+
+class Rule(NamedTuple):
+    """What the functions below need to know; lanes are indices, and other units are SI."""
+
+    vehicles: int
+    main: int
+    """The left lane of the first part of the motorway."""
+    lanes: int
+    exit_lane: int
+    exit_ramp: int
+    ego_spacing: float
+    spacing: float
+    crowding: float
+    """highway-env's factor for all distances; it falls with the number of lanes."""
+    speed_low: float
+    speed_high: float
+    normalises: bool
+
+
+class Exit(Task):
+    """[`ExitEnv`]"""
+
+    terms = ("collision_reward", "goal_reward", "high_speed_reward", "right_lane_reward")
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        lanes = int(config["lanes_count"])
+        self.vehicles = 1 + int(config["vehicles_count"])
+        self._rule = Rule(
+            self.vehicles,
+            self.lanes["0", "1", 0],
+            lanes,
+            self.lanes["1", "2", lanes],
+            self.lanes["2", "exit", 0],
+            float(config["ego_spacing"]),
+            1 / config["vehicles_density"],
+            maths.exp(-5 / 40 * lanes),
+            float(config["reward_speed_range"][0]),
+            float(config["reward_speed_range"][1]),
+            bool(config["normalize_reward"]),
+        )
+        self._routes = routes_to(network, ["3"])
+        numbers = np.arange(lanes)
+        self._weights_of_lanes = numbers / numbers.sum()
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._rule, self._routes, self._weights_of_lanes)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+        _judge(scenes, rows, self.weights, self._rule, rewards)
+
+    def information(self, scenes: Scenes) -> dict[str, Any]:
+        return {"is_success": self._is_success(scenes)}
+
+    def _is_success(self, scenes: Scenes) -> Bools:
+        """[`ExitEnv._is_success`]"""
+        target = scenes.vehicles["target_lane"][:, 0]
+        return np.asarray((target == self._rule.exit_lane) | (target == self._rule.exit_ramp))
+
+
+@compiled_of_scenes
+def _start(scenes: Scenes, rows: Ints, rule: Rule, routes: Ints, weights: Floats) -> None:
+    """[`ExitEnv._create_vehicles`]"""
+    for b in rows:
+        state = scenes.generator[b]
+        append(scenes, b, 0, COMMANDED, rule.main, 25.0, rule.ego_spacing, rule.crowding)
+        for i in range(1, rule.vehicles):
+            lane = rule.main + choice(state, weights)
+            speed = scenes.road.lanes[lane].speed_limit
+            append(scenes, b, i, IDM, lane, speed, rule.spacing, rule.crowding)
+            plan_route(scenes, b, i, routes, 0)
+            scenes.vehicles[b, i].changes_lanes = False
+
+
+@compiled
+def append(
+    scenes: Scenes,
+    b: int,
+    i: int,
+    kind: int,
+    lane: int,
+    speed: float,
+    spacing: float,
+    crowding: float,
+) -> None:
+    """Puts vehicle i on a lane, ahead of the vehicles before it [`Vehicle.create_random`]."""
+    road = scenes.road
+    offset = spacing * (12 + 1.0 * speed) * crowding
+    s = 3 * offset if i == 0 else -np.inf
+    for k in range(i):
+        there, _ = local_coordinates(road, lane, scenes.vehicles[b, k].x, scenes.vehicles[b, k].y)
+        s = max(s, there)
+    s += offset * uniform(scenes.generator[b], 0.9, 1.1)
+    put_on_lane(scenes, b, i, kind, lane, s, heading_at(road, lane, s), speed)
+
+
+@compiled_of_scenes
+def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+    """[`ExitEnv._reward`, `ExitEnv._rewards`]"""
+    for b in rows:
+        ego = scenes.vehicles[b, 0]
+        out[b, 1] = ego.crashed
+        out[b, 2] = ego.target_lane == rule.exit_lane or ego.target_lane == rule.exit_ramp
+        out[b, 3] = clip(share(ego.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 4] = ego.target_lane - scenes.road.lanes[ego.target_lane].first
+        total = weighted(weights, out[b])
+        if rule.normalises:
+            total = clip(share(total, weights[0], weights[1]), 0.0, 1.0)
+        out[b, 0] = total

@@ -1,0 +1,94 @@
+"""highway-env's observation `Kinematics` on its roads."""
+
+import math
+
+import numpy as np
+
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
+from charms_bench.world.road import distance_along, local_coordinates
+from charms_bench.world.scene import Observations
+
+FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
+"""The features that are supported; a feature is an index into this tuple."""
+PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H = range(len(FEATURES))
+PERCEPTION_M = 200.0
+"""[`AbstractEnv.PERCEPTION_DISTANCE`]"""
+
+
+@compiled_of_scenes
+def observe(
+    scenes: Scenes, rows: Ints, features: Ints, ranges: Floats, how: Ints, out: Observations
+) -> None:
+    """Writes the egos' observations (B, rows, F) of the scenes `rows` [`KinematicObservation`].
+
+    Args:
+        scenes: The scenes.
+        rows: (R,) those that are observed.
+        features: (F,) indices into `FEATURES`.
+        ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
+        how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
+            seen and obstacles included; then the lane along which the ego's x is measured, -1 for
+            the x of the road [`ExitObservation`].
+        out: The observations.
+    """
+    is_absolute, is_sorted, clips, sees_behind, has_obstacles, exit_lane = how
+    places = scenes.vehicles.shape[1]
+    near, away = np.empty(places, dtype=np.int64), np.empty(places)
+    values = np.empty(len(FEATURES))
+    for b in rows:
+        ego = scenes.vehicles[b, 0]
+        count = 0
+        for j in range(1, places):
+            other = scenes.vehicles[b, j]
+            is_obstacle = other.kind == OBSTACLE
+            if other.kind == NOTHING or (is_obstacle and not has_obstacles):
+                continue
+            dx, dy = other.x - ego.x, other.y - ego.y
+            if not math.sqrt(dx * dx + dy * dy) < PERCEPTION_M:
+                continue
+            ahead = distance_along(scenes.road, ego.lane, ego.x, ego.y, other.x, other.y)
+            if not (-2 * ego.length < ahead or (sees_behind and not is_obstacle)):
+                continue
+            k = count
+            while is_sorted and k > 0 and away[k - 1] > abs(ahead):
+                near[k], away[k] = near[k - 1], away[k - 1]
+                k -= 1
+            near[k], away[k] = j, abs(ahead)
+            count += 1
+        for row in range(out.shape[1]):
+            if row > count:
+                out[b, row] = 0.0
+                continue
+            j = near[row - 1] if row else 0
+            describe(scenes, b, j, row > 0 and not is_absolute, values)
+            if row == 0 and exit_lane >= 0:
+                values[X], _ = local_coordinates(scenes.road, exit_lane, ego.x, ego.y)
+            for f in range(features.size):
+                value, low, high = values[features[f]], ranges[b, f, 0], ranges[b, f, 1]
+                if not math.isnan(low):
+                    value = -1 + (value - low) * 2 / (high - low)
+                    if clips and not math.isnan(value):
+                        value = min(max(value, -1.0), 1.0)
+                out[b, row, f] = value
+
+
+@compiled
+def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> None:
+    """Fills in the `FEATURES` of a vehicle or an obstacle [`Vehicle.to_dict`]."""
+    vehicle, ego = scenes.vehicles[b, j], scenes.vehicles[b, 0]
+    values[PRESENCE] = 1.0
+    # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
+    values[HEADING] = math.nan if vehicle.kind == OBSTACLE else vehicle.heading
+    values[X], values[Y] = vehicle.x, vehicle.y
+    values[VX], values[VY] = (
+        vehicle.speed * vehicle.direction_x,
+        vehicle.speed * vehicle.direction_y,
+    )
+    values[COS_H], values[SIN_H] = vehicle.direction_x, vehicle.direction_y
+    if relative:
+        values[X] -= ego.x
+        values[Y] -= ego.y
+        values[VX] -= ego.speed * ego.direction_x
+        values[VY] -= ego.speed * ego.direction_y

@@ -1,0 +1,85 @@
+"""Where vehicles are on the lanes of a network: coordinates, and the nearest lane."""
+
+import math
+
+from charms_bench.foundation.compiled import compiled, inlined, row_after, woven, wrap_to_pi
+from charms_bench.roads.scenes import Here, Row, lane_of, vehicle_of
+from charms_bench.world.lane_geometry import (
+    CIRCULAR,
+    SINE,
+    STRAIGHT,
+    line_coordinates,
+    line_heading,
+)
+
+
+@woven
+def coordinates_of(here: Here, i: int, lane: int) -> Row:
+    """The coordinates of vehicle i on a lane, which are computed when they are first asked for."""
+    at = row_after(here.coordinates, i * here.lane_count + lane)
+    if math.isnan(at.s):
+        row, vehicle = lane_of(here, lane), vehicle_of(here, i)
+        if row.kind == STRAIGHT:  # as in `line_coordinates`, without a call
+            x, y = vehicle.x - row.x, vehicle.y - row.y
+            at.s = x * row.direction_x + y * row.direction_y
+            at.r = x * -row.direction_y + y * row.direction_x
+        else:
+            compute(at, row, vehicle)
+    return at
+
+
+@compiled
+def compute(at: Row, lane: Row, vehicle: Row) -> None:
+    """[`AbstractLane.local_coordinates`]"""
+    at.s, at.r = line_coordinates(lane, vehicle.x, vehicle.y)
+
+
+@inlined
+def forget(here: Here, i: int) -> None:
+    """Forgets the coordinates of a vehicle that has moved."""
+    for lane in range(here.lane_count):
+        row_after(here.coordinates, i * here.lane_count + lane).s = math.nan
+
+
+@compiled
+def locate(here: Here, i: int) -> None:
+    """Finds the nearest lane of a vehicle that has moved [`RoadNetwork.get_closest_lane_index`].
+
+    Lanes that are further away than the lane before, whatever their heading, are left out.
+    """
+    forget(here, i)
+    vehicle = vehicle_of(here, i)
+    shortest = distance_with_heading(here, i, vehicle.lane, math.inf)
+    best = vehicle.lane
+    for lane in range(here.lane_count):
+        if lane == vehicle.lane or is_further(lane_of(here, lane), vehicle, shortest):
+            continue
+        distance = distance_with_heading(here, i, lane, shortest)
+        if distance < shortest or (distance == shortest and lane < best):
+            best, shortest = lane, distance
+    vehicle.lane = best
+
+
+@inlined
+def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
+    """[`AbstractLane.distance_with_heading`], or infinity if it is certainly above a bound."""
+    at, row, vehicle = coordinates_of(here, i, lane), lane_of(here, lane), vehicle_of(here, i)
+    distance = abs(at.r) + max(at.s - row.length, 0.0) + max(0.0 - at.s, 0.0)
+    if distance > bound:
+        return math.inf
+    heading = row.heading if row.kind == STRAIGHT else line_heading(row, at.s)
+    return float(distance + abs(wrap_to_pi(vehicle.heading - heading)))
+
+
+@inlined
+def is_further(lane: Row, vehicle: Row, bound: float) -> bool:
+    """Whether a lane is certainly further away than a bound, without its elementary functions."""
+    x, y = vehicle.x - lane.x, vehicle.y - lane.y
+    if lane.kind == CIRCULAR:
+        return bool(abs(lane.radius - math.sqrt(x * x + y * y)) > bound)
+    if lane.kind == SINE:
+        s = x * lane.direction_x + y * lane.direction_y
+        r = x * -lane.direction_y + y * lane.direction_x
+        beside = abs(r) - abs(lane.amplitude) - 1e-6
+        return bool(beside > bound or s - lane.length > bound or -s > bound)
+    return False

@@ -1,0 +1,232 @@
+"""The state of B scenes of N vehicles and obstacles on a network of lanes."""
+
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Floats
+from charms_bench.foundation.compiled import Unpacked, compiled, row_after, unpacked, woven
+from charms_bench.foundation.generator import State
+from charms_bench.world.lane_geometry import POLYLINE
+from charms_bench.world.profile import Constants, IdmMobilParameters
+from charms_bench.world.road import closest_lane, position
+from charms_bench.world.road_network import Network
+
+KINDS = ("nothing", "obstacle", "continuous", "commanded", "idm")
+"""What is at a place; a vehicle's `kind` is an index into this tuple."""
+NOTHING, OBSTACLE, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
+ROUTE_STEPS = 12
+"""The most steps of a route."""
+OBSTACLE_SIZE_M = 2.0
+"""The length and the width of an obstacle [`RoadObject`]."""
+IDM_EXPONENT = 4.0
+"""That of a driver for whom none is drawn [`IDMVehicle.DELTA`]."""
+Row = Any
+"""A row of a table, which compiled code passes as a pointer."""
+
+
+def _table(**names: str) -> "np.dtype[Any]":
+    """The type of a row with fields of these names, which are separated by spaces."""
+    kinds = {"floats": "f8", "integers": "i8", "booleans": "?", "routes": f"{ROUTE_STEPS}i8"}
+    fields = [(name, kinds[kind]) for kind, each in names.items() for name in each.split()]
+    return np.dtype((np.record, fields))
+
+
+VEHICLE = _table(
+    floats="x y heading direction_x direction_y speed acceleration steering length width "
+    "target_speed timer_s exponent impact_x impact_y",
+    integers="kind lane target_lane speed_index route_step route_end",
+    booleans="crashed has_impact changes_lanes",
+    routes="route_roads route_numbers",
+)
+"""A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
+
+`exponent` is that of IDM. `speed_index` is the place of the target speed of a commanded vehicle.
+`changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. A route is a list of
+steps: the first lane of a road between two nodes, and the number of the lane on it, -1 if it is
+open. The vehicle's next step is `route_step`, and before `route_end` is the last."""
+COORDINATES = _table(floats="s r")
+"""How far a vehicle is along and beside a lane, m; not a number until it is asked for."""
+CONNECTED = _table(integers="lane", floats="offset")
+"""A lane on which neighbours are sought, and how far its start is along the lane in question."""
+SEARCH = _table(integers="first after")
+"""The rows of `Scenes.connected` for a lane: the lane itself, then those that start at its end or
+end at its start [`Road.neighbour_vehicles`]."""
+CONSTANTS = _table(
+    floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
+)
+"""`Constants` and `IdmMobilParameters`, one after the other."""
+
+
+class _Fields(NamedTuple):
+    """The fields of `Scenes`."""
+
+    vehicles: NDArray[np.void]
+    """[B, N] rows of `VEHICLE`, in highway-env's order: vehicles, then obstacles."""
+    generator: State
+    """[B, 6] the state of the scene's random generator."""
+    time: Floats
+    """[B] sum of the decision intervals, s, as highway-env rounds it."""
+    target_speeds: Floats
+    """[S] between which FASTER and SLOWER choose, m/s."""
+    road: Network
+    connected: NDArray[np.void]
+    """Rows of `CONNECTED`."""
+    searches: NDArray[np.void]
+    """[L] rows of `SEARCH`."""
+    constants: NDArray[np.void]
+    """[1] the row of `CONSTANTS`."""
+    coordinates: NDArray[np.void]
+    """[N L] rows of `COORDINATES`, for the scene that is being advanced."""
+
+
+class Scenes(_Fields):
+    """B scenes. The first vehicle of each is the ego."""
+
+    @cached_property
+    def unpacked(self) -> Unpacked:
+        """The scenes for compiled code, which unpacks them once."""
+        return unpacked(self)
+
+    @classmethod
+    def empty(
+        cls,
+        scenes: int,
+        places: int,
+        road: Network,
+        connects: bool,
+        target_speeds: Floats,
+        constants: Constants,
+    ) -> "Scenes":
+        """Scenes without vehicles, on a road without polylines.
+
+        `connects` says whether neighbours are also sought on connected lanes
+        [`neighbour_vehicles_connected_lanes`].
+        """
+        assert not (road.lanes["kind"] == POLYLINE).any()
+        numbers = *constants[:-1], *constants.idm_mobil
+        return cls(
+            vehicles=np.zeros((scenes, places), VEHICLE),
+            generator=np.zeros((scenes, 6), np.uint64),
+            time=np.zeros(scenes),
+            target_speeds=target_speeds,
+            road=road,
+            **_searches(road, connects),
+            constants=np.array([numbers], CONSTANTS),
+            coordinates=np.zeros(places * road.lanes.size, COORDINATES),
+        )
+
+
+def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
+    """The lanes of `Road.neighbour_vehicles`, in its order."""
+    table, roads = road.lanes, np.unique(road.lanes["first"])
+    connected: list[tuple[int, float]] = []
+    searches = []
+    for lane, row in enumerate(table):
+        first, number = len(connected), lane - row["first"]
+        connected.append((lane, 0.0))
+        for following in _following(road, lane) if connects else ():
+            connected.append((_same_number(table, following, number), row["length"]))
+        for before in roads if connects else ():
+            if row["first"] in _following(road, before):
+                previous = _same_number(table, before, number)
+                connected.append((previous, -table["length"][previous]))
+        searches.append((first, len(connected)))
+    return {"connected": np.array(connected, CONNECTED), "searches": np.array(searches, SEARCH)}
+
+
+def _following(road: Network, lane: int) -> list[int]:
+    """The first lanes of the roads that start where a lane ends."""
+    row = road.lanes[lane]
+    first = row["next_roads"]
+    return [int(each) for each in road.successors[first : first + row["next_count"]]]
+
+
+def _same_number(table: NDArray[np.void], first: int, number: int) -> int:
+    """The lane with a number on the road with that first lane, or its first lane without one."""
+    return int(first + number if number < table["lanes"][first] else first)
+
+
+class Here(NamedTuple):
+    """The scene that is being advanced, as the first rows of its tables."""
+
+    vehicles: Row
+    places: int
+    coordinates: Row
+    lanes: Row
+    lane_count: int
+    connected: Row
+    searches: Row
+    constants: Row
+
+
+@woven
+def here_of(scenes: Scenes, b: int) -> Here:
+    """Scene b."""
+    return Here(
+        scenes.vehicles[b, 0],
+        scenes.vehicles.shape[1],
+        scenes.coordinates[0],
+        scenes.road.lanes[0],
+        scenes.road.lanes.size,
+        scenes.connected[0],
+        scenes.searches[0],
+        scenes.constants[0],
+    )
+
+
+@woven
+def vehicle_of(here: Here, i: int) -> Row:
+    """The row of vehicle i."""
+    return row_after(here.vehicles, i)
+
+
+@woven
+def lane_of(here: Here, lane: int) -> Row:
+    """The row of a lane."""
+    return row_after(here.lanes, lane)
+
+
+@compiled
+def index_of(speed: float, target_speeds: Floats) -> int:
+    """The index of the nearest target speed [`MDPVehicle.speed_to_index`]."""
+    last = target_speeds.size - 1
+    share = (speed - target_speeds[0]) / (target_speeds[-1] - target_speeds[0])
+    return int(min(max(round(share * last), 0), last))
+
+
+@compiled
+def place(
+    scenes: Scenes, b: int, i: int, kind: int, x: float, y: float, heading: float, speed: float
+) -> None:
+    """Puts a vehicle or an obstacle at a place of scene b [`IDMVehicle.__init__`, `MDPVehicle`]."""
+    vehicle, c = scenes.vehicles[b, i], scenes.constants[0]
+    vehicle.kind = kind
+    vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
+    vehicle.direction_y, vehicle.direction_x = maths.sin_cos(heading)
+    vehicle.acceleration = vehicle.steering = 0.0
+    vehicle.length = OBSTACLE_SIZE_M if kind == OBSTACLE else c.length
+    vehicle.width = OBSTACLE_SIZE_M if kind == OBSTACLE else c.width
+    vehicle.target_speed = 0.0 if kind <= CONTINUOUS else speed
+    vehicle.timer_s = (x + y) * math.pi % c.lane_change_period_s
+    vehicle.exponent = IDM_EXPONENT
+    vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
+    vehicle.route_step = vehicle.route_end = 0
+    vehicle.crashed = vehicle.has_impact = False
+    vehicle.changes_lanes = True
+    if kind == COMMANDED:
+        vehicle.speed_index = index_of(speed, scenes.target_speeds)
+        vehicle.target_speed = scenes.target_speeds[vehicle.speed_index]
+
+
+@compiled
+def put_on_lane(
+    scenes: Scenes, b: int, i: int, kind: int, lane: int, s: float, heading: float, speed: float
+) -> None:
+    """Puts a vehicle at a place of scene b, in the middle of a lane."""
+    x, y = position(scenes.road, lane, s, 0.0)
+    place(scenes, b, i, kind, x, y, heading, speed)

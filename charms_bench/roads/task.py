@@ -1,0 +1,116 @@
+"""What is particular to one of highway-env's environments: its scenes, rewards and endings."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.generator import uniform
+from charms_bench.roads.scenes import ROUTE_STEPS, Scenes
+from charms_bench.world.road import is_on_lane
+
+
+class Task(ABC):
+    """The rules of an environment with a configuration; methods take the scenes `rows` (R,).
+
+    Args:
+        config: highway-env's configuration.
+        network: highway-env's `RoadNetwork`.
+    """
+
+    terms: ClassVar[tuple[str, ...]]
+    """The terms of the reward, in highway-env's order, which the configuration weights by name."""
+    vehicles: int
+    """The most vehicles of a scene, with the ego."""
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        self.weights = np.array([float(config.get(term, 0)) for term in self.terms])
+        """What the terms are multiplied by."""
+        self.duration = float(config.get("duration", np.inf))
+        """The time after which an episode is truncated, s."""
+        self.lanes = {name: k for k, name in enumerate(network.lanes_dict())}
+        """The indices of lanes by highway-env's names: two nodes and a number."""
+
+    @abstractmethod
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        """Places the vehicles of new episodes by the scenes' random generators."""
+
+    @abstractmethod
+    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+        """Writes the rewards after the actions (B,), and their terms, into `rewards` (B, 1 + K)."""
+
+    def is_terminated(self, scenes: Scenes) -> Bools:
+        """Whether each scene (B,) is over; by default, whether the ego has crashed."""
+        return np.array(scenes.vehicles["crashed"][:, 0])
+
+    def is_truncated(self, scenes: Scenes) -> Bools:
+        """Whether the time of each scene (B,) is over."""
+        return np.greater_equal(scenes.time, self.duration)
+
+    def information(self, scenes: Scenes) -> dict[str, Any]:
+        """What the info has in addition, (B,) by name."""
+        return {}
+
+
+def routes_to(network: Any, destinations: Sequence[str]) -> Ints:
+    """The routes [D, L, 1 + R] from the ends of lanes to nodes [`ControlledVehicle.plan_route_to`].
+
+    The first number is that of the steps after the lane itself, and each step is the first lane of
+    a road.
+    """
+    lanes = {name: k for k, name in enumerate(network.lanes_dict())}
+    routes = np.zeros((len(destinations), len(lanes), 1 + ROUTE_STEPS), dtype=np.int64)
+    for d, destination in enumerate(destinations):
+        for (_, end, _), lane in lanes.items():
+            try:
+                path = network.shortest_path(end, destination)
+            except KeyError:
+                path = []
+            steps = [lanes[*nodes, 0] for nodes in pairwise(path)]
+            routes[d, lane, : 1 + len(steps)] = len(steps), *steps
+    return routes
+
+
+@compiled
+def plan_route(scenes: Scenes, b: int, i: int, routes: Ints, destination: int) -> None:
+    """Gives vehicle i its route, one of those of `routes_to`."""
+    vehicle, route = scenes.vehicles[b, i], routes[destination, scenes.vehicles[b, i].lane]
+    first = scenes.road.lanes[vehicle.lane].first
+    vehicle.route_step, vehicle.route_end = 0, 1 + route[0]
+    vehicle.route_roads[0], vehicle.route_numbers[0] = first, vehicle.lane - first
+    for k in range(1, 1 + route[0]):
+        vehicle.route_roads[k], vehicle.route_numbers[k] = route[k], -1
+
+
+@compiled
+def draw_exponent(scenes: Scenes, b: int, i: int) -> None:
+    """Draws IDM's exponent of vehicle i [`IDMVehicle.randomize_behavior`]."""
+    c = scenes.constants[0]
+    low, high = c.exponent_low, c.exponent_high
+    scenes.vehicles[b, i].exponent = uniform(scenes.generator[b], low, high)
+
+
+@compiled
+def weighted(weights: Floats, row: Floats) -> float:
+    """The sum of the terms that follow the reward in its row, times their weights."""
+    total = 0.0
+    for k in range(weights.size):
+        total += weights[k] * row[k + 1]
+    return total
+
+
+@compiled
+def share(value: float, low: float, high: float) -> float:
+    """Where a value is between two others [`utils.lmap`]."""
+    return (value - low) / (high - low)
+
+
+@compiled
+def is_on_own_lane(scenes: Scenes, b: int) -> bool:
+    """Whether the ego's centre is on its nearest lane [`RoadObject.on_road`]."""
+    ego = scenes.vehicles[b, 0]
+    return bool(is_on_lane(scenes.road, ego.lane, ego.x, ego.y, 0.0))

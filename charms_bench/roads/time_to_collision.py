@@ -1,0 +1,113 @@
+"""highway-env's observation `TimeToCollision` on its roads."""
+
+import math
+
+import numpy as np
+
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, not_zero
+from charms_bench.roads.scenes import CONTINUOUS, Scenes
+from charms_bench.world.road import distance_along
+from charms_bench.world.road_network import Network
+from charms_bench.world.scene import Observations
+
+SIDES = 3
+"""The observed lanes and target speeds: the ego's, and one to each side."""
+DEPTH = 3
+"""How many roads ahead another vehicle is considered."""
+_BRANCHES = 64
+"""Room for the branches of a search, of which no road of highway-env has so many."""
+
+
+@compiled_of_scenes
+def observe(scenes: Scenes, rows: Ints, interval: float, out: Observations) -> None:
+    """Writes the egos' observations (B, 3, 3, T) of the scenes `rows`.
+
+    These are the costs of a collision at each multiple of `interval`, s, by target speed and lane
+    [`TimeToCollisionObservation.observe`].
+    """
+    speeds, times = scenes.target_speeds.size, out.shape[3]
+    grid = np.empty((speeds, scenes.road.lanes["lanes"].max(), times))
+    for b in rows:
+        fill(scenes, b, interval, grid)
+        ego = scenes.vehicles[b, 0]
+        row = scenes.road.lanes[ego.lane]
+        for k in range(SIDES):
+            speed = min(max(ego.speed_index + k - 1, 0), speeds - 1)
+            for m in range(SIDES):
+                lane = ego.lane - row.first + m - 1
+                for t in range(times):
+                    is_lane = 0 <= lane < row.lanes
+                    out[b, k, m, t] = grid[speed, lane, t] if is_lane else 1.0
+
+
+@compiled
+def fill(scenes: Scenes, b: int, interval: float, grid: Floats) -> None:
+    """Fills a grid, by target speed, lane and time [`finite_mdp.compute_ttc_grid`]."""
+    road, ego = scenes.road, scenes.vehicles[b, 0]
+    own = road.lanes[ego.lane]
+    grid[:] = 0.0
+    for j in range(1, scenes.vehicles.shape[1]):
+        other = scenes.vehicles[b, j]
+        if other.kind < CONTINUOUS or not is_connected(scenes, b, other.lane):
+            continue
+        row = road.lanes[other.lane]
+        first, after = 0, own.lanes
+        if row.lanes == own.lanes:
+            first, after = other.lane - row.first, other.lane - row.first + 1
+        distance = distance_along(road, ego.lane, ego.x, ego.y, other.x, other.y)
+        facing = other.direction_x * ego.direction_x + other.direction_y * ego.direction_y
+        margin = other.length / 2 + ego.length / 2
+        for speed in range(scenes.target_speeds.size):
+            own_speed = scenes.target_speeds[speed]
+            if own_speed == other.speed:
+                continue
+            for edge, cost in ((0.0, 1.0), (-margin, 0.5), (margin, 0.5)):
+                until = (distance + edge) / not_zero(own_speed - other.speed * facing)
+                if until < 0:
+                    continue
+                for moment in (int(until / interval), math.ceil(until / interval)):
+                    if 0 <= moment < grid.shape[2]:
+                        for lane in range(first, after):
+                            grid[speed, lane, moment] = max(grid[speed, lane, moment], cost)
+
+
+@compiled
+def is_connected(scenes: Scenes, b: int, lane: int) -> bool:
+    """Whether a lane is on the ego's road, before it, or on one of the next `DEPTH` roads.
+
+    [`RoadNetwork.is_connected_road`, with the ego's route]
+    """
+    road, ego = scenes.road, scenes.vehicles[b, 0]
+    sought = road.lanes[lane].first
+    roads, steps, depths = np.empty((3, _BRANCHES), dtype=np.int64)
+    roads[0], steps[0], depths[0] = road.lanes[ego.lane].first, ego.route_step, DEPTH
+    count = 1
+    while count:
+        count -= 1
+        current, step, depth = roads[count], steps[count], depths[count]
+        if sought == current or leads_to(road, sought, current):
+            return True
+        has_route = step < ego.route_end
+        if has_route and depth > 0 and ego.route_roads[step] == current:
+            steps[count] += 1
+            count += 1
+        elif has_route and depth > 0 and leads_to(road, current, ego.route_roads[step]):
+            roads[count], steps[count], depths[count] = ego.route_roads[step], step + 1, depth - 1
+            count += 1
+        elif depth > 0:
+            row = road.lanes[current]
+            for k in range(row.next_roads, row.next_roads + row.next_count):
+                roads[count], steps[count], depths[count] = road.successors[k], step, depth - 1
+                count += 1
+    return False
+
+
+@compiled
+def leads_to(road: Network, lane: int, following: int) -> bool:
+    """Whether the road with the first lane `following` starts where a lane ends."""
+    row = road.lanes[lane]
+    for k in range(row.next_roads, row.next_roads + row.next_count):
+        if road.successors[k] == following:
+            return True
+    return False

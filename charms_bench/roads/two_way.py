@@ -1,0 +1,60 @@
+"""highway-env's `two-way`: overtaking on a road with oncoming traffic."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import compiled_of_scenes
+from charms_bench.foundation.generator import normal
+from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
+from charms_bench.roads.task import Task, weighted
+from charms_bench.world.road import heading_at
+
+
+class TwoWay(Task):
+    """[`TwoWayEnv`]"""
+
+    terms = ("high_speed_reward", "left_lane_reward")
+    vehicles = 6
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        self._own, self._oncoming = self.lanes["a", "b", 1], self.lanes["b", "a", 0]
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._own, self._oncoming)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+        _judge(scenes, rows, self.weights, rewards)
+
+
+@compiled_of_scenes
+def _start(scenes: Scenes, rows: Ints, own: int, oncoming: int) -> None:
+    """[`TwoWayEnv._make_vehicles`]"""
+    for b in rows:
+        state = scenes.generator[b]
+        put_on_lane(scenes, b, 0, COMMANDED, own, 30.0, 0.0, 30.0)
+        for k in range(3):
+            s = 70.0 + 40.0 * k + 10.0 * normal(state, 0.0, 1.0)
+            speed = 24.0 + 2.0 * normal(state, 0.0, 1.0)
+            put_on_lane(scenes, b, 1 + k, IDM, own, s, heading_at(scenes.road, own, s), speed)
+        for k in range(2):
+            s = 200.0 + 100.0 * k + 10.0 * normal(state, 0.0, 1.0)
+            speed = 20.0 + 5.0 * normal(state, 0.0, 1.0)
+            heading = heading_at(scenes.road, oncoming, s)
+            put_on_lane(scenes, b, 4 + k, IDM, oncoming, s, heading, speed)
+            scenes.vehicles[b, 4 + k].target_lane = oncoming
+        for i in range(1, 6):
+            scenes.vehicles[b, i].changes_lanes = False
+
+
+@compiled_of_scenes
+def _judge(scenes: Scenes, rows: Ints, weights: Floats, out: Floats) -> None:
+    """[`TwoWayEnv._reward`, `TwoWayEnv._rewards`] Where that divides by 0, it is no number."""
+    for b in rows:
+        ego, lanes = scenes.vehicles[b, 0], scenes.road.lanes
+        last = lanes[ego.lane].lanes - 1
+        number = ego.target_lane - lanes[ego.target_lane].first
+        out[b, 1] = ego.speed_index / (scenes.target_speeds.size - 1)
+        out[b, 2] = (last - number) / last
+        out[b, 0] = weighted(weights, out[b])

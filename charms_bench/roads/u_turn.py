@@ -1,0 +1,95 @@
+"""highway-env's `u-turn`: overtaking slow vehicles in a tight bend."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import clip, compiled_of_scenes
+from charms_bench.foundation.generator import normal
+from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
+from charms_bench.roads.task import (
+    Task,
+    draw_exponent,
+    is_on_own_lane,
+    plan_route,
+    routes_to,
+    share,
+    weighted,
+)
+from charms_bench.world.road import heading_at
+
+_VEHICLES = (
+    ("a", "b", 0, 25.0, 13.5),
+    ("a", "b", 1, 56.0, 14.5),
+    ("b", "c", 1, 0.5, 4.5),
+    ("b", "c", 0, 17.5, 5.5),
+    ("c", "d", 0, 1.0, 3.5),
+    ("c", "d", 1, 30.0, 5.5),
+)
+"""The lanes of the other vehicles, their mean positions along them, m, and speeds, m/s."""
+DEVIATION = 2.0
+"""Of positions, m, and of speeds, m/s."""
+
+
+class Rule(NamedTuple):
+    """What the functions below need to know; SI units."""
+
+    speed_low: float
+    speed_high: float
+    normalises: bool
+
+
+class UTurn(Task):
+    """[`UTurnEnv`]"""
+
+    terms = ("collision_reward", "left_lane_reward", "high_speed_reward", "on_road_reward")
+    vehicles = 7
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        low, high = map(float, config["reward_speed_range"])
+        self._rule = Rule(low, high, bool(config["normalize_reward"]))
+        self._routes = routes_to(network, ["d"])
+        self._lanes = np.array([self.lanes["a", "b", 0], *(self.lanes[k[:3]] for k in _VEHICLES)])
+        self._means = np.array([each[3:] for each in _VEHICLES])
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._lanes, self._means, self._routes)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+        _judge(scenes, rows, self.weights, self._rule, rewards)
+
+
+@compiled_of_scenes
+def _start(scenes: Scenes, rows: Ints, lanes: Ints, means: Floats, routes: Ints) -> None:
+    """[`UTurnEnv._make_vehicles`]"""
+    for b in rows:
+        state = scenes.generator[b]
+        put_on_lane(scenes, b, 0, COMMANDED, lanes[0], 0.0, 0.0, 16.0)
+        plan_route(scenes, b, 0, routes, 0)
+        for i in range(1, lanes.size):
+            s = means[i - 1, 0] + normal(state, 0.0, 1.0) * DEVIATION
+            speed = means[i - 1, 1] + normal(state, 0.0, 1.0) * DEVIATION
+            heading = heading_at(scenes.road, lanes[i], s)
+            put_on_lane(scenes, b, i, IDM, lanes[i], s, heading, speed)
+            plan_route(scenes, b, i, routes, 0)
+            if i == 1:
+                draw_exponent(scenes, b, i)
+
+
+@compiled_of_scenes
+def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+    """[`UTurnEnv._reward`, `UTurnEnv._rewards`]"""
+    for b in rows:
+        ego = scenes.vehicles[b, 0]
+        row = scenes.road.lanes[ego.lane]
+        out[b, 1] = ego.crashed
+        out[b, 2] = (ego.lane - row.first) / max(row.lanes - 1, 1)
+        out[b, 3] = clip(share(ego.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 4] = is_on_own_lane(scenes, b)
+        total = weighted(weights, out[b])
+        if rule.normalises:
+            total = share(total, weights[0], weights[2] + weights[1])
+        out[b, 0] = total * out[b, 4]

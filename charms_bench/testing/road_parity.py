@@ -1,0 +1,187 @@
+"""Compares highway-env's environments with those of `charms_bench.roads`, decision by decision."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
+from charms_bench.foundation.workers import in_processes
+from charms_bench.roads.episodes import Decision, Episodes
+from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.world.actions import ACTIONS, FASTER, IDLE, SLOWER
+
+NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "target_speed")
+MOST_DECISIONS = 200
+"""An episode that is not over then is not compared further."""
+_CHUNK = 10
+_SHARE_OF_IDLE = 0.8
+
+
+@dataclass
+class Comparison:
+    """What the comparison of some episodes found."""
+
+    name: str
+    episodes: int = 0
+    decisions: int = 0
+    crashed: int = 0
+    """Episodes in which the ego crashed."""
+    largest: float = 0.0
+    """The largest difference of a number, also between rewards and between observations."""
+    largest_at_start: float = 0.0
+    """The same, of the starts of episodes alone."""
+    differing: list[str] = field(default_factory=list)
+    """The first difference of each episode that has one above the tolerance."""
+
+
+def verify_road(
+    name: str,
+    episodes: int,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Callable[[int], None] = lambda episodes: None,
+    config: Mapping[str, Any] | None = None,
+) -> Comparison:
+    """Compares the episodes `seed` to `seed + episodes - 1` of an environment to the last bit.
+
+    highway-env computes with the functions of `charms_bench.foundation.maths`; see
+    `exact_maths.use_exact_maths`. In every other episode, actions are random; in the others, most
+    are IDLE. `progress` is called with the number of episodes compared since the last call.
+    """
+    chunks = [
+        _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}))
+        for start in range(0, episodes, _CHUNK)
+    ]
+    count = min(workers or os.cpu_count() or 1, len(chunks))
+    environment = worker_environment("highway-env")
+    total = Comparison(name)
+    done = in_processes(_Chunk.compare, chunks, count, _Chunk.title, environment=environment)
+    for chunk, found in done:
+        total.episodes += found.episodes
+        total.decisions += found.decisions
+        total.crashed += found.crashed
+        total.largest = max(total.largest, found.largest)
+        total.largest_at_start = max(total.largest_at_start, found.largest_at_start)
+        total.differing += found.differing
+        progress(chunk.episodes)
+    return total
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """A few episodes of an environment."""
+
+    name: str
+    seed: int
+    episodes: int
+    config: Mapping[str, Any]
+
+    def title(self) -> str:
+        return f"{self.name}, episodes {self.seed} to {self.seed + self.episodes - 1}"
+
+    def compare(self) -> Comparison:
+        use_exact_maths("highway-env", environments=True)
+        return compare(self.name, range(self.seed, self.seed + self.episodes), config=self.config)
+
+
+def compare(
+    name: str,
+    seeds: range,
+    decisions: int = MOST_DECISIONS,
+    tolerance: float = 0.0,
+    config: Mapping[str, Any] | None = None,
+) -> Comparison:
+    """Compares episodes with highway-env as it computes in this process.
+
+    At most so many decisions are compared; with 0, the starts of the episodes alone.
+    """
+    import highway_env  # noqa: F401  # registers its environments
+
+    spec = gymnasium.spec(name)
+    stock = spec.make(config=dict(config or {}), disable_env_checker=True)
+    names = [*stock.unwrapped.road.network.lanes_dict()]  # type: ignore[attr-defined]
+    ours, found = Episodes(name, 1, config), Comparison(name)
+    for seed in seeds:
+        rng, is_random = np.random.default_rng([seed, 6]), seed % 2 == 0
+        expected = [stock.reset(seed=seed)[0]]
+        ours.seed(ours.everyone, np.array([seed], dtype=np.uint64))
+        ours.start(ours.everyone)
+        apart, what = _apart(stock, ours, names, expected, None)
+        found.largest_at_start = max(found.largest_at_start, apart)
+        found.episodes += 1
+        for _ in range(decisions if apart <= tolerance else 0):
+            action = int(rng.integers(len(ours.actions.names)))
+            if not is_random and len(ours.actions.names) == len(ACTIONS):
+                others = rng.choice((FASTER, SLOWER))
+                action = IDLE if rng.random() < _SHARE_OF_IDLE else int(others)
+            expected = list(stock.step(action))
+            decision = ours.step(np.array([action]))
+            apart, what = _apart(stock, ours, names, expected, decision)
+            found.decisions += 1
+            found.largest = max(found.largest, apart)
+            if apart > tolerance or expected[2] or expected[3]:
+                break
+        found.crashed += bool(ours.scenes.vehicles["crashed"][0, 0])
+        found.largest = max(found.largest, apart)
+        if apart > tolerance:
+            found.differing.append(f"episode {seed}, decision {ours.steps[0]}: {what}")
+    return found
+
+
+def _apart(
+    stock: Any, ours: Episodes, names: list[Any], expected: list[Any], decision: Decision | None
+) -> tuple[float, str]:
+    """The largest difference now, and of what; infinity for what is no number."""
+    pairs: dict[str, tuple[Any, Any]] = {"observation": (ours.observe()[0], expected[0])}
+    road, table = stock.unwrapped.road, ours.scenes.vehicles[0]
+    vehicles = [each for each in table if each["kind"] > OBSTACLE]
+    if len(vehicles) != len(road.vehicles):
+        return np.inf, f"{len(vehicles)} and {len(road.vehicles)} vehicles"
+    for k, (vehicle, theirs) in enumerate(zip(vehicles, road.vehicles, strict=True)):
+        values = {**vars(theirs), **theirs.action}
+        values |= dict(zip("xy", theirs.position, strict=True))
+        pairs |= {f"{each} of vehicle {k}": (vehicle[each], values[each]) for each in NUMBERS}
+        is_same = {
+            "lane": names[vehicle["lane"]] == theirs.lane_index,
+            "target lane": names[vehicle["target_lane"]] == theirs.target_lane_index,
+            "crashed": vehicle["crashed"] == theirs.crashed,
+            "route": _route(vehicle, names) == [tuple(step) for step in theirs.route or ()],
+        }
+        pairs |= {
+            f"{each} of vehicle {k}": (0.0, 0.0 if is_same[each] else np.inf) for each in is_same
+        }
+        if hasattr(theirs, "timer"):
+            pairs[f"timer of vehicle {k}"] = vehicle["timer_s"], theirs.timer
+            pairs[f"exponent of vehicle {k}"] = vehicle["exponent"], theirs.DELTA
+    if decision is not None:
+        _, reward, terminated, truncated, info = expected
+        pairs["reward"] = decision.rewards[0], reward
+        for term, value in zip(ours.task.terms, decision.terms[0], strict=True):
+            pairs[term] = value, info["rewards"][term]
+        ended = decision.terminated[0], decision.truncated[0]
+        pairs["end"] = 0.0, 0.0 if ended == (terminated, truncated) else np.inf
+        for name, value in ours.task.information(ours.scenes).items():
+            pairs[name] = float(value[0]), float(info[name])
+    apart = {what: _difference(*pair) for what, pair in pairs.items()}
+    what = max(apart, key=lambda name: apart[name])
+    return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"
+
+
+def _difference(ours: Any, theirs: Any) -> float:
+    one, other = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
+    if one.shape != other.shape:
+        return float("inf")
+    apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.abs(one - other))
+    return float(np.nan_to_num(apart, nan=np.inf).max())
+
+
+def _route(vehicle: Any, names: list[Any]) -> list[Any]:
+    """A vehicle's route as highway-env writes it."""
+    steps = range(int(vehicle["route_step"]), int(vehicle["route_end"]))
+    numbers = [int(vehicle["route_numbers"][k]) for k in steps]
+    roads = [names[vehicle["route_roads"][k]][:2] for k in steps]
+    return [(*road, None if k < 0 else k) for road, k in zip(roads, numbers, strict=True)]
