@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats
-from charms_bench.foundation.compiled import Unpacked, compiled, row_after, unpacked, woven
+from charms_bench.foundation.compiled import Unpacked, compiled, row_after, woven
 from charms_bench.foundation.generator import State
-from charms_bench.world.lane_geometry import POLYLINE
 from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.road import closest_lane, position
 from charms_bench.world.road_network import Network
@@ -62,6 +61,12 @@ CONSTANTS = _table(
 """`Constants` and `IdmMobilParameters`, one after the other."""
 
 
+@compiled
+def _unpacked(scenes: Any) -> Unpacked:
+    """Unpacks scenes; one function for each kind, because numba's cache imports what it unpacks."""
+    return Unpacked(scenes)  # type: ignore[no-untyped-call]
+
+
 class _Fields(NamedTuple):
     """The fields of `Scenes`."""
 
@@ -90,7 +95,7 @@ class Scenes(_Fields):
     @cached_property
     def unpacked(self) -> Unpacked:
         """The scenes for compiled code, which unpacks them once."""
-        return unpacked(self)
+        return _unpacked(self)
 
     @classmethod
     def empty(
@@ -107,7 +112,6 @@ class Scenes(_Fields):
         `connects` says whether neighbours are also sought on connected lanes
         [`neighbour_vehicles_connected_lanes`].
         """
-        assert not (road.lanes["kind"] == POLYLINE).any()
         numbers = *constants[:-1], *constants.idm_mobil
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
