@@ -106,3 +106,12 @@ def test_styles_are_told_apart_as_well_as_their_distributions_allow(tool: Module
 def test_styles_of_one_distribution_are_told_by_chance(tool: ModuleType) -> None:
     draw = np.random.default_rng(3).standard_normal((5, 8, 500, 3))
     assert tool._told(draw[1:], draw[0]) == pytest.approx(1 / 8, abs=0.03)
+
+
+def test_the_tables_on_the_page_are_those_of_the_numbers(tool: ModuleType) -> None:
+    results = ROOT / "docs" / "results"
+    numbers = pl.read_csv(results / "plan.csv").filter(tool._of_main())
+    main = (results / "plan-main.md").read_text(encoding="utf-8")
+    assert main == tool.summary(numbers, tool.DRIVING, tool.KEYS)
+    others = (results / "plan-conditions.md").read_text(encoding="utf-8")
+    assert others == tool.plan_conditions(results)
