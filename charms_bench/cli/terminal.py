@@ -71,7 +71,8 @@ def _only_ours(output: TextIO) -> TextIO:
 
 @contextmanager
 def _reserved_standard_output() -> Iterator[None]:
-    before = _ANSWER.set(_only_ours(sys.stdout or open(os.devnull, "w")))  # noqa: SIM115
+    answer = sys.stdout or open(os.devnull, "w")  # noqa: SIM115  # open until the process ends
+    before = _ANSWER.set(_only_ours(answer))
     try:
         with redirect_stdout(sys.stderr):
             yield
