@@ -11,6 +11,8 @@ Lanes, obstacles and default configurations are read from highway-env's own envi
 """
 
 TASKS = {
+    "highway-v0": "highway:Highway",
+    "highway-fast-v0": "highway:FastHighway",
     "merge-v0": "merge:Merge",
     "merge-v1": "merge:Merge",
     "merge-generic-v0": "merge:GenericMerge",

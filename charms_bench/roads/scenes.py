@@ -39,15 +39,16 @@ VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s exponent impact_x impact_y",
     integers="kind lane target_lane speed_index route_step route_end",
-    booleans="crashed has_impact changes_lanes",
+    booleans="crashed has_impact changes_lanes checks_collisions",
     routes="route_roads route_numbers",
 )
 """A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
 
 `exponent` is that of IDM. `speed_index` is the place of the target speed of a commanded vehicle.
-`changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. A route is a list of
-steps: the first lane of a road between two nodes, and the number of the lane on it, -1 if it is
-open. The vehicle's next step is `route_step`, and before `route_end` is the last."""
+`changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide
+if one of them `checks_collisions`. A route is a list of steps: the first lane of a road between two
+nodes, and the number of the lane on it, -1 if it is open. The vehicle's next step is `route_step`,
+and before `route_end` is the last."""
 COORDINATES = _table(floats="s r")
 """How far a vehicle is along and beside a lane, m; not a number until it is asked for."""
 CONNECTED = _table(integers="lane", floats="offset")
@@ -221,7 +222,7 @@ def place(
     vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
     vehicle.route_step = vehicle.route_end = 0
     vehicle.crashed = vehicle.has_impact = False
-    vehicle.changes_lanes = True
+    vehicle.changes_lanes = vehicle.checks_collisions = True
     if kind == COMMANDED:
         vehicle.speed_index = index_of(speed, scenes.target_speeds)
         vehicle.target_speed = scenes.target_speeds[vehicle.speed_index]

@@ -88,7 +88,7 @@ def collide(here: Here, corners: Floats) -> None:
         diagonal = math.sqrt(own.length**2 + own.width**2)
         for j in range(i + 1, here.places):
             other = vehicle_of(here, j)
-            if other.kind == NOTHING:
+            if other.kind == NOTHING or not (own.checks_collisions or other.checks_collisions):
                 continue
             dx, dy = other.x - own.x, other.y - own.y
             sizes = own.length + own.width + other.length + other.width

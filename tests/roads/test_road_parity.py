@@ -11,6 +11,7 @@ from charms_bench.roads.episodes import Episodes
 from charms_bench.testing.road_parity import compare, verify_road
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
+    "highway-fast-v0": {"initial_lane_id": 1, "normalize_reward": False, "offroad_terminal": True},
     "merge-generic-v0": {"lanes_count": 3, "vehicles_count": 8, "converge_merge_length": 60},
     "exit-v0": {"lanes_count": 4, "vehicles_count": 12, "vehicles_density": 1.2},
     "u-turn-v1": {"normalize_reward": False, "policy_frequency": 3, "duration": 5},
@@ -65,7 +66,20 @@ def random_configuration(name: str, seed: int) -> dict[str, Any]:
         }
     else:
         config["observation"] = {"type": "TimeToCollision", "horizon": int(rng.integers(3, 12))}
+    motorway = {
+        "lanes_count": int(rng.integers(1, 6)),
+        "vehicles_count": int(rng.integers(1, 30)),
+        "vehicles_density": float(rng.uniform(0.5, 2)),
+        "ego_spacing": float(rng.uniform(1, 3)),
+        "initial_lane_id": 0 if rng.random() < 0.5 else None,
+        "normalize_reward": bool(rng.random() < 0.5),
+        "offroad_terminal": bool(rng.random() < 0.5),
+        "duration": int(rng.integers(5, 20)),
+        "reward_speed_range": [15, 28],
+    }
     own: dict[str, dict[str, Any]] = {
+        "highway": motorway,
+        "highway-fast": motorway,
         "merge": {"merging_speed_reward": -0.4, "reward_speed_range": [15, 28]},
         "merge-generic": {
             "lanes_count": int(rng.integers(1, 5)),

@@ -1,0 +1,111 @@
+"""highway-env's `highway` and `highway-fast`: a motorway of straight lanes."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import clip, compiled_of_scenes
+from charms_bench.foundation.generator import integers, uniform
+from charms_bench.roads.exit import append
+from charms_bench.roads.scenes import COMMANDED, IDM, Scenes
+from charms_bench.roads.task import Task, draw_exponent, is_on_own_lane, share, weighted
+
+EGO_SPEED_MPS = 25.0
+SPEED_LOW, SPEED_HIGH = 0.7, 0.8
+"""The speeds at which the other vehicles start, as shares of the speed limit."""
+
+
+class Rule(NamedTuple):
+    """What the functions below need to know; lanes are indices, and other units are SI."""
+
+    vehicles: int
+    lanes: int
+    ego_lane: int
+    """The ego's lane at the start, -1 if it is drawn."""
+    ego_spacing: float
+    spacing: float
+    crowding: float
+    """highway-env's factor for all distances; it falls with the number of lanes."""
+    speed_low: float
+    speed_high: float
+    normalises: bool
+    others_collide: bool
+    """Whether collisions between vehicles other than the ego are noticed."""
+
+
+class Highway(Task):
+    """[`HighwayEnv`]"""
+
+    terms = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_road_reward")
+    others_collide = True
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        lanes, ego_lane = int(config["lanes_count"]), config["initial_lane_id"]
+        self.vehicles = 1 + int(config["vehicles_count"])
+        self._ends_off_road = bool(config["offroad_terminal"])
+        self._rule = Rule(
+            self.vehicles,
+            lanes,
+            -1 if ego_lane is None else int(ego_lane),
+            float(config["ego_spacing"]),
+            1 / config["vehicles_density"],
+            maths.exp(-5 / 40 * lanes),
+            float(config["reward_speed_range"][0]),
+            float(config["reward_speed_range"][1]),
+            bool(config["normalize_reward"]),
+            self.others_collide,
+        )
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._rule)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+        _judge(scenes, rows, self.weights, self._rule, rewards)
+
+    def is_terminated(self, scenes: Scenes) -> Bools:
+        crashed = np.array(scenes.vehicles["crashed"][:, 0])
+        if self._ends_off_road:
+            crashed |= [not is_on_own_lane(scenes.unpacked, b) for b in range(crashed.size)]
+        return crashed
+
+
+class FastHighway(Highway):
+    """[`HighwayEnvFast`]"""
+
+    others_collide = False
+
+
+@compiled_of_scenes
+def _start(scenes: Scenes, rows: Ints, rule: Rule) -> None:
+    """[`HighwayEnv._create_vehicles`, `HighwayEnvFast._create_vehicles`]"""
+    for b in rows:
+        state = scenes.generator[b]
+        lane = rule.ego_lane if rule.ego_lane >= 0 else integers(state, 0, rule.lanes)
+        append(scenes, b, 0, COMMANDED, lane, EGO_SPEED_MPS, rule.ego_spacing, rule.crowding)
+        for i in range(1, rule.vehicles):
+            lane = integers(state, 0, rule.lanes)
+            limit = scenes.road.lanes[lane].speed_limit
+            speed = uniform(state, SPEED_LOW * limit, SPEED_HIGH * limit)
+            append(scenes, b, i, IDM, lane, speed, rule.spacing, rule.crowding)
+            draw_exponent(scenes, b, i)
+            scenes.vehicles[b, i].checks_collisions = rule.others_collide
+
+
+@compiled_of_scenes
+def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats) -> None:
+    """[`HighwayEnv._reward`, `HighwayEnv._rewards`]"""
+    for b in rows:
+        ego = scenes.vehicles[b, 0]
+        forward = ego.speed * ego.direction_x
+        out[b, 1] = ego.crashed
+        out[b, 2] = ego.target_lane / max(rule.lanes - 1, 1)
+        out[b, 3] = clip(share(forward, rule.speed_low, rule.speed_high), 0.0, 1.0)
+        out[b, 4] = is_on_own_lane(scenes, b)
+        total = weighted(weights, out[b])
+        if rule.normalises:
+            total = share(total, weights[0], weights[2] + weights[1])
+        out[b, 0] = total * out[b, 4]
