@@ -34,8 +34,9 @@ _ENVIRONMENTS = (
     "envs.roundabout_env",
     "envs.two_way_env",
     "envs.u_turn_env",
+    "vehicle.dynamics",
 )
-"""The modules of highway-env that draw roads."""
+"""The modules of highway-env that only its environments use."""
 
 
 def worker_environment(engine: EngineName) -> dict[str, str]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
-from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.arrays import Bools, Floats
+from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
 from charms_bench.world.road import is_reachable, side_lanes
@@ -83,7 +84,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         return self._observe(), {name: each[0] for name, each in _facts(episodes).items()}
 
     def step(
-        self, action: np.int64 | int
+        self, action: NDArray[Any] | np.int64 | int
     ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Carries out the ego's action until the next decision.
 
@@ -94,7 +95,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
             InputError: The action is not one of `action_space`.
         """
         episodes = self._episodes
-        decision = episodes.step(_checked(np.array([action]), episodes))
+        decision = episodes.step(_checked(np.asarray(action)[None], episodes))
         info = {name: each[0] for name, each in _facts(episodes).items()}
         info |= {"action": action, "rewards": dict(_terms(episodes, decision, 0))}
         info |= {name: each[0] for name, each in episodes.task.information(episodes.scenes).items()}
@@ -103,8 +104,10 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
 
     def get_available_actions(self) -> list[int]:
         """The actions that have an effect now [`DiscreteMetaAction.get_available_actions`]."""
-        scenes, names = self._episodes.scenes, self._episodes.actions.names
-        ego = scenes.vehicles[0, 0]
+        scenes, actions = self._episodes.scenes, self._episodes.actions
+        if isinstance(actions, Controls):
+            raise InputError("get_available_actions: expected meta-actions")
+        ego, names = scenes.vehicles[0, 0], actions.names
         possible = ["IDLE"]
         left, right = side_lanes(scenes.road, int(ego["lane"]))
         for lane, name in ((left, ACTIONS[LANE_LEFT]), (right, ACTIONS[LANE_RIGHT])):
@@ -179,8 +182,10 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         episodes.start(episodes.everyone)
         return episodes.observe(), self._masked(_facts(episodes), self._known)
 
-    def step(self, actions: Ints) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
-        """Carries out the actions (B,) until the next decision.
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
+        """Carries out the actions (B, ...) until the next decision.
 
         Returns:
             Observations (B, ...), rewards (B,), terminations (B,), truncations (B,), and
@@ -229,15 +234,23 @@ def _episodes(
 def _spaces(episodes: Episodes) -> Spaces:
     observer = episodes.observer
     box = gymnasium.spaces.Box(observer.low, observer.high, observer.shape, np.float32)
-    return box, gymnasium.spaces.Discrete(len(episodes.actions.names))
+    return box, episodes.actions.space
 
 
-def _checked(actions: NDArray[Any], episodes: Episodes) -> Ints:
-    """The actions (B,), if they are such."""
-    count, most = episodes.everyone.size, len(episodes.actions.names)
-    if actions.shape != (count,) or actions.dtype.kind not in "iu":
+def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
+    """The actions (B, ...), if they are such."""
+    space = episodes.actions.space
+    is_discrete = isinstance(space, gymnasium.spaces.Discrete)
+    shape = episodes.everyone.size, *(space.shape or ())
+    if actions.shape != shape or actions.dtype.kind not in ("iu" if is_discrete else "iuf"):
         found = f"{actions.dtype} of shape {actions.shape}"
-        raise InputError(f"actions: {found}; expected integers of shape ({count},)")
+        expected = "integers" if is_discrete else "numbers"
+        raise InputError(f"actions: {found}; expected {expected} of shape {shape}")
+    if not isinstance(space, gymnasium.spaces.Discrete):
+        if not np.isfinite(actions).all():
+            raise InputError("actions: not all of them are finite")
+        return actions
+    most = int(space.n)
     if not ((actions >= 0) & (actions < most)).all():
         wrong = actions[(actions < 0) | (actions >= most)][0]
         raise InputError(f"action {wrong}; expected 0 to {most - 1}")

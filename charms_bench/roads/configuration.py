@@ -3,10 +3,13 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.roads.scenes import Scenes
 from charms_bench.world.actions import ACTIONS
 
 _IDM = "highway_env.vehicle.behavior.IDMVehicle"
@@ -27,6 +30,15 @@ class MetaActions(NamedTuple):
     meaning: Ints
     """(A,) the index into `world.actions.ACTIONS` of each action."""
     target_speeds: Floats
+
+    @property
+    def space(self) -> gymnasium.Space[Any]:
+        """Of one action."""
+        return gymnasium.spaces.Discrete(len(self.names))
+
+    def give(self, scenes: Scenes, actions: NDArray[Any]) -> Ints:
+        """The meta-actions (B,) for `stepping.decide`, from indices (B,) of actions."""
+        return np.asarray(self.meaning[actions])
 
 
 def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dict[str, Any]:

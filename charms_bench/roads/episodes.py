@@ -12,6 +12,7 @@ from charms_bench.engine.exact_maths import exact_roads
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
+from charms_bench.roads.controls import actions_of
 from charms_bench.roads.lanes import road_of
 from charms_bench.roads.observing import observer_of
 from charms_bench.roads.scenes import OBSTACLE, Scenes, place
@@ -45,14 +46,14 @@ class Episodes:
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
         self.config = configuration.checked(source.default_config(), config)
         """highway-env's configuration, with the defaults."""
-        plain = {"observation": {"type": "Kinematics"}, "action": {"type": "DiscreteMetaAction"}}
+        module, kind = TASKS[name].split(":")
+        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), kind)
+        self.actions = actions_of(self.config, task.actions)
+        plain = {"observation": {"type": "Kinematics"}, "action": {"type": task.actions[0]}}
         with exact_roads():
             stock = source(config={**self.config, **plain})
         road = road_of(stock.road.network)
-        module, kind = TASKS[name].split(":")
-        kinds = import_module(f"charms_bench.roads.{module}")
-        self.task: Task = getattr(kinds, kind)(self.config, stock.road.network)
-        self.actions = configuration.meta_actions(self.config)
+        self.task = task(self.config, stock.road.network)
         self.observer = observer_of(self.config, count, self.task.lanes)
         hz = self.config["simulation_frequency"]
         self._frames = int(hz // self.config["policy_frequency"])
@@ -87,11 +88,11 @@ class Episodes:
         self.task.start(scenes, rows)
         self.observer.start(scenes, rows)
 
-    def step(self, actions: Ints) -> Decision:
-        """Carries out the egos' actions (B,), which are indices into `actions.meaning`."""
+    def step(self, actions: NDArray[Any]) -> Decision:
+        """Carries out the egos' actions (B, ...), each one of `actions.space`."""
         scenes, rewards = self.scenes, self._rewards
-        meaning = self.actions.meaning[actions]
-        decide(scenes, self.everyone, meaning, self._frames, self._interval)
+        given = self.actions.give(scenes, actions)
+        decide(scenes, self.everyone, given, self._frames, self._interval)
         self.steps += 1
         self.task.judge(scenes, self.everyone, actions, rewards)
         truncated = self.task.is_truncated(scenes)

@@ -15,9 +15,12 @@ from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.road import closest_lane, position
 from charms_bench.world.road_network import Network
 
-KINDS = ("nothing", "obstacle", "continuous", "commanded", "idm")
-"""What is at a place; a vehicle's `kind` is an index into this tuple."""
-NOTHING, OBSTACLE, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
+KINDS = ("nothing", "obstacle", "dynamical", "continuous", "commanded", "idm")
+"""What is at a place; a vehicle's `kind` is an index into this tuple.
+
+A continuous vehicle keeps the acceleration and the steering angle that it was given [`Vehicle`]; a
+dynamical one also slips [`BicycleVehicle`]."""
+NOTHING, OBSTACLE, DYNAMICAL, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
 ROUTE_STEPS = 12
 """The most steps of a route."""
 OBSTACLE_SIZE_M = 2.0
@@ -37,7 +40,7 @@ def _table(**names: str) -> "np.dtype[Any]":
 
 VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
-    "target_speed timer_s exponent impact_x impact_y",
+    "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate",
     integers="kind lane target_lane speed_index route_step route_end",
     booleans="crashed has_impact changes_lanes checks_collisions",
     routes="route_roads route_numbers",
@@ -46,9 +49,10 @@ VEHICLE = _table(
 
 `exponent` is that of IDM. `speed_index` is the place of the target speed of a commanded vehicle.
 `changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide
-if one of them `checks_collisions`. A route is a list of steps: the first lane of a road between two
-nodes, and the number of the lane on it, -1 if it is open. The vehicle's next step is `route_step`,
-and before `route_end` is the last."""
+if one of them `checks_collisions`. Outside of `speed_min` to `speed_max`, a vehicle brakes or
+accelerates. Only a dynamical vehicle has a `lateral_speed` and a `yaw_rate`. A route is a list of
+steps: the first lane of a road between two nodes, and the number of the lane on it, -1 if it is
+open. The vehicle's next step is `route_step`, and before `route_end` is the last."""
 COORDINATES = _table(floats="s r")
 """How far a vehicle is along and beside a lane, m; not a number until it is asked for."""
 CONNECTED = _table(integers="lane", floats="offset")
@@ -217,6 +221,8 @@ def place(
     vehicle.length = OBSTACLE_SIZE_M if kind == OBSTACLE else c.length
     vehicle.width = OBSTACLE_SIZE_M if kind == OBSTACLE else c.width
     vehicle.target_speed = 0.0 if kind <= CONTINUOUS else speed
+    vehicle.speed_min, vehicle.speed_max = c.speed_min, c.speed_max
+    vehicle.lateral_speed = vehicle.yaw_rate = 0.0
     vehicle.timer_s = (x + y) * math.pi % c.lane_change_period_s
     vehicle.exponent = IDM_EXPONENT
     vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)

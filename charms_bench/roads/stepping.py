@@ -7,11 +7,13 @@ import numpy as np
 from charms_bench.engine.collision_detection import fill_polygon, polygons_intersect
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined
 from charms_bench.roads.driving import act, command
+from charms_bench.roads.dynamics import move_with_slip
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.scenes import (
-    CONTINUOUS,
+    COMMANDED,
+    DYNAMICAL,
     IDM,
     NOTHING,
     OBSTACLE,
@@ -26,7 +28,7 @@ from charms_bench.roads.scenes import (
 def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: float) -> None:
     """Advances the scenes `rows` by a decision: the egos' meta-actions (B,), and so many steps.
 
-    [`AbstractEnv._simulate`]
+    Egos that are not commanded have been given what they do. [`AbstractEnv._simulate`]
     """
     corners = np.empty((2, 4, 2))
     for b in rows:
@@ -34,29 +36,41 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
         scenes.time[b] += interval
         for i in range(here.places):
             forget(here, i)
-        command(scenes, here, 0, actions[b])
+        if vehicle_of(here, 0).kind == COMMANDED:
+            command(scenes, here, 0, actions[b])
         for _ in range(frames):
             act(scenes.road, here)
             for i in range(here.places):
-                if vehicle_of(here, i).kind >= CONTINUOUS:
-                    move(here, i)
+                if vehicle_of(here, i).kind > OBSTACLE:
+                    limit(here, i)
+                    if vehicle_of(here, i).kind == DYNAMICAL:
+                        move_with_slip(vehicle_of(here, i), here.constants.dt)
+                    else:
+                        move(here, i)
                     locate(here, i)
             collide(here, corners)
 
 
+@inlined
+def limit(here: Here, i: int) -> None:
+    """Has a crashed vehicle stop, and one that is too fast or too slow [`Vehicle.clip_actions`]."""
+    vehicle = vehicle_of(here, i)
+    speed = vehicle.speed
+    if vehicle.crashed:
+        vehicle.steering, vehicle.acceleration = 0.0, -1.0 * speed
+    if speed > vehicle.speed_max:
+        vehicle.acceleration = min(vehicle.acceleration, 1.0 * (vehicle.speed_max - speed))
+    elif speed < vehicle.speed_min:
+        vehicle.acceleration = max(vehicle.acceleration, 1.0 * (vehicle.speed_min - speed))
+
+
 @compiled
 def move(here: Here, i: int) -> None:
-    """Moves a vehicle by one step of the bicycle model [`Vehicle.clip_actions`, `Vehicle.step`]."""
+    """Moves a vehicle by one step of the kinematic bicycle model [`Vehicle.step`]."""
     vehicle, c = vehicle_of(here, i), here.constants
     speed = vehicle.speed
     if vehicle.kind == IDM:
         vehicle.timer_s += c.dt
-    if vehicle.crashed:
-        vehicle.steering, vehicle.acceleration = 0.0, -1.0 * speed
-    if speed > c.speed_max:
-        vehicle.acceleration = min(vehicle.acceleration, 1.0 * (c.speed_max - speed))
-    elif speed < c.speed_min:
-        vehicle.acceleration = max(vehicle.acceleration, 1.0 * (c.speed_min - speed))
     if vehicle.steering == 0.0:  # the functions below would give 0 and the direction itself
         vehicle.x += speed * vehicle.direction_x * c.dt
         vehicle.y += speed * vehicle.direction_y * c.dt

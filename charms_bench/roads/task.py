@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
@@ -24,6 +25,8 @@ class Task(ABC):
 
     terms: ClassVar[tuple[str, ...]]
     """The terms of the reward, in highway-env's order, which the configuration weights by name."""
+    actions: ClassVar[tuple[str, ...]] = ("DiscreteMetaAction",)
+    """The types of actions that are supported."""
     vehicles: int
     """The most vehicles of a scene, with the ego."""
 
@@ -40,8 +43,8 @@ class Task(ABC):
         """Places the vehicles of new episodes by the scenes' random generators."""
 
     @abstractmethod
-    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
-        """Writes the rewards after the actions (B,), and their terms, into `rewards` (B, 1 + K)."""
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
+        """Writes the rewards after actions (B, ...), and their terms, into `rewards` (B, 1 + K)."""
 
     def is_terminated(self, scenes: Scenes) -> Bools:
         """Whether each scene (B,) is over; by default, whether the ego has crashed."""

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from numpy.typing import NDArray
+
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
@@ -24,7 +26,7 @@ class TwoWay(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._own, self._oncoming)
 
-    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, rewards)
 
 

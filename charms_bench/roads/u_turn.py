@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import clip, compiled_of_scenes
@@ -58,7 +59,7 @@ class UTurn(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._lanes, self._means, self._routes)
 
-    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, self._rule, rewards)
 
 

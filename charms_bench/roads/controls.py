@@ -1,0 +1,105 @@
+"""Actions that are accelerations and steering angles [`ContinuousAction`, `DiscreteAction`]."""
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError
+from charms_bench.foundation.arrays import Ints
+from charms_bench.roads.configuration import MetaActions, meta_actions, options
+from charms_bench.roads.scenes import COMMANDED, CONTINUOUS, DYNAMICAL, Scenes
+
+_CONTROLS: dict[str, Any] = {
+    "acceleration_range": None,
+    "steering_range": None,
+    "longitudinal": True,
+    "lateral": True,
+    "dynamical": False,
+    "clip": True,
+    "target_speeds": None,
+}
+_OWN: dict[str, dict[str, Any]] = {
+    "ContinuousAction": {"speed_range": None},
+    "DiscreteAction": {"actions_per_axis": 3},
+}
+_RANGES = {"acceleration": (-5, 5.0), "steering": (-math.pi / 4, math.pi / 4)}
+"""m/s^2, and rad."""
+
+
+class Controls:
+    """The actions of a configuration, each of them a number from -1 to 1 for each axis.
+
+    Raises:
+        InputError: The configuration is not supported.
+    """
+
+    target_speeds = np.linspace(20, 30, 3)
+    """Without effect, as in highway-env."""
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        kind = str(config["action"]["type"])
+        found = options("action", config["action"], {"type": kind, **_CONTROLS, **_OWN[kind]})
+        self._axes = [
+            (axis, tuple(found[f"{axis}_range"] or _RANGES[axis]))
+            for axis, is_on in (("acceleration", "longitudinal"), ("steering", "lateral"))
+            if found[is_on]
+        ]
+        if not self._axes:
+            raise InputError("config.action: neither longitudinal nor lateral; expected one")
+        self._speeds = tuple(found.get("speed_range") or ())
+        for axis, each in (*self._axes, ("speed", self._speeds or (0, 0))):
+            if len(each) != 2:
+                raise InputError(f"config.action.{axis}_range: {each!r}; expected two numbers")
+        self._clips = bool(found["clip"])
+        box = gymnasium.spaces.Box(-1.0, 1.0, (len(self._axes),), np.float32)
+        self.space: gymnasium.Space[Any] = box
+        """Of one action."""
+        self._table: NDArray[Any] | None = None
+        if kind == "DiscreteAction":
+            steps = np.linspace(box.low, box.high, found["actions_per_axis"]).T
+            self._table = np.array(list(product(*steps)))
+            self.space = gymnasium.spaces.Discrete(len(self._table))
+
+    def give(self, scenes: Scenes, actions: NDArray[Any]) -> Ints:
+        """Gives the egos of all scenes their actions (B, axes), or (B,) indices.
+
+        Accelerations and steering angles have the precision of the actions, as in highway-env.
+
+        Returns:
+            Meta-actions (B,) for `stepping.decide`, which have no effect.
+        """
+        egos = scenes.vehicles[:, 0]
+        actions = actions if self._table is None else self._table[actions]
+        if self._clips:
+            actions = np.clip(actions, -1, 1)
+        egos["acceleration"] = egos["steering"] = 0.0
+        for k, (axis, (low, high)) in enumerate(self._axes):
+            egos[axis] = low + (actions[:, k] - -1) * (high - low) / 2
+        if self._speeds:
+            egos["speed_min"], egos["speed_max"] = self._speeds
+        return np.zeros(len(actions), dtype=np.int64)
+
+
+def actions_of(config: Mapping[str, Any], supported: Sequence[str]) -> MetaActions | Controls:
+    """The actions of a configuration, of which an environment supports some types.
+
+    Raises:
+        InputError: They are not supported.
+    """
+    name = config["action"].get("type")
+    if name not in supported:
+        expected = " or ".join(map(repr, supported))
+        raise InputError(f"config.action.type: '{name}' is not supported; expected {expected}")
+    return Controls(config) if name in _OWN else meta_actions(config)
+
+
+def kind_of_ego(config: Mapping[str, Any]) -> int:
+    """What the ego is by its actions, an index into `scenes.KINDS` [`vehicle_class`]."""
+    if config["action"]["type"] not in _OWN:
+        return COMMANDED
+    return DYNAMICAL if config["action"].get("dynamical") else CONTINUOUS
