@@ -232,9 +232,7 @@ def _episodes(
 
 
 def _spaces(episodes: Episodes) -> Spaces:
-    observer = episodes.observer
-    box = gymnasium.spaces.Box(observer.low, observer.high, observer.shape, np.float32)
-    return box, episodes.actions.space
+    return episodes.observer.space, episodes.actions.space
 
 
 def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
@@ -249,7 +247,7 @@ def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
     if not isinstance(space, gymnasium.spaces.Discrete):
         if not np.isfinite(actions).all():
             raise InputError("actions: not all of them are finite")
-        return actions
+        return actions if actions.dtype == np.float32 else actions.astype(np.float64)
     most = int(space.n)
     if not ((actions >= 0) & (actions < most)).all():
         wrong = actions[(actions < 0) | (actions >= most)][0]

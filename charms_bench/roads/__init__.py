@@ -26,5 +26,11 @@ TASKS = {
     "roundabout-v1": "roundabout:Roundabout",
     "roundabout-generic-v0": "roundabout:GenericRoundabout",
     "roundabout-generic-v1": "roundabout:GenericRoundabout",
+    "racetrack-v0": "racetrack:Racetrack",
+    "racetrack-v1": "racetrack:Racetrack",
+    "racetrack-large-v0": "racetrack:Racetrack",
+    "racetrack-large-v1": "racetrack:Racetrack",
+    "racetrack-oval-v0": "racetrack:OvalRacetrack",
+    "racetrack-oval-v1": "racetrack:OvalRacetrack",
 }
 """The modules and classes of the environments by highway-env's names."""

@@ -1,20 +1,23 @@
 """What the egos observe: highway-env's observations by a configuration."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
+import gymnasium
 import numpy as np
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Ints
-from charms_bench.roads import kinematics, time_to_collision
+from charms_bench.roads import kinematics, occupancy_grid, time_to_collision
 from charms_bench.roads.configuration import options
-from charms_bench.roads.scenes import Scenes
+from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.scenes import COMMANDED, Scenes
 from charms_bench.world.scene import Observations
 
 _LANE_WIDTH_M = 4.0
 """[`AbstractLane.DEFAULT_WIDTH`]"""
-_RANGES = {"x": (-200.0, 200.0), "vx": (-80.0, 80.0), "vy": (-80.0, 80.0)}
+_SPEED_RANGES = {"vx": (-80.0, 80.0), "vy": (-80.0, 80.0)}
+_RANGES = {"x": (-200.0, 200.0), **_SPEED_RANGES}
 """What highway-env maps onto [-1, 1] by default; and the width of the ego's road for y."""
 _KINEMATICS: dict[str, Any] = {
     "features": ["presence", "x", "y", "vx", "vy"],
@@ -28,22 +31,25 @@ _KINEMATICS: dict[str, Any] = {
     "observe_intentions": False,
     "include_obstacles": True,
 }
+_GRID: dict[str, Any] = {
+    "type": "OccupancyGrid",
+    "features": ["presence", "vx", "vy", "on_road"],
+    "grid_size": [[-27.5, 27.5], [-27.5, 27.5]],
+    "grid_step": [5, 5],
+    "features_range": None,
+    "absolute": False,
+    "align_to_vehicle_axes": False,
+    "clip": True,
+    "as_image": False,
+}
 
 
 class Observer(Protocol):
     """An observation of B scenes."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """That of one observation."""
-
-    @property
-    def low(self) -> float:
-        """The least value of its space."""
-
-    @property
-    def high(self) -> float:
-        """The largest value of its space."""
+    def space(self) -> gymnasium.Space[Any]:
+        """Of one observation."""
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         """Notes what highway-env keeps from the start of an episode."""
@@ -55,8 +61,6 @@ class Observer(Protocol):
 class Kinematics:
     """[`KinematicObservation`, `ExitObservation`]"""
 
-    low, high = -np.inf, np.inf
-
     def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
         observation = config["observation"]
         kind, exit_lane = str(observation["type"]), -1
@@ -65,16 +69,13 @@ class Kinematics:
             exit_lane = lanes["1", "2", config["lanes_count"]]
             found |= {"order": "sorted", "include_obstacles": False}
         features = list(found["features"] or _KINEMATICS["features"])
-        for name in features:
-            if name not in kinematics.FEATURES:
-                known = suggestion(name, dict.fromkeys(kinematics.FEATURES))
-                what = f"'{name}' is not supported. {known}"
-                raise InputError(f"config.observation.features: {what}")
+        _check_features(features, kinematics.FEATURES)
         if found["order"] == "shuffled":
             raise InputError("config.observation.order: 'shuffled' is not supported")
         if not found["vehicles_count"] >= 2:
             raise InputError("config.observation.vehicles_count: expected at least 2")
-        self.shape = int(found["vehicles_count"]), len(features)
+        shape = int(found["vehicles_count"]), len(features)
+        self.space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32)
         self._features = np.array([kinematics.FEATURES.index(name) for name in features])
         ranges = found["features_range"] or _RANGES
         ranges = ranges if found["normalize"] else {}
@@ -84,7 +85,7 @@ class Kinematics:
         self._of_width = [k for k, name in enumerate(features) if name == "y" and has_width]
         flags = found["absolute"], found["order"] == "sorted", found["clip"], found["see_behind"]
         self._how = np.array([*flags, found["include_obstacles"], exit_lane], dtype=np.int64)
-        self._out = np.zeros((count, *self.shape), dtype=np.float32)
+        self._out = np.zeros((count, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         for k in self._of_width:
@@ -100,15 +101,14 @@ class Kinematics:
 class TimeToCollision:
     """[`TimeToCollisionObservation`]"""
 
-    low, high = 0.0, 1.0
-
     def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
         known = {"type": "TimeToCollision", "horizon": 10}
         found = options("observation", config["observation"], known)
         self._interval = 1 / config["policy_frequency"]
         sides = time_to_collision.SIDES
-        self.shape = sides, sides, int(found["horizon"] / self._interval)
-        self._out = np.zeros((count, *self.shape), dtype=np.float32)
+        shape = sides, sides, int(found["horizon"] / self._interval)
+        self.space = gymnasium.spaces.Box(0.0, 1.0, shape, np.float32)
+        self._out = np.zeros((count, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         pass
@@ -118,10 +118,56 @@ class TimeToCollision:
         return self._out[rows]
 
 
+class OccupancyGrid:
+    """[`OccupancyGridObservation`]"""
+
+    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+        found = options("observation", config["observation"], _GRID)
+        if found["absolute"]:
+            raise InputError("config.observation.absolute: True is not supported")
+        names = list(found["features"])
+        _check_features(names, (*kinematics.FEATURES, "on_road"))
+        known = {name: k for k, name in enumerate(kinematics.FEATURES)}
+        self._features = np.array([known.get(name, occupancy_grid.ON_ROAD) for name in names])
+        self._ranges = np.full((len(known), 2), np.nan)
+        for name, bounds in (found["features_range"] or _SPEED_RANGES).items():
+            if name in known:
+                self._ranges[known[name]] = bounds
+        size, step = np.array(found["grid_size"]), np.array(found["grid_step"])
+        shape = len(names), *np.floor((size[:, 1] - size[:, 0]) / step).astype(int).tolist()
+        is_image = bool(found["as_image"])
+        bounds = (0, 255) if is_image else (-np.inf, np.inf)
+        self._dtype: Any = np.uint8 if is_image else np.float32
+        self.space = gymnasium.spaces.Box(*bounds, shape, self._dtype)
+        self._grid = occupancy_grid.Grid(
+            *map(float, (*size[:, 0], *step, step.min(), 1 + np.hypot(*np.abs(size).max(axis=1)))),
+            bool(found["align_to_vehicle_axes"]),
+            bool(found["clip"]),
+            is_image,
+        )
+        self._out = np.zeros((count, *shape), dtype=np.float32)
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        pass
+
+    def observe(self, scenes: Scenes, rows: Ints) -> Observations:
+        occupancy_grid.observe(scenes, rows, self._features, self._ranges, self._grid, self._out)
+        return self._out[rows].astype(self._dtype)
+
+
+def _check_features(names: Iterable[str], known: Iterable[str]) -> None:
+    """Rejects the first of the names that is not known."""
+    for name in names:
+        if name not in known:
+            what = f"'{name}' is not supported. {suggestion(name, dict.fromkeys(known))}"
+            raise InputError(f"config.observation.features: {what}")
+
+
 _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Observer]] = {
     "Kinematics": Kinematics,
     "ExitObservation": Kinematics,
     "TimeToCollision": TimeToCollision,
+    "OccupancyGrid": OccupancyGrid,
 }
 
 
@@ -134,7 +180,12 @@ def observer_of(config: Mapping[str, Any], count: int, lanes: Mapping[Any, int])
         InputError: The configuration is not supported.
     """
     name = config["observation"].get("type")
-    if name not in _OBSERVERS or (name == "ExitObservation" and ("2", "exit", 0) not in lanes):
-        known = suggestion(str(name), dict.fromkeys(_OBSERVERS))
-        raise InputError(f"config.observation.type: '{name}' is not supported. {known}")
+    known = dict(_OBSERVERS)
+    if ("2", "exit", 0) not in lanes:
+        del known["ExitObservation"]
+    if kind_of_ego(config) != COMMANDED:
+        del known["TimeToCollision"]  # it reads the ego's target speeds
+    if name not in known:
+        what = suggestion(str(name), known)
+        raise InputError(f"config.observation.type: '{name}' is not supported. {what}")
     return _OBSERVERS[name](config, count, lanes)

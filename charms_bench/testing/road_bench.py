@@ -7,7 +7,6 @@ from statistics import median
 from typing import Any
 
 import gymnasium
-import numpy as np
 
 from charms_bench.envs.road_env import RoadVectorEnv
 from charms_bench.testing.contestants import SEED, Step
@@ -58,12 +57,12 @@ def bench_road(
 
 
 def _ours(name: str, count: int) -> Step:
-    env, rng = RoadVectorEnv(count, name), np.random.default_rng(SEED)
+    env = RoadVectorEnv(count, name)
     env.reset(seed=SEED)
-    actions: Any = env.single_action_space
+    env.action_space.seed(SEED)
 
     def step() -> int:
-        env.step(rng.integers(actions.n, size=count))
+        env.step(env.action_space.sample())
         return count
 
     return step
@@ -74,10 +73,10 @@ def _highway_env(name: str) -> Step:
 
     env: Any = gymnasium.spec(name).make(disable_env_checker=True)
     env.reset(seed=SEED)
-    rng = np.random.default_rng(SEED)
+    env.action_space.seed(SEED)
 
     def step() -> int:
-        _, _, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
         if terminated or truncated:
             env.reset()
         return 1

@@ -10,15 +10,21 @@ import numpy as np
 
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.foundation.workers import in_processes
+from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.actions import ACTIONS, FASTER, IDLE, SLOWER
 
-NUMBERS = ("x", "y", "heading", "speed", "acceleration", "steering", "target_speed")
+NUMBERS = (
+    *("x", "y", "heading", "speed", "acceleration", "steering", "target_speed"),
+    *("lateral_speed", "yaw_rate"),
+)
+"""What is compared of a vehicle that has it."""
 MOST_DECISIONS = 200
 """An episode that is not over then is not compared further."""
 _CHUNK = 10
 _SHARE_OF_IDLE = 0.8
+_LOOK_AHEAD_S = 0.3
 
 
 @dataclass
@@ -114,12 +120,9 @@ def compare(
         found.largest_at_start = max(found.largest_at_start, apart)
         found.episodes += 1
         for _ in range(decisions if apart <= tolerance else 0):
-            action = int(rng.integers(len(ours.actions.names)))
-            if not is_random and len(ours.actions.names) == len(ACTIONS):
-                others = rng.choice((FASTER, SLOWER))
-                action = IDLE if rng.random() < _SHARE_OF_IDLE else int(others)
+            action = _action(ours, stock.unwrapped, rng, is_random)
             expected = list(stock.step(action))
-            decision = ours.step(np.array([action]))
+            decision = ours.step(np.asarray(action)[None])
             apart, what = _apart(stock, ours, names, expected, decision)
             found.decisions += 1
             found.largest = max(found.largest, apart)
@@ -130,6 +133,32 @@ def compare(
         if apart > tolerance:
             found.differing.append(f"episode {seed}, decision {ours.steps[0]}: {what}")
     return found
+
+
+def _action(ours: Episodes, stock: Any, rng: np.random.Generator, is_random: bool) -> Any:
+    """A random action, or one that keeps the ego on the road."""
+    actions = ours.actions
+    if isinstance(actions, Controls):
+        action = rng.uniform(-1, 1, actions.space.shape or ()).astype(np.float32)
+        if isinstance(actions.space, gymnasium.spaces.Discrete):
+            return int(rng.integers(actions.space.n))
+        if not is_random:
+            action *= np.float32(0.1)
+            action[-1] += np.float32(_steering(stock.vehicle))
+        return action
+    action = int(rng.integers(len(actions.names)))
+    if not is_random and len(actions.names) == len(ACTIONS):
+        others = rng.choice((FASTER, SLOWER))
+        action = IDLE if rng.random() < _SHARE_OF_IDLE else int(others)
+    return action
+
+
+def _steering(vehicle: Any) -> float:
+    """A steering angle towards the middle of the lane, rad."""
+    s, r = vehicle.lane.local_coordinates(vehicle.position)
+    ahead = vehicle.lane.heading_at(s + max(vehicle.speed, 1.0) * _LOOK_AHEAD_S)
+    turn = (ahead - vehicle.heading + np.pi) % (2 * np.pi) - np.pi
+    return float(np.clip(turn - 0.1 * r, -1, 1))
 
 
 def _apart(
@@ -144,13 +173,18 @@ def _apart(
     for k, (vehicle, theirs) in enumerate(zip(vehicles, road.vehicles, strict=True)):
         values = {**vars(theirs), **theirs.action}
         values |= dict(zip("xy", theirs.position, strict=True))
-        pairs |= {f"{each} of vehicle {k}": (vehicle[each], values[each]) for each in NUMBERS}
+        numbers = [each for each in NUMBERS if each in values]
+        pairs |= {f"{each} of vehicle {k}": (vehicle[each], values[each]) for each in numbers}
         is_same = {
             "lane": names[vehicle["lane"]] == theirs.lane_index,
-            "target lane": names[vehicle["target_lane"]] == theirs.target_lane_index,
             "crashed": vehicle["crashed"] == theirs.crashed,
-            "route": _route(vehicle, names) == [tuple(step) for step in theirs.route or ()],
         }
+        if "route" in values:
+            steps = [tuple(step) for step in theirs.route or ()]
+            is_same |= {
+                "target lane": names[vehicle["target_lane"]] == theirs.target_lane_index,
+                "route": _route(vehicle, names) == steps,
+            }
         pairs |= {
             f"{each} of vehicle {k}": (0.0, 0.0 if is_same[each] else np.inf) for each in is_same
         }

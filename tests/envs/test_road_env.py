@@ -123,6 +123,37 @@ def test_what_is_not_supported_is_rejected_by_name(config: dict[str, Any], what:
         ours("merge-v0", config=config)
 
 
+@pytest.mark.parametrize(
+    ("config", "what"),
+    [
+        ({"action": {"type": "DiscreteMetaAction"}}, "expected 'ContinuousAction' or"),
+        ({"observation": {"type": "TimeToCollision"}}, "'TimeToCollision'"),
+        ({"observation": {"type": "OccupancyGrid", "absolute": True}}, "observation.absolute"),
+        ({"observation": {"type": "OccupancyGrid", "features": ["ang_off"]}}, "'ang_off'"),
+        ({"length": 0}, "config.length: 0"),
+    ],
+)
+def test_what_a_racetrack_does_not_support_is_rejected(config: dict[str, Any], what: str) -> None:
+    with pytest.raises(InputError, match=what.replace(".", r"\.")):
+        ours("racetrack-oval-v0", config=config)
+
+
+def test_the_vector_environment_of_a_racetrack_is_gymnasiums_of_highway_env() -> None:
+    count, mode = 2, AutoresetMode.SAME_STEP
+    theirs = SyncVectorEnv([lambda: stock("racetrack-v1")] * count, autoreset_mode=mode)
+    env = vector("racetrack-v1", count)
+    np.testing.assert_array_equal(env.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    env.action_space.seed(0)
+    ended = 0
+    while not ended:
+        actions = env.action_space.sample()
+        found, expected = env.step(actions), theirs.step(actions)
+        np.testing.assert_array_equal(found[0], expected[0])
+        for one, other in zip(found[1:4], expected[1:4], strict=True):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+        ended = (found[2] | found[3]).sum()
+
+
 def test_a_wrong_action_is_rejected() -> None:
     env = vector("merge-v0", 2)
     env.reset(seed=0)
@@ -130,3 +161,11 @@ def test_a_wrong_action_is_rejected() -> None:
         env.step(np.array([0, 5]))
     with pytest.raises(InputError, match=r"expected integers of shape \(2,\)"):
         env.step(np.array([0.0, 1.0]))
+    env = vector("racetrack-v0", 2)
+    env.reset(seed=0)
+    with pytest.raises(InputError, match=r"expected numbers of shape \(2, 1\)"):
+        env.step(np.array([0.0, 1.0]))
+    with pytest.raises(InputError, match="not all of them are finite"):
+        env.step(np.array([[0.0], [np.nan]]))
+    with pytest.raises(InputError, match="expected meta-actions"):
+        ours("racetrack-v0").unwrapped.get_available_actions()

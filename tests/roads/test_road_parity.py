@@ -18,7 +18,27 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "roundabout-generic-v1": {"roundabout_radius": 30, "roundabout_lanes": 3, "vehicles_count": 9},
     "two-way-v0": {"observation": {"type": "Kinematics", "see_behind": True, "clip": False}},
     "roundabout-v0": {"action": {"type": "DiscreteMetaAction", "lateral": False}},
+    "racetrack-v0": {"action": {"type": "ContinuousAction", "dynamical": True}},
+    "racetrack-v1": {"action": {"type": "DiscreteAction", "actions_per_axis": 5}},
+    "racetrack-oval-v0": {
+        "observation": {
+            "type": "OccupancyGrid",
+            "features": ["vx", "on_road", "presence", "sin_h", "x"],
+            "features_range": {"x": [-20, 30], "vx": [-10, 10]},
+            "as_image": True,
+        },
+        "block_lane": True,
+        "force_decision": True,
+        "other_vehicles": 12,
+    },
+    "racetrack-large-v1": {
+        "observation": {"type": "Kinematics", "features": ["x", "y", "cos_h"]},
+        "speed_limit": 14,
+        "terminate_off_road": False,
+        "collision_reward": -0.3,
+    },
 }
+FEATURES = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -51,19 +71,14 @@ def random_configuration(name: str, seed: int) -> dict[str, Any]:
         "policy_frequency": int(rng.integers(1, 6)),
         "simulation_frequency": int(rng.integers(5, 21)),
         "collision_reward": float(-rng.random()),
-        "high_speed_reward": float(rng.random()),
         "neighbour_vehicles_connected_lanes": bool(rng.random() < 0.5),
-        "action": {"type": "DiscreteMetaAction", "target_speeds": speeds, **axes},
     }
+    if name.startswith("racetrack"):
+        return config | random_racetrack(name, rng)
+    config["high_speed_reward"] = float(rng.random())
+    config["action"] = {"type": "DiscreteMetaAction", "target_speeds": speeds, **axes}
     if rng.random() < 0.7:
-        flags = ("absolute", "normalize", "clip", "see_behind", "include_obstacles")
-        features = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
-        config["observation"] = {
-            "type": "Kinematics",
-            "features": features[: rng.integers(3, 9)],
-            "vehicles_count": int(rng.integers(2, 10)),
-            **{flag: bool(rng.random() < 0.5) for flag in flags},
-        }
+        config["observation"] = random_kinematics(rng)
     else:
         config["observation"] = {"type": "TimeToCollision", "horizon": int(rng.integers(3, 12))}
     motorway = {
@@ -107,6 +122,66 @@ def random_configuration(name: str, seed: int) -> dict[str, Any]:
         },
     }
     return config | own[name.rpartition("-")[0]]
+
+
+def random_kinematics(rng: np.random.Generator) -> dict[str, Any]:
+    flags = ("absolute", "normalize", "clip", "see_behind", "include_obstacles")
+    return {
+        "type": "Kinematics",
+        "features": FEATURES[: rng.integers(3, 9)],
+        "vehicles_count": int(rng.integers(2, 10)),
+        **{flag: bool(rng.random() < 0.5) for flag in flags},
+    }
+
+
+def random_controls(rng: np.random.Generator) -> dict[str, Any]:
+    """Actions that are accelerations and steering angles."""
+    axes = [(True, True), (False, True), (True, False)][rng.choice(3, p=[0.5, 0.4, 0.1])]
+    action: dict[str, Any] = {
+        "longitudinal": axes[0],
+        "lateral": axes[1],
+        "dynamical": bool(rng.random() < 0.4),
+        "clip": bool(rng.random() < 0.7),
+        "steering_range": [float(-rng.uniform(0.3, 1)), float(rng.uniform(0.3, 1))],
+        "acceleration_range": [float(-rng.uniform(2, 6)), float(rng.uniform(1, 5))],
+    }
+    if rng.random() < 0.3:
+        return {"type": "DiscreteAction", "actions_per_axis": int(rng.integers(2, 6)), **action}
+    speeds = None if rng.random() < 0.5 else [float(rng.uniform(-5, 5)), float(rng.uniform(6, 15))]
+    return {"type": "ContinuousAction", "speed_range": speeds, **action}
+
+
+def random_racetrack(name: str, rng: np.random.Generator) -> dict[str, Any]:
+    """The part of `random_configuration` that is particular to the racetracks."""
+    names = [*rng.permutation([*FEATURES, "on_road"])[: rng.integers(1, 7)].tolist()]
+    ranges = {"vx": [-10, 10], "y": [-15, 25], "heading": [-3, 3], "x": [-30, 30]}
+    widths = rng.uniform(8, 40, (2, 2))
+    grid = {
+        "type": "OccupancyGrid",
+        "features": names,
+        "features_range": None if rng.random() < 0.5 else ranges,
+        "grid_size": [[-float(low), float(high)] for low, high in widths],
+        "grid_step": [float(rng.uniform(1.5, 6)), int(rng.integers(2, 7))],
+        **{flag: bool(rng.random() < 0.5) for flag in ("align_to_vehicle_axes", "clip")},
+        "as_image": bool(rng.random() < 0.3),
+    }
+    oval = {
+        "length": int(rng.integers(60, 160)),
+        "no_lanes": int(rng.integers(1, 6)),
+        **{key: bool(rng.random() < 0.4) for key in ("block_lane", "force_decision")},
+    }
+    return {
+        "action": random_controls(rng),
+        "observation": grid if rng.random() < 0.8 else random_kinematics(rng),
+        "other_vehicles": int(rng.integers(0, 9)),
+        "lane_centering_cost": float(rng.uniform(1, 8)),
+        "lane_centering_reward": float(rng.uniform(0, 2)),
+        "action_reward": float(-rng.random()),
+        "speed_limit": float(rng.uniform(6, 15)),
+        "terminate_off_road": bool(rng.random() < 0.5),
+        "duration": int(rng.integers(5, 30)),
+        **(oval if "oval" in name else {}),
+    }
 
 
 @pytest.mark.slow
