@@ -32,6 +32,7 @@ _ENVIRONMENTS = (
     "envs.common.observation",
     "envs.exit_env",
     "envs.merge_env",
+    "envs.parking_env",
     "envs.racetrack_env",
     "envs.roundabout_env",
     "envs.two_way_env",

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
-from charms_bench.foundation.arrays import Bools, Floats
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes
+from charms_bench.roads.observing import Observed
+from charms_bench.roads.parking import Parking
 from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
 from charms_bench.world.road import is_reachable, side_lanes
-from charms_bench.world.scene import Observations
 
 Spaces = tuple[gymnasium.Space[Any], gymnasium.Space[Any]]
 
 
-class RoadEnv(gymnasium.Env[Observations, Any]):
+class RoadEnv(gymnasium.Env[Any, Any]):
     """One episode after another of one of highway-env's environments.
 
     The same seed gives the scene of highway-env, and the same actions the same episode.
@@ -55,7 +56,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
 
         Args:
@@ -85,7 +86,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
 
     def step(
         self, action: NDArray[Any] | np.int64 | int
-    ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+    ) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Carries out the ego's action until the next decision.
 
         Returns:
@@ -97,7 +98,9 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         episodes = self._episodes
         decision = episodes.step(_checked(np.asarray(action)[None], episodes))
         info = {name: each[0] for name, each in _facts(episodes).items()}
-        info |= {"action": action, "rewards": dict(_terms(episodes, decision, 0))}
+        info |= {"action": action}
+        if episodes.task.terms:
+            info["rewards"] = dict(_terms(episodes, decision, 0))
         info |= {name: each[0] for name, each in episodes.task.information(episodes.scenes).items()}
         ended = bool(decision.terminated[0]), bool(decision.truncated[0])
         return self._observe(), float(decision.rewards[0]), *ended, info
@@ -117,11 +120,27 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         possible += ["SLOWER"] * bool(ego["speed_index"] > 0)
         return [names.index(name) for name in possible if name in names]
 
-    def _observe(self) -> Observations:
-        return np.asarray(self._episodes.observe()[0])
+    def compute_reward(
+        self, achieved_goal: Floats, desired_goal: Floats, info: Any = None, p: float = 0.5
+    ) -> Any:
+        """The rewards (...) of goals (..., F), as Hindsight Experience Replay needs them.
+
+        Args:
+            achieved_goal: What was reached.
+            desired_goal: What should have been reached.
+            info: Not used.
+            p: The exponent of the distance.
+
+        Raises:
+            InputError: The environment has no goals.
+        """
+        return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
+
+    def _observe(self) -> Any:
+        return _row(self._episodes.observe(), 0)
 
 
-class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
+class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
 
     As in Gymnasium's own vector environments, each has a random generator of its own, which the
@@ -140,6 +159,7 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
+        self._name = name
         self._episodes = _episodes(name, num_envs, config, render_mode)
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
@@ -158,7 +178,7 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Starts an episode in every environment; see `RoadEnv.reset`.
 
         Args:
@@ -182,9 +202,7 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         episodes.start(episodes.everyone)
         return episodes.observe(), self._masked(_facts(episodes), self._known)
 
-    def step(
-        self, actions: NDArray[Any]
-    ) -> tuple[Observations, Floats, Bools, Bools, dict[str, Any]]:
+    def step(self, actions: NDArray[Any]) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the actions (B, ...) until the next decision.
 
         Returns:
@@ -200,20 +218,27 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         decision = episodes.step(actions)
         ended = decision.terminated | decision.truncated
         observations = episodes.observe()
-        terms = self._masked(dict(_terms(episodes, decision)), known)
-        facts = {**_facts(episodes), "action": actions, "rewards": terms}
+        facts = {**_facts(episodes), "action": actions}
+        if episodes.task.terms:
+            facts["rewards"] = self._masked(dict(_terms(episodes, decision)), known)
         facts |= episodes.task.information(episodes.scenes)
         infos = self._masked(facts, known)
         if (rows := np.nonzero(ended)[0]).size:
             final_obs = np.full(self.num_envs, None, dtype=object)
             for row in rows:
-                final_obs[row] = observations[row].copy()
+                final_obs[row] = _row(observations, row)
             final = {"final_obs": final_obs, "final_info": self._masked(facts, ended)}
             episodes.start(rows)
             infos = self._masked(facts, ~ended) | self._masked(_facts(episodes), known)
             infos |= self._masked(final, ended)
-            observations[rows] = episodes.observe(rows)
+            _put(observations, rows, episodes.observe(rows))
         return observations, decision.rewards, decision.terminated, decision.truncated, infos
+
+    def compute_reward(
+        self, achieved_goal: Floats, desired_goal: Floats, info: Any = None, p: float = 0.5
+    ) -> Any:
+        """The rewards of goals; see `RoadEnv.compute_reward`."""
+        return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
 
     def _masked(self, facts: dict[str, Any], known: Bools) -> dict[str, Any]:
         """Infos with the masks (B,) beside them that Gymnasium expects."""
@@ -253,6 +278,31 @@ def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
         wrong = actions[(actions < 0) | (actions >= most)][0]
         raise InputError(f"action {wrong}; expected 0 to {most - 1}")
     return actions.astype(np.int64, copy=False)
+
+
+def _row(observations: Observed, row: int) -> Any:
+    """One of several observations."""
+    if isinstance(observations, dict):
+        return {name: each[row].copy() for name, each in observations.items()}
+    return observations[row].copy()
+
+
+def _put(observations: Observed, rows: Ints, others: Observed) -> None:
+    """Replaces some of several observations."""
+    if isinstance(observations, dict) and isinstance(others, dict):
+        for name, each in observations.items():
+            each[rows] = others[name]
+    else:
+        observations[rows] = others  # type: ignore[index]
+
+
+def _goal_rewards(
+    name: str, episodes: Episodes, achieved: Floats, desired: Floats, exponent: float
+) -> Any:
+    if not isinstance(episodes.task, Parking):
+        raise InputError(f"{name}: compute_reward: there are no goals")
+    found = episodes.task.goal_rewards(achieved, desired, exponent)
+    return found if found.ndim else found[()]
 
 
 def _facts(episodes: Episodes) -> dict[str, NDArray[Any]]:

@@ -32,5 +32,8 @@ TASKS = {
     "racetrack-large-v1": "racetrack:Racetrack",
     "racetrack-oval-v0": "racetrack:OvalRacetrack",
     "racetrack-oval-v1": "racetrack:OvalRacetrack",
+    "parking-v0": "parking:Parking",
+    "parking-ActionRepeat-v0": "parking:Parking",
+    "parking-parked-v0": "parking:Parking",
 }
 """The modules and classes of the environments by highway-env's names."""

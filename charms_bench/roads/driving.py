@@ -21,7 +21,6 @@ from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
     IDM,
-    NOTHING,
     OBSTACLE,
     Here,
     Scenes,
@@ -145,7 +144,7 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
     front = rear = -1
     s_front = s_rear = 0.0
     for j in range(here.places):
-        if j == i or vehicle_of(here, j).kind == NOTHING:
+        if j == i or vehicle_of(here, j).kind < OBSTACLE:
             continue
         for k in range(search.first, search.after):
             connected = row_after(here.connected, k)

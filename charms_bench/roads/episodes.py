@@ -14,12 +14,11 @@ from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
 from charms_bench.roads.controls import actions_of
 from charms_bench.roads.lanes import road_of
-from charms_bench.roads.observing import observer_of
-from charms_bench.roads.scenes import OBSTACLE, Scenes, place
+from charms_bench.roads.observing import Observed, observer_of
+from charms_bench.roads.scenes import LANDMARK, OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.profile import HIGHWAY_ENV
-from charms_bench.world.scene import Observations
 
 
 class Decision(NamedTuple):
@@ -44,14 +43,17 @@ class Episodes:
 
         spec = gymnasium.spec(name)
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
-        self.config = configuration.checked(source.default_config(), config)
+        with exact_roads():
+            stock = source()
+        self.config = configuration.checked(stock.config, config)
         """highway-env's configuration, with the defaults."""
-        module, kind = TASKS[name].split(":")
-        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), kind)
+        module, class_name = TASKS[name].split(":")
+        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
         self.actions = actions_of(self.config, task.actions)
         plain = {"observation": {"type": "Kinematics"}, "action": {"type": task.actions[0]}}
         with exact_roads():
-            stock = source(config={**self.config, **plain})
+            stock.configure({**self.config, **plain})
+            stock.reset()
         road = road_of(stock.road.network)
         self.task = task(self.config, stock.road.network)
         self.observer = observer_of(self.config, count, self.task.lanes)
@@ -72,7 +74,10 @@ class Episodes:
         for b in range(count):
             for k, each in enumerate(stock.road.objects):
                 where = (*map(float, each.position), float(each.heading), float(each.speed))
-                place(self.scenes, b, self.task.vehicles + k, OBSTACLE, *where)
+                kind = LANDMARK if type(each).__name__ == "Landmark" else OBSTACLE
+                place(self.scenes, b, self.task.vehicles + k, kind, *where)
+                row = self.scenes.vehicles[b, self.task.vehicles + k]
+                row["length"], row["width"] = each.LENGTH, each.WIDTH
         self.everyone = np.arange(count)
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
 
@@ -101,6 +106,6 @@ class Episodes:
         found = rewards.copy()
         return Decision(found[:, 0], found[:, 1:], self.task.is_terminated(scenes), truncated)
 
-    def observe(self, rows: Ints | None = None) -> Observations:
+    def observe(self, rows: Ints | None = None) -> Observed:
         """The egos' observations of the scenes `rows`; by default, of all scenes."""
         return self.observer.observe(self.scenes, self.everyone if rows is None else rows)

@@ -42,7 +42,7 @@ def observe(
         count = 0
         for j in range(1, places):
             other = scenes.vehicles[b, j]
-            is_obstacle = other.kind == OBSTACLE
+            is_obstacle = other.kind <= OBSTACLE
             if other.kind == NOTHING or (is_obstacle and not has_obstacles):
                 continue
             dx, dy = other.x - ego.x, other.y - ego.y
@@ -80,7 +80,7 @@ def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> 
     vehicle, ego = scenes.vehicles[b, j], scenes.vehicles[b, 0]
     values[PRESENCE] = 1.0
     # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
-    values[HEADING] = math.nan if vehicle.kind == OBSTACLE else vehicle.heading
+    values[HEADING] = math.nan if vehicle.kind <= OBSTACLE else vehicle.heading
     values[X], values[Y] = vehicle.x, vehicle.y
     values[VX], values[VY] = (
         vehicle.speed * vehicle.direction_x,

@@ -5,15 +5,18 @@ from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Ints
-from charms_bench.roads import kinematics, occupancy_grid, time_to_collision
+from charms_bench.roads import goal, kinematics, occupancy_grid, time_to_collision
 from charms_bench.roads.configuration import options
 from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.scenes import COMMANDED, Scenes
 from charms_bench.world.scene import Observations
 
+Observed = NDArray[Any] | dict[str, NDArray[Any]]
+"""Observations (R, ...), or a dictionary of them."""
 _LANE_WIDTH_M = 4.0
 """[`AbstractLane.DEFAULT_WIDTH`]"""
 _SPEED_RANGES = {"vx": (-80.0, 80.0), "vy": (-80.0, 80.0)}
@@ -31,6 +34,7 @@ _KINEMATICS: dict[str, Any] = {
     "observe_intentions": False,
     "include_obstacles": True,
 }
+_GOALS = ("observation", "achieved_goal", "desired_goal")
 _GRID: dict[str, Any] = {
     "type": "OccupancyGrid",
     "features": ["presence", "vx", "vy", "on_road"],
@@ -54,7 +58,7 @@ class Observer(Protocol):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         """Notes what highway-env keeps from the start of an episode."""
 
-    def observe(self, scenes: Scenes, rows: Ints) -> Observations:
+    def observe(self, scenes: Scenes, rows: Ints) -> Observed:
         """The egos' observations of the scenes `rows` (R,)."""
 
 
@@ -155,6 +159,28 @@ class OccupancyGrid:
         return self._out[rows].astype(self._dtype)
 
 
+class KinematicsGoal:
+    """[`KinematicsGoalObservation`]"""
+
+    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+        known = {"type": "KinematicsGoal", "scales": None, **_KINEMATICS}
+        found = options("observation", config["observation"], known)
+        self._features = list(found["features"] or _KINEMATICS["features"])
+        _check_features(self._features, goal.FEATURES)
+        self._scales = np.array(found["scales"], dtype=np.float64)
+        if self._scales.shape != (len(self._features),):
+            raise InputError("config.observation.scales: expected one number for each feature")
+        box = gymnasium.spaces.Box(-np.inf, np.inf, self._scales.shape, np.float64)
+        self.space = gymnasium.spaces.Dict(dict.fromkeys(_GOALS, box))
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        pass
+
+    def observe(self, scenes: Scenes, rows: Ints) -> Observed:
+        found = goal.achieved_and_desired(scenes, rows, self._features, self._scales)
+        return dict(zip(_GOALS, (found[0].copy(), *found), strict=True))
+
+
 def _check_features(names: Iterable[str], known: Iterable[str]) -> None:
     """Rejects the first of the names that is not known."""
     for name in names:
@@ -168,6 +194,7 @@ _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Obse
     "ExitObservation": Kinematics,
     "TimeToCollision": TimeToCollision,
     "OccupancyGrid": OccupancyGrid,
+    "KinematicsGoal": KinematicsGoal,
 }
 
 
@@ -185,6 +212,8 @@ def observer_of(config: Mapping[str, Any], count: int, lanes: Mapping[Any, int])
         del known["ExitObservation"]
     if kind_of_ego(config) != COMMANDED:
         del known["TimeToCollision"]  # it reads the ego's target speeds
+    if "reward_weights" not in config:
+        del known["KinematicsGoal"]  # there is no goal
     if name not in known:
         what = suggestion(str(name), known)
         raise InputError(f"config.observation.type: '{name}' is not supported. {what}")

@@ -15,12 +15,12 @@ from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.road import closest_lane, position
 from charms_bench.world.road_network import Network
 
-KINDS = ("nothing", "obstacle", "dynamical", "continuous", "commanded", "idm")
+KINDS = ("nothing", "landmark", "obstacle", "dynamical", "continuous", "commanded", "idm")
 """What is at a place; a vehicle's `kind` is an index into this tuple.
 
-A continuous vehicle keeps the acceleration and the steering angle that it was given [`Vehicle`]; a
-dynamical one also slips [`BicycleVehicle`]."""
-NOTHING, OBSTACLE, DYNAMICAL, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
+Nothing collides with a landmark. A continuous vehicle keeps the acceleration and the steering angle
+that it was given [`Vehicle`]; a dynamical one also slips [`BicycleVehicle`]."""
+NOTHING, LANDMARK, OBSTACLE, DYNAMICAL, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
 ROUTE_STEPS = 12
 """The most steps of a route."""
 OBSTACLE_SIZE_M = 2.0
@@ -218,8 +218,8 @@ def place(
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
     vehicle.direction_y, vehicle.direction_x = maths.sin_cos(heading)
     vehicle.acceleration = vehicle.steering = 0.0
-    vehicle.length = OBSTACLE_SIZE_M if kind == OBSTACLE else c.length
-    vehicle.width = OBSTACLE_SIZE_M if kind == OBSTACLE else c.width
+    vehicle.length = OBSTACLE_SIZE_M if kind <= OBSTACLE else c.length
+    vehicle.width = OBSTACLE_SIZE_M if kind <= OBSTACLE else c.width
     vehicle.target_speed = 0.0 if kind <= CONTINUOUS else speed
     vehicle.speed_min, vehicle.speed_max = c.speed_min, c.speed_max
     vehicle.lateral_speed = vehicle.yaw_rate = 0.0

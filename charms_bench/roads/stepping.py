@@ -13,11 +13,12 @@ from charms_bench.roads.dynamics import move_with_slip
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.scenes import (
     COMMANDED,
+    CONTINUOUS,
     DYNAMICAL,
     IDM,
-    NOTHING,
     OBSTACLE,
     Here,
+    Row,
     Scenes,
     here_of,
     vehicle_of,
@@ -41,7 +42,7 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
         for _ in range(frames):
             act(scenes.road, here)
             for i in range(here.places):
-                if vehicle_of(here, i).kind > OBSTACLE:
+                if vehicle_of(here, i).kind > OBSTACLE and not is_at_rest(vehicle_of(here, i)):
                     limit(here, i)
                     if vehicle_of(here, i).kind == DYNAMICAL:
                         move_with_slip(vehicle_of(here, i), here.constants.dt)
@@ -49,6 +50,14 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
                         move(here, i)
                     locate(here, i)
             collide(here, corners)
+
+
+@inlined
+def is_at_rest(vehicle: Row) -> bool:
+    """Whether a vehicle certainly stays where it is, as one that is parked does."""
+    is_still = vehicle.speed == 0.0 and not vehicle.has_impact
+    is_idle = vehicle.acceleration == 0.0 and vehicle.steering == 0.0
+    return bool(vehicle.kind == CONTINUOUS and is_still and is_idle)
 
 
 @inlined
@@ -102,7 +111,7 @@ def collide(here: Here, corners: Floats) -> None:
         diagonal = math.sqrt(own.length**2 + own.width**2)
         for j in range(i + 1, here.places):
             other = vehicle_of(here, j)
-            if other.kind == NOTHING or not (own.checks_collisions or other.checks_collisions):
+            if other.kind < OBSTACLE or not (own.checks_collisions or other.checks_collisions):
                 continue
             dx, dy = other.x - own.x, other.y - own.y
             sizes = own.length + own.width + other.length + other.width

@@ -108,7 +108,9 @@ def compare(
     import highway_env  # noqa: F401  # registers its environments
 
     spec = gymnasium.spec(name)
-    stock = spec.make(config=dict(config or {}), disable_env_checker=True)
+    stock = spec.make(disable_env_checker=True)
+    # Some environments take no configuration when they are made.
+    stock.reset(options={"config": dict(config or {})})
     names = [*stock.unwrapped.road.network.lanes_dict()]  # type: ignore[attr-defined]
     ours, found = Episodes(name, 1, config), Comparison(name)
     for seed in seeds:
@@ -165,7 +167,10 @@ def _apart(
     stock: Any, ours: Episodes, names: list[Any], expected: list[Any], decision: Decision | None
 ) -> tuple[float, str]:
     """The largest difference now, and of what; infinity for what is no number."""
-    pairs: dict[str, tuple[Any, Any]] = {"observation": (ours.observe()[0], expected[0])}
+    found, seen = ours.observe(), expected[0]
+    if not isinstance(found, dict):
+        found, seen = {"observation": found}, {"observation": seen}
+    pairs: dict[str, tuple[Any, Any]] = {what: (found[what][0], seen[what]) for what in found}
     road, table = stock.unwrapped.road, ours.scenes.vehicles[0]
     vehicles = [each for each in table if each["kind"] > OBSTACLE]
     if len(vehicles) != len(road.vehicles):

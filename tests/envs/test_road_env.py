@@ -138,6 +138,51 @@ def test_what_a_racetrack_does_not_support_is_rejected(config: dict[str, Any], w
         ours("racetrack-oval-v0", config=config)
 
 
+def test_goals_are_rewarded_as_in_highway_env() -> None:
+    env, theirs = ours("parking-v0").unwrapped, stock("parking-v0").unwrapped
+    rng = np.random.default_rng(0)
+    achieved, desired = rng.normal(size=(2, 20, 6))
+    found = env.compute_reward(achieved, desired, [{}] * 20)
+    np.testing.assert_allclose(found, theirs.compute_reward(achieved, desired, [{}] * 20))
+    found, expected = (
+        each.compute_reward(achieved[0], desired[0], {}, p=0.3) for each in (env, theirs)
+    )
+    assert found == pytest.approx(expected)
+    with pytest.raises(InputError, match="merge-v0: compute_reward: there are no goals"):
+        ours("merge-v0").unwrapped.compute_reward(achieved, desired, {})
+
+
+def test_the_reward_of_a_step_is_that_of_its_goal() -> None:
+    env = vector("parking-v0", 4)
+    env.reset(seed=0)
+    for _ in range(3):
+        observations, rewards, *_, infos = env.step(np.zeros((4, 2), dtype=np.float32))
+        achieved, desired = observations["achieved_goal"], observations["desired_goal"]
+        np.testing.assert_array_equal(rewards, env.compute_reward(achieved, desired, {}))
+    assert "rewards" not in infos
+
+
+def test_the_vector_environment_of_a_car_park_is_gymnasiums_of_highway_env() -> None:
+    count, mode = 2, AutoresetMode.SAME_STEP
+    theirs = SyncVectorEnv([lambda: stock("parking-parked-v0")] * count, autoreset_mode=mode)
+    env = vector("parking-parked-v0", count)
+    env.reset(seed=3)
+    theirs.reset(seed=3)
+    ended, forward = 0, np.tile(np.array([1.0, 0.1], dtype=np.float32), (count, 1))
+    while not ended:
+        found, expected = env.step(forward), theirs.step(forward)
+        for name, seen in expected[0].items():
+            np.testing.assert_allclose(found[0][name], seen, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found[1], expected[1], rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(found[2], expected[2])
+        for row in np.nonzero(found[2])[0]:
+            ended += 1
+            final, other = found[4]["final_obs"][row], expected[4]["final_obs"][row]
+            np.testing.assert_allclose(final["achieved_goal"], other["achieved_goal"], atol=1e-9)
+            success = [each[4]["final_info"]["is_success"][row] for each in (found, expected)]
+            assert success[0] == success[1]
+
+
 def test_the_vector_environment_of_a_racetrack_is_gymnasiums_of_highway_env() -> None:
     count, mode = 2, AutoresetMode.SAME_STEP
     theirs = SyncVectorEnv([lambda: stock("racetrack-v1")] * count, autoreset_mode=mode)
@@ -152,6 +197,20 @@ def test_the_vector_environment_of_a_racetrack_is_gymnasiums_of_highway_env() ->
         for one, other in zip(found[1:4], expected[1:4], strict=True):
             np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
         ended = (found[2] | found[3]).sum()
+
+
+def test_what_a_car_park_does_not_support_is_rejected() -> None:
+    observation = {"type": "KinematicsGoal", "features": ["heading"], "scales": [1]}
+    for config, what in (
+        ({"observation": observation}, "'heading'"),
+        ({"observation": observation | {"features": ["x", "y"]}}, r"observation\.scales"),
+        ({"reward_weights": [1, 2]}, r"config\.reward_weights"),
+        ({"controlled_vehicles": 2}, r"config\.controlled_vehicles"),
+    ):
+        with pytest.raises(InputError, match=what):
+            ours("parking-v0", config=config)
+    with pytest.raises(InputError, match="'KinematicsGoal'"):
+        ours("racetrack-v0", config={"observation": {"type": "KinematicsGoal", "scales": [1]}})
 
 
 def test_a_wrong_action_is_rejected() -> None:

@@ -31,6 +31,15 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
         "force_decision": True,
         "other_vehicles": 12,
     },
+    "parking-v0": {
+        "action": {"type": "ContinuousAction", "dynamical": True},
+        "observation": {
+            "type": "KinematicsGoal",
+            "features": ["cos_h", "presence", "vy"],
+            "scales": [2, 1, 7.5],
+        },
+    },
+    "parking-parked-v0": {"vehicles_count": 40, "add_walls": False},
     "racetrack-large-v1": {
         "observation": {"type": "Kinematics", "features": ["x", "y", "cos_h"]},
         "speed_limit": 14,
@@ -75,6 +84,8 @@ def random_configuration(name: str, seed: int) -> dict[str, Any]:
     }
     if name.startswith("racetrack"):
         return config | random_racetrack(name, rng)
+    if name.startswith("parking"):
+        return config | random_parking(rng)
     config["high_speed_reward"] = float(rng.random())
     config["action"] = {"type": "DiscreteMetaAction", "target_speeds": speeds, **axes}
     if rng.random() < 0.7:
@@ -181,6 +192,29 @@ def random_racetrack(name: str, rng: np.random.Generator) -> dict[str, Any]:
         "terminate_off_road": bool(rng.random() < 0.5),
         "duration": int(rng.integers(5, 30)),
         **(oval if "oval" in name else {}),
+    }
+
+
+def random_parking(rng: np.random.Generator) -> dict[str, Any]:
+    """The part of `random_configuration` that is particular to the car parks."""
+    names = [name for name in FEATURES if name != "heading"]
+    names = rng.permutation(names)[: rng.integers(1, 7)].tolist()
+    scales = [float(scale) for scale in rng.uniform(0.5, 50, len(names))]
+    kinds: list[dict[str, Any]] = [
+        {"type": "KinematicsGoal", "features": names, "scales": scales},
+        random_kinematics(rng),
+    ]
+    return {
+        "action": random_controls(rng)
+        if rng.random() < 0.9
+        else {"type": "DiscreteMetaAction", "target_speeds": [-5, 0, 5, 10]},
+        "observation": kinds[rng.choice(2, p=[0.7, 0.3])],
+        "vehicles_count": int(rng.integers(0, 30)),
+        "reward_weights": [float(weight) for weight in rng.random(6)],
+        "success_goal_reward": float(rng.uniform(0.1, 0.7)),
+        "collision_reward": float(-rng.uniform(0, 9)),
+        "add_walls": bool(rng.random() < 0.6),
+        "duration": int(rng.integers(5, 40)),
     }
 
 

@@ -1,0 +1,98 @@
+"""highway-env's `parking`: reaching a spot of a car park, between walls and parked vehicles."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError
+from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.generator import integers, uniform
+from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.goal import achieved_and_desired
+from charms_bench.roads.scenes import CONTINUOUS, LANDMARK, Scenes, place, put_on_lane
+from charms_bench.roads.task import Task
+from charms_bench.world.road import heading_at, position
+
+FEATURES = ("x", "y", "vx", "vy", "cos_h", "sin_h")
+"""Those of the reward, whatever is observed [`ParkingEnv.PARKING_OBS`]."""
+SCALES = np.array([100.0, 100.0, 5.0, 5.0, 1.0, 1.0])
+"""What they are divided by."""
+PARKED_AT_M = 4.0
+"""How far along its spot a vehicle is parked."""
+
+
+class Parking(Task):
+    """[`ParkingEnv`]"""
+
+    terms = ()
+    actions = ("ContinuousAction", "DiscreteAction", "DiscreteMetaAction")
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        spots = len(self.lanes) - 2  # one is near the ego, and one is the goal
+        self.vehicles = 1 + min(int(config["vehicles_count"]), spots)
+        self._ego = kind_of_ego(config)
+        self._collision = float(config["collision_reward"])
+        self._success = float(config["success_goal_reward"])
+        self._weights = np.array(config["reward_weights"], dtype=np.float64)
+        if self._weights.shape != SCALES.shape:
+            raise InputError(f"config.reward_weights: expected {SCALES.size} numbers")
+        self._reached: Bools = np.zeros(0, dtype=np.bool_)
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._ego, self.vehicles)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
+        near = self.goal_rewards(*achieved_and_desired(scenes, rows, FEATURES, SCALES))
+        self._reached = near > -self._success
+        rewards[:, 0] = near + self._collision * scenes.vehicles["crashed"][:, 0]
+
+    def goal_rewards(self, achieved: Floats, desired: Floats, exponent: float = 0.5) -> Floats:
+        """The rewards (...) for observations (..., F) of goals [`ParkingEnv.compute_reward`].
+
+        They are minus the weighted p-norm of the difference, to the power of p.
+        """
+        apart = np.abs(achieved - desired)
+        total = np.zeros(apart.shape[:-1])
+        for k, weight in enumerate(self._weights):
+            total += apart[..., k] * weight
+        return -_power(total.ravel(), exponent).reshape(total.shape)
+
+    def is_terminated(self, scenes: Scenes) -> Bools:
+        return super().is_terminated(scenes) | self._reached
+
+    def information(self, scenes: Scenes) -> dict[str, Any]:
+        return {"is_success": self._reached}
+
+
+@compiled
+def _power(values: Floats, exponent: float) -> Floats:
+    powers = np.empty(values.size)
+    for k in range(values.size):
+        powers[k] = maths.power(values[k], exponent)
+    return powers
+
+
+@compiled_of_scenes
+def _start(scenes: Scenes, rows: Ints, ego: int, vehicles: int) -> None:
+    """[`ParkingEnv._create_vehicles`]"""
+    road = scenes.road
+    for b in rows:
+        state = scenes.generator[b]
+        place(scenes, b, 0, ego, 0.0, 0.0, 2.0 * math.pi * uniform(state, 0.0, 1.0), 0.0)
+        spots = np.arange(road.lanes.size)
+        spots = spots[spots != scenes.vehicles[b, 0].lane]
+        lane = spots[integers(state, 0, spots.size)]
+        x, y = position(road, lane, road.lanes[lane].length / 2, 0.0)
+        place(scenes, b, vehicles, LANDMARK, x, y, heading_at(road, lane, 0.0), 0.0)
+        spots = spots[spots != lane]
+        for i in range(1, vehicles):
+            lane = spots[integers(state, 0, spots.size)]
+            heading = heading_at(road, lane, PARKED_AT_M)
+            put_on_lane(scenes, b, i, CONTINUOUS, lane, PARKED_AT_M, heading, 0.0)
+            spots = spots[spots != lane]
