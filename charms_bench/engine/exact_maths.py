@@ -31,6 +31,7 @@ _MODULES = (
 _ENVIRONMENTS = (
     "envs.common.observation",
     "envs.exit_env",
+    "envs.lane_keeping_env",
     "envs.merge_env",
     "envs.parking_env",
     "envs.racetrack_env",
@@ -96,6 +97,8 @@ def _replace(names: Collection[str]) -> list[tuple[Any, str, Any]]:
     if "envs.racetrack_env" in names:
         track: Any = import_module("highway_env.envs.racetrack_env").RacetrackEnv
         before.append((track, "_rewards", _without_power(track._rewards)))
+        keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
+        before.append((keeping, "_reward", _reward_for_keeping_a_lane))
     for k, (module, name, value) in enumerate(before):
         before[k] = module, name, getattr(module, name)
         setattr(module, name, value)
@@ -127,6 +130,13 @@ def _without_power(rewards: Any) -> Any:
         return {**rewards(env, action), "lane_centering_reward": centring}
 
     return exact_rewards
+
+
+def _reward_for_keeping_a_lane(env: Any, action: Any) -> Any:
+    """`LaneKeepingEnv._reward`, but with a product."""
+    _, lateral = env.lane.local_coordinates(env.vehicle.position)
+    part = lateral / env.lane.width
+    return 1 - part * part
 
 
 def _for_numpy(function: Callable[..., float]) -> Callable[..., np.float64]:

@@ -97,8 +97,10 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         """
         episodes = self._episodes
         decision = episodes.step(_checked(np.asarray(action)[None], episodes))
-        info = {name: each[0] for name, each in _facts(episodes).items()}
-        info |= {"action": action}
+        info: dict[str, Any] = {}
+        if episodes.task.has_info:
+            info |= {name: each[0] for name, each in _facts(episodes).items()}
+            info["action"] = action
         if episodes.task.terms:
             info["rewards"] = dict(_terms(episodes, decision, 0))
         info |= {name: each[0] for name, each in episodes.task.information(episodes.scenes).items()}
@@ -218,7 +220,8 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         decision = episodes.step(actions)
         ended = decision.terminated | decision.truncated
         observations = episodes.observe()
-        facts = {**_facts(episodes), "action": actions}
+        has_info = episodes.task.has_info
+        facts = {**_facts(episodes), "action": actions} if has_info else {}
         if episodes.task.terms:
             facts["rewards"] = self._masked(dict(_terms(episodes, decision)), known)
         facts |= episodes.task.information(episodes.scenes)
@@ -229,7 +232,8 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
                 final_obs[row] = _row(observations, row)
             final = {"final_obs": final_obs, "final_info": self._masked(facts, ended)}
             episodes.start(rows)
-            infos = self._masked(facts, ~ended) | self._masked(_facts(episodes), known)
+            first = self._masked(_facts(episodes), known if has_info else ended)
+            infos = self._masked(facts, ~ended) | first
             infos |= self._masked(final, ended)
             _put(observations, rows, episodes.observe(rows))
         return observations, decision.rewards, decision.terminated, decision.truncated, infos

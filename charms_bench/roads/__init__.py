@@ -35,5 +35,6 @@ TASKS = {
     "parking-v0": "parking:Parking",
     "parking-ActionRepeat-v0": "parking:Parking",
     "parking-parked-v0": "parking:Parking",
+    "lane-keeping-v0": "lane_keeping:LaneKeeping",
 }
 """The modules and classes of the environments by highway-env's names."""

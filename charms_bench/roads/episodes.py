@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.exact_maths import exact_roads
+from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
@@ -51,9 +52,12 @@ class Episodes:
         task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
         self.actions = actions_of(self.config, task.actions)
         plain = {"observation": {"type": "Kinematics"}, "action": {"type": task.actions[0]}}
-        with exact_roads():
-            stock.configure({**self.config, **plain})
-            stock.reset()
+        stock.configure({**self.config, **plain})
+        try:
+            with exact_roads():
+                stock.reset()
+        except Exception as error:  # whatever a value leads to in highway-env
+            raise InputError(f"config: highway-env does not start with it: {error!r}") from error
         road = road_of(stock.road.network)
         self.task = task(self.config, stock.road.network)
         self.observer = observer_of(self.config, count, self.task.lanes)
@@ -79,6 +83,7 @@ class Episodes:
                 row = self.scenes.vehicles[b, self.task.vehicles + k]
                 row["length"], row["width"] = each.LENGTH, each.WIDTH
         self.everyone = np.arange(count)
+        self._seen: Observed | None = None
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
 
     def seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
@@ -90,13 +95,17 @@ class Episodes:
         scenes = self.scenes
         scenes.time[rows] = 0.0
         self.steps[rows] = 0
+        self._seen = None
         self.task.start(scenes, rows)
         self.observer.start(scenes, rows)
 
     def step(self, actions: NDArray[Any]) -> Decision:
         """Carries out the egos' actions (B, ...), each one of `actions.space`."""
         scenes, rewards = self.scenes, self._rewards
+        self.task.prepare(scenes, self.everyone)
         given = self.actions.give(scenes, actions)
+        if self.task.observes_before:
+            self._seen = self.observer.observe(scenes, self.everyone)
         decide(scenes, self.everyone, given, self._frames, self._interval)
         self.steps += 1
         self.task.judge(scenes, self.everyone, actions, rewards)
@@ -107,5 +116,11 @@ class Episodes:
         return Decision(found[:, 0], found[:, 1:], self.task.is_terminated(scenes), truncated)
 
     def observe(self, rows: Ints | None = None) -> Observed:
-        """The egos' observations of the scenes `rows`; by default, of all scenes."""
+        """The egos' observations of the scenes `rows`; by default, of all scenes.
+
+        To be called once after `start`, for the scenes that were started, and once after `step`:
+        some observations have noise.
+        """
+        if rows is None and self._seen is not None:
+            return self._seen
         return self.observer.observe(self.scenes, self.everyone if rows is None else rows)

@@ -1,6 +1,6 @@
 """What the egos observe: highway-env's observations by a configuration."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, Protocol
 
 import gymnasium
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Ints
-from charms_bench.roads import goal, kinematics, occupancy_grid, time_to_collision
+from charms_bench.roads import attributes, goal, kinematics, occupancy_grid, time_to_collision
 from charms_bench.roads.configuration import options
 from charms_bench.roads.controls import kind_of_ego
 from charms_bench.roads.scenes import COMMANDED, Scenes
@@ -181,12 +181,35 @@ class KinematicsGoal:
         return dict(zip(_GOALS, (found[0].copy(), *found), strict=True))
 
 
-def _check_features(names: Iterable[str], known: Iterable[str]) -> None:
+class Attributes:
+    """[`AttributesObservation`]"""
+
+    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+        known = {"type": "AttributesObservation", "attributes": ()}
+        self._names = list(options("observation", config["observation"], known)["attributes"])
+        _check_features(self._names, attributes.ATTRIBUTES, "attributes")
+        self._attributes = np.array([attributes.ATTRIBUTES.index(name) for name in self._names])
+        self._noises = np.array([config["state_noise"], config["derivative_noise"]], np.float64)
+        noisy = (self._attributes != attributes.REFERENCE_STATE).sum()
+        self._skipped = 2 * attributes.NUMBERS * int(noisy)
+        box = gymnasium.spaces.Box(-np.inf, np.inf, (attributes.NUMBERS, 1), np.float64)
+        self.space = gymnasium.spaces.Dict(dict.fromkeys(self._names, box))
+        self._out = np.zeros((count, len(self._names), attributes.NUMBERS))
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        attributes.skip(scenes, rows, self._skipped)
+
+    def observe(self, scenes: Scenes, rows: Ints) -> Observed:
+        attributes.observe(scenes, rows, self._attributes, self._noises, self._out)
+        return {name: self._out[rows, k, :, None] for k, name in enumerate(self._names)}
+
+
+def _check_features(names: Iterable[str], known: Collection[str], key: str = "features") -> None:
     """Rejects the first of the names that is not known."""
     for name in names:
         if name not in known:
             what = f"'{name}' is not supported. {suggestion(name, dict.fromkeys(known))}"
-            raise InputError(f"config.observation.features: {what}")
+            raise InputError(f"config.observation.{key}: {what}")
 
 
 _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Observer]] = {
@@ -195,6 +218,7 @@ _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Obse
     "TimeToCollision": TimeToCollision,
     "OccupancyGrid": OccupancyGrid,
     "KinematicsGoal": KinematicsGoal,
+    "AttributesObservation": Attributes,
 }
 
 
@@ -214,6 +238,8 @@ def observer_of(config: Mapping[str, Any], count: int, lanes: Mapping[Any, int])
         del known["TimeToCollision"]  # it reads the ego's target speeds
     if "reward_weights" not in config:
         del known["KinematicsGoal"]  # there is no goal
+    if "state_noise" not in config:
+        del known["AttributesObservation"]  # there is no state
     if name not in known:
         what = suggestion(str(name), known)
         raise InputError(f"config.observation.type: '{name}' is not supported. {what}")

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import InputError
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
@@ -40,8 +39,6 @@ class Parking(Task):
         self._collision = float(config["collision_reward"])
         self._success = float(config["success_goal_reward"])
         self._weights = np.array(config["reward_weights"], dtype=np.float64)
-        if self._weights.shape != SCALES.shape:
-            raise InputError(f"config.reward_weights: expected {SCALES.size} numbers")
         self._reached: Bools = np.zeros(0, dtype=np.bool_)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:

@@ -27,6 +27,10 @@ class Task(ABC):
     """The terms of the reward, in highway-env's order, which the configuration weights by name."""
     actions: ClassVar[tuple[str, ...]] = ("DiscreteMetaAction",)
     """The types of actions that are supported."""
+    has_info: ClassVar[bool] = True
+    """Whether highway-env says anything about a step."""
+    observes_before: ClassVar[bool] = False
+    """Whether highway-env observes when the action is given, before the vehicles move."""
     vehicles: int
     """The most vehicles of a scene, with the ego."""
 
@@ -41,6 +45,9 @@ class Task(ABC):
     @abstractmethod
     def start(self, scenes: Scenes, rows: Ints) -> None:
         """Places the vehicles of new episodes by the scenes' random generators."""
+
+    def prepare(self, scenes: Scenes, rows: Ints) -> None:  # noqa: B027  # most do nothing
+        """Does what comes before the actions of a decision."""
 
     @abstractmethod
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:

@@ -199,12 +199,50 @@ def test_the_vector_environment_of_a_racetrack_is_gymnasiums_of_highway_env() ->
         ended = (found[2] | found[3]).sum()
 
 
+def test_noise_is_drawn_in_the_order_of_highway_env() -> None:
+    config = {"state_noise": 0.3, "derivative_noise": 0.01}
+    env, theirs = ours("lane-keeping-v0", config=config), stock("lane-keeping-v0")
+    theirs.unwrapped.configure(config)
+    env.action_space.seed(0)
+    for seed in (4, None):
+        found, expected = (each.reset(seed=seed)[0] for each in (env, theirs))
+        for _ in range(60):
+            for name, seen in expected.items():
+                np.testing.assert_allclose(found[name], seen, rtol=0, atol=1e-9)
+            action = env.action_space.sample()
+            found, reward, terminated, truncated, info = env.step(action)
+            expected, *rest = theirs.step(action)
+            assert reward == pytest.approx(rest[0])
+            assert (terminated, truncated, info) == tuple(rest[1:])
+
+
+def test_lane_keeping_ends_after_200_decisions() -> None:
+    env = vector("lane-keeping-v0", 2)
+    env.reset(seed=0)
+    for _ in range(200):
+        *_, truncated, infos = env.step(np.zeros((2, 1), dtype=np.float32))
+    assert truncated.all()
+    assert infos["final_info"] == {}
+    assert "speed" in infos
+
+
+def test_lane_keeping_rejects_what_highway_env_cannot_do() -> None:
+    for config, what in (
+        ({"action": {"type": "ContinuousAction"}}, r"config\.action\.dynamical"),
+        ({"observation": {"type": "AttributesObservation", "attributes": ["lpv"]}}, "'lpv'"),
+    ):
+        with pytest.raises(InputError, match=what):
+            ours("lane-keeping-v0", config=config)
+    with pytest.raises(InputError, match="'AttributesObservation'"):
+        ours("parking-v0", config={"observation": {"type": "AttributesObservation"}})
+
+
 def test_what_a_car_park_does_not_support_is_rejected() -> None:
     observation = {"type": "KinematicsGoal", "features": ["heading"], "scales": [1]}
     for config, what in (
         ({"observation": observation}, "'heading'"),
         ({"observation": observation | {"features": ["x", "y"]}}, r"observation\.scales"),
-        ({"reward_weights": [1, 2]}, r"config\.reward_weights"),
+        ({"reward_weights": [1, 2]}, "highway-env does not start with it"),
         ({"controlled_vehicles": 2}, r"config\.controlled_vehicles"),
     ):
         with pytest.raises(InputError, match=what):

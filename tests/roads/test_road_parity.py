@@ -39,6 +39,14 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
             "scales": [2, 1, 7.5],
         },
     },
+    "lane-keeping-v0": {
+        "observation": {
+            "type": "AttributesObservation",
+            "attributes": ["derivative", "reference_state", "state", "derivative"],
+        },
+        "state_noise": 0.4,
+        "policy_frequency": 3,
+    },
     "parking-parked-v0": {"vehicles_count": 40, "add_walls": False},
     "racetrack-large-v1": {
         "observation": {"type": "Kinematics", "features": ["x", "y", "cos_h"]},
@@ -47,6 +55,7 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
         "collision_reward": -0.3,
     },
 }
+RATES = ("simulation_frequency", "policy_frequency")
 FEATURES = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
 
 
@@ -86,6 +95,8 @@ def random_configuration(name: str, seed: int) -> dict[str, Any]:
         return config | random_racetrack(name, rng)
     if name.startswith("parking"):
         return config | random_parking(rng)
+    if name.startswith("lane-keeping"):
+        return {name: config[name] for name in RATES} | random_lane_keeping(rng)
     config["high_speed_reward"] = float(rng.random())
     config["action"] = {"type": "DiscreteMetaAction", "target_speeds": speeds, **axes}
     if rng.random() < 0.7:
@@ -215,6 +226,18 @@ def random_parking(rng: np.random.Generator) -> dict[str, Any]:
         "collision_reward": float(-rng.uniform(0, 9)),
         "add_walls": bool(rng.random() < 0.6),
         "duration": int(rng.integers(5, 40)),
+    }
+
+
+def random_lane_keeping(rng: np.random.Generator) -> dict[str, Any]:
+    """The part of `random_configuration` that is particular to lane keeping."""
+    names = rng.choice(["state", "derivative", "reference_state"], rng.integers(1, 5)).tolist()
+    attributes = {"type": "AttributesObservation", "attributes": names}
+    return {
+        "action": random_controls(rng) | {"dynamical": True},
+        "observation": attributes if rng.random() < 0.8 else random_kinematics(rng),
+        "state_noise": float(rng.uniform(0, 0.5)),
+        "derivative_noise": float(rng.uniform(0, 0.5)),
     }
 
 
