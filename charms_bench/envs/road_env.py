@@ -221,7 +221,7 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         ended = decision.terminated | decision.truncated
         observations = episodes.observe()
         has_info = episodes.task.has_info
-        facts = {**_facts(episodes), "action": actions} if has_info else {}
+        facts: dict[str, Any] = {**_facts(episodes), "action": actions} if has_info else {}
         if episodes.task.terms:
             facts["rewards"] = self._masked(dict(_terms(episodes, decision)), known)
         facts |= episodes.task.information(episodes.scenes)
@@ -284,7 +284,7 @@ def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
     return actions.astype(np.int64, copy=False)
 
 
-def _row(observations: Observed, row: int) -> Any:
+def _row(observations: Observed, row: Any) -> Any:
     """One of several observations."""
     if isinstance(observations, dict):
         return {name: each[row].copy() for name, each in observations.items()}
@@ -293,11 +293,11 @@ def _row(observations: Observed, row: int) -> Any:
 
 def _put(observations: Observed, rows: Ints, others: Observed) -> None:
     """Replaces some of several observations."""
-    if isinstance(observations, dict) and isinstance(others, dict):
+    if isinstance(observations, dict):
         for name, each in observations.items():
-            each[rows] = others[name]
+            each[rows] = dict(others)[name]
     else:
-        observations[rows] = others  # type: ignore[index]
+        observations[rows] = np.asarray(others)
 
 
 def _goal_rewards(

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -63,7 +64,7 @@ class Highway(Task):
     def start(self, scenes: Scenes, rows: Ints) -> None:
         _start(scenes, rows, self._rule)
 
-    def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, self._rule, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:

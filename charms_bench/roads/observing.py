@@ -140,14 +140,15 @@ class OccupancyGrid:
         size, step = np.array(found["grid_size"]), np.array(found["grid_step"])
         shape = len(names), *np.floor((size[:, 1] - size[:, 0]) / step).astype(int).tolist()
         is_image = bool(found["as_image"])
-        bounds = (0, 255) if is_image else (-np.inf, np.inf)
+        low, high = (0, 255) if is_image else (-np.inf, np.inf)
         self._dtype: Any = np.uint8 if is_image else np.float32
-        self.space = gymnasium.spaces.Box(*bounds, shape, self._dtype)
-        self._grid = occupancy_grid.Grid(
-            *map(float, (*size[:, 0], *step, step.min(), 1 + np.hypot(*np.abs(size).max(axis=1)))),
-            bool(found["align_to_vehicle_axes"]),
-            bool(found["clip"]),
-            is_image,
+        self.space = gymnasium.spaces.Box(low, high, shape, self._dtype)
+        numbers: Any = *size[:, 0], *step, step.min(), 1 + np.hypot(*np.abs(size).max(axis=1))
+        self._grid = occupancy_grid.Grid._make(
+            (
+                *map(float, numbers),
+                *(bool(found[flag]) for flag in ("align_to_vehicle_axes", "clip", "as_image")),
+            )
         )
         self._out = np.zeros((count, *shape), dtype=np.float32)
 

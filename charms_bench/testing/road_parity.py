@@ -141,13 +141,13 @@ def _action(ours: Episodes, stock: Any, rng: np.random.Generator, is_random: boo
     """A random action, or one that keeps the ego on the road."""
     actions = ours.actions
     if isinstance(actions, Controls):
-        action = rng.uniform(-1, 1, actions.space.shape or ()).astype(np.float32)
         if isinstance(actions.space, gymnasium.spaces.Discrete):
             return int(rng.integers(actions.space.n))
+        controls = rng.uniform(-1, 1, actions.space.shape or ()).astype(np.float32)
         if not is_random:
-            action *= np.float32(0.1)
-            action[-1] += np.float32(_steering(stock.vehicle))
-        return action
+            controls *= np.float32(0.1)
+            controls[-1] += np.float32(_steering(stock.vehicle))
+        return controls
     action = int(rng.integers(len(actions.names)))
     if not is_random and len(actions.names) == len(ACTIONS):
         others = rng.choice((FASTER, SLOWER))
