@@ -21,10 +21,11 @@ gymnasium.register(
     entry_point="charms_bench.envs.ego_env:EgoEnv",
     vector_entry_point="charms_bench.envs.ego_env:ego_vector_env",
 )
-for _name in TASKS:
+for _name, _task in TASKS.items():
+    _kind = "GoalRoadEnv" if _task.startswith("parking:") else "RoadEnv"
     gymnasium.register(
         f"charms_bench/{_name}",
-        entry_point="charms_bench.envs.road_env:RoadEnv",
+        entry_point=f"charms_bench.envs.road_env:{_kind}",
         vector_entry_point="charms_bench.envs.road_env:RoadVectorEnv",
         kwargs={"name": _name},
     )

@@ -122,6 +122,13 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         possible += ["SLOWER"] * bool(ego["speed_index"] > 0)
         return [names.index(name) for name in possible if name in names]
 
+    def _observe(self) -> Any:
+        return _row(self._episodes.observe(), 0)
+
+
+class GoalRoadEnv(RoadEnv):
+    """A `RoadEnv` whose observations have goals."""
+
     def compute_reward(
         self, achieved_goal: Floats, desired_goal: Floats, info: Any = None, p: float = 0.5
     ) -> Any:
@@ -132,14 +139,8 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             desired_goal: What should have been reached.
             info: Not used.
             p: The exponent of the distance.
-
-        Raises:
-            InputError: The environment has no goals.
         """
         return _goal_rewards(self._name, self._episodes, achieved_goal, desired_goal, p)
-
-    def _observe(self) -> Any:
-        return _row(self._episodes.observe(), 0)
 
 
 class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):

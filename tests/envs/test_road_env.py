@@ -149,8 +149,8 @@ def test_goals_are_rewarded_as_in_highway_env() -> None:
         each.compute_reward(achieved[0], desired[0], {}, p=0.3) for each in (env, theirs)
     )
     assert found == pytest.approx(expected)
-    with pytest.raises(InputError, match="merge-v0: compute_reward: there are no goals"):
-        ours("merge-v0").unwrapped.compute_reward(achieved, desired, {})
+    # Stable-Baselines3 takes it for the sign of a goal.
+    assert not hasattr(ours("merge-v0").unwrapped, "compute_reward")
 
 
 def test_the_reward_of_a_step_is_that_of_its_goal() -> None:
