@@ -132,7 +132,8 @@ class OccupancyGrid:
         names = list(found["features"])
         _check_features(names, (*kinematics.FEATURES, "on_road"))
         known = {name: k for k, name in enumerate(kinematics.FEATURES)}
-        self._features = np.array([known.get(name, occupancy_grid.ON_ROAD) for name in names])
+        indices = [known.get(name, occupancy_grid.ON_ROAD) for name in names]
+        self._features = np.array(indices, dtype=np.int64)
         self._ranges = np.full((len(known), 2), np.nan)
         for name, bounds in (found["features_range"] or _SPEED_RANGES).items():
             if name in known:
@@ -189,7 +190,8 @@ class Attributes:
         known = {"type": "AttributesObservation", "attributes": ()}
         self._names = list(options("observation", config["observation"], known)["attributes"])
         _check_features(self._names, attributes.ATTRIBUTES, "attributes")
-        self._attributes = np.array([attributes.ATTRIBUTES.index(name) for name in self._names])
+        indices = [attributes.ATTRIBUTES.index(name) for name in self._names]
+        self._attributes = np.array(indices, dtype=np.int64)
         self._noises = np.array([config["state_noise"], config["derivative_noise"]], np.float64)
         noisy = (self._attributes != attributes.REFERENCE_STATE).sum()
         self._skipped = 2 * attributes.NUMBERS * int(noisy)

@@ -56,7 +56,8 @@ def verify_road(
 
     highway-env computes with the functions of `charms_bench.foundation.maths`; see
     `exact_maths.use_exact_maths`. In every other episode, actions are random; in the others, most
-    are IDLE. `progress` is called with the number of episodes compared since the last call.
+    are IDLE, or the ego steers towards the middle of its lane. `progress` is called with the number
+    of episodes compared since the last call.
     """
     chunks = [
         _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}))
