@@ -70,7 +70,7 @@ def search(
             interrupt.add_note(f"{len(made.failures)} failures are in {path}")
         raise
     except ScenarioError as error:
-        at = ("traffics", place, "traffic", "scenario", *error.location)
+        at = ("traffic_models", place, "traffic", "scenario", *error.location)
         raise document.error(at, str(error)) from error
     if made.failures:
         made.found()

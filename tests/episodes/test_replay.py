@@ -25,7 +25,7 @@ SMALL = {
     "seed": 10,
     "scene": {"duration_s": 3.0, "traffic_vehicles": 8},
     "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy", "label": "Keep right"}],
-    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+    "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
 }
 
 

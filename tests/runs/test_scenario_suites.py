@@ -21,7 +21,7 @@ scene:
 egos:
   - {agent: careful_human, label: Careful}
   - {agent: level_0, label: Level 0}
-traffics:
+traffic_models:
   - label: Braking
     traffic:
       scenario:

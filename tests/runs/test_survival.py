@@ -30,14 +30,14 @@ SMALL = {
     "episodes": 4,
     "scene": {"duration_s": 1.0, "traffic_vehicles": 5},
     "egos": [{"agent": "idm_mobil"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 SUITE = """\
 suite: survivor
 episodes: EPISODES
 scene: {duration_s: 3, traffic_vehicles: 8}
 egos: [{agent: idm_mobil}, {agent: stackelberg}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 SMALL_SHARDS = """\
 import signal
