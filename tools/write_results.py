@@ -65,7 +65,7 @@ README = {
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".1f"),
 }
-README_NAMES = {"CHARMS": "CHARMS (our recipe)", "ppo": "PPO (the script above)"}
+README_NAMES = {"CHARMS": "CHARMS (this project's)", "ppo": "PPO (the script above)"}
 STYLES = {
     "speed, m/s": ("speed_mean", ".2f"),
     "speed std": ("speed_std", ".2f"),
