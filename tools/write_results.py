@@ -8,6 +8,7 @@ and so on. CSV files beside them hold the numbers of long tables. `RUNS/rare` is
 `charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 """
 
+import json
 import re
 import sys
 from collections import Counter
@@ -184,6 +185,22 @@ def crossplay(run: Path) -> str:
     return "\n".join(f"**{matrix.title}**\n\n{markdown(matrix)}" for matrix in shown)
 
 
+def made_at(run: Path) -> str:
+    """The commits of all runs; a CSV file has the commit and the hash of the suite of each."""
+    found = []
+    for path in sorted(run.parent.glob("*/manifest.json")):
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        if manifest.get("commit"):
+            found.append((path.parent.name, manifest["commit"], manifest.get("suite_sha256", "")))
+    columns = ["run", "commit", "suite_sha256"]
+    pl.DataFrame(found, schema=columns, orient="row").write_csv(RESULTS / "runs.csv")
+    commits = ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(each[1] for each in found))
+    return (
+        f"The {len(found)} runs were made with commit {commits}. [A CSV file](results/runs.csv) "
+        "has the commit and the hash of the suite of each, as in its `manifest.json`.\n"
+    )
+
+
 def edges(run: Path) -> str:
     """The first of the most critical episodes of the suite `ego`, and how to see one."""
     found = open_run(run, ROOT / "suites").edge_cases(2)
@@ -274,6 +291,7 @@ def transfer(run: Path) -> str:
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "readme": ("ego-ppo", readme),
+    "runs": ("ego", made_at),
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),
