@@ -65,6 +65,13 @@ def test_every_agent_and_traffic_model_of_the_package_is_described() -> None:
     assert ours <= named
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_of_the_project_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    named = set(re.findall(r"\b(?:tools|tests|suites)/[\w/.-]+\.(?:py|yaml)\b", text))
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
 def test_every_page_is_two_clicks_from_the_readme() -> None:
     readme, start = (ROOT / name for name in ("README.md", "docs/index.md"))
     linked = re.findall(r"\]\(docs/([a-z-]+\.md)", readme.read_text(encoding="utf-8"))
