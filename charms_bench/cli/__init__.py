@@ -11,7 +11,6 @@ import traceback
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from charms_bench.cli.terminal import (
     ANYWHERE,
@@ -81,10 +80,16 @@ def _show_hints_alone() -> None:
     """Hints about a user's file are printed without the line of code that gives them."""
     formatted = warnings.formatwarning
 
-    def hint(message: Warning | str, category: type[Warning], *where: Any) -> str:
+    def hint(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        line: str | None = None,
+    ) -> str:
         if issubclass(category, RenamedKeyWarning):
             return f"{message}\n"
-        return formatted(message, category, *where)
+        return formatted(message, category, filename, lineno, line)
 
     warnings.formatwarning = hint
 
