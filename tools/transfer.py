@@ -13,7 +13,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Row, Table
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 
 METRICS = {
     "crashed_episodes": "crashed in the worst of other conditions",

@@ -39,7 +39,7 @@ from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.report.training_tables import stored_training
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"

@@ -17,7 +17,7 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
-from charms_bench.runs.folder import KINDS
+from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite

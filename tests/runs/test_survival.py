@@ -19,8 +19,8 @@ from plugin_folder import installed
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import write_bytes
-from charms_bench.runs.folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.lock import locked
+from charms_bench.runs.resumable_folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.runner import run
 from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite, load_suite
