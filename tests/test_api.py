@@ -18,7 +18,7 @@ scene: {duration_s: 5.0, traffic_vehicles: 5}
 egos:
   - {agent: idm_mobil, label: IDM, paper: {speed_mean: 23.67}}
   - {agent: stackelberg, label: Stackelberg}
-traffics:
+traffic_models:
   - traffic: idm_mobil
 columns: [speed_mean]
 """

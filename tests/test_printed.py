@@ -14,7 +14,7 @@ SUITE = """
 suite: printed
 episodes: 3
 egos: [{agent: level_0, label: A}, {agent: idm_mobil, label: B}]
-traffics: [{traffic: level_0, label: C}]
+traffic_models: [{traffic: level_0, label: C}]
 """
 LINES, CHARACTERS = 26, 3000
 

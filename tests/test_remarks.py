@@ -13,7 +13,7 @@ SUITE = """
 suite: keeper
 episodes: 4
 egos: [{agent: keeper.onnx, label: Keeper}, {agent: level_0, label: Level 0}]
-traffics: [{traffic: level_0, label: Others}]
+traffic_models: [{traffic: level_0, label: Others}]
 """
 
 

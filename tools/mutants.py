@@ -76,10 +76,10 @@ def episodes_until_ordered(
 ) -> Floats:
     """[L + 1] of severities [E, D]: how many episodes put each ladder, and their mean, in order.
 
-    It is the smallest of 60 numbers of resampled episodes, from 10 to E, from which on tau is at
-    least 0.9 in 95 % of the resamples; infinite if there is none.
+    It is the smallest of 60 numbers of resampled episodes, from 10 (or E) to E, from which on
+    tau is at least 0.9 in 95 % of the resamples; infinite if there is none.
     """
-    sizes = np.unique(np.geomspace(10, len(severity), 60).round().astype(int))
+    sizes = np.unique(np.geomspace(min(10, len(severity)), len(severity), 60).round().astype(int))
     drawn = severity[rng.integers(len(severity), size=(resamples, len(severity)))]
     means = np.cumsum(drawn, axis=1)[:, sizes - 1] / sizes[:, None]
     # Rounding may leave a mean of four taus just below 0.9.

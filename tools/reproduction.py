@@ -1,7 +1,7 @@
 """The tables of docs/reproduction.md: the paper, its authors' networks, and this project's.
 
-`write_results.py` writes what `compared` returns to a CSV file and makes a page's table of it with
-`verdicts`.
+`write_results.py` writes what `compared` and `with_verdicts` return to a CSV file, and makes a
+page's table of it with `side_by_side`.
 """
 
 import math
@@ -15,7 +15,7 @@ from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Table
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.world.scene import SceneSettings
 
 METRICS = {
@@ -35,7 +35,9 @@ METRICS = {
     "crashed_episodes": "episodes crashed, %",
     "traffic_crashed": "vehicles crashed in 20 s, %",
 }
-"""What the tables call each metric, in the order of their rows."""
+"""What the tables call each metric, in the order of their columns."""
+CRASHED = ("crashed_episodes", "traffic_crashed")
+"""Metrics that the paper does not report."""
 Z_95 = 1.96
 """Standard errors from a value to the ends of its 95 % interval."""
 SOURCES = {"released": "authors' networks", "ours": "this project"}
@@ -47,7 +49,7 @@ def compared(released: Path, ours: Path) -> pl.DataFrame:
 
     Returns:
         One row per agent, or per traffic if the suite varies the traffic, and metric: those that
-        the paper reports, and the share that crashed.
+        the paper reports, and the proportion that crashed.
 
     Raises:
         ValueError: The two runs differ in more than the last decision, which only the authors' code
@@ -79,8 +81,8 @@ def _with_last_decision(scene: SceneSettings) -> SceneSettings:
     return scene.model_copy(update={"profile": profile})
 
 
-def verdicts(rows: pl.DataFrame) -> str:
-    """The rows of `compared` as a table with a verdict on each value, and how many values agree.
+def with_verdicts(rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows of `compared` with a verdict on the values of each source.
 
     The paper's values are means over 1,800 episodes, as these are, so that both have sampling
     errors. A value agrees if it differs from the paper's by no more than two such samples do in
@@ -88,48 +90,69 @@ def verdicts(rows: pl.DataFrame) -> str:
     value, and half a unit of the last digit that the paper gives for the metric. The difference of
     any other value is given in standard errors of the difference.
     """
-    varied = rows.columns[0]
-    digits = {
-        metric: max(len(f"{value:g}".partition(".")[2]) for value in part["paper"])
-        for (metric,), part in rows.drop_nulls("paper").group_by("metric")
-    }
+    digits = _digits(rows)
+    found = [
+        {
+            f"{source}_agrees": _verdict(row, source, digits[row["metric"]])
+            for source in SOURCES
+            if row["paper"] is not None
+        }
+        for row in rows.iter_rows(named=True)
+    ]
+    schema = {f"{source}_agrees": pl.String for source in SOURCES}
+    return rows.hstack(pl.DataFrame(found, schema=schema))
+
+
+def side_by_side(rows: pl.DataFrame) -> str:
+    """The rows of `with_verdicts` as a table, and how many values agree with the paper's.
+
+    An agent or a traffic model has three rows, the paper's and one for each source, and a metric
+    has a column. Values that agree with the paper's are marked.
+    """
+    varied, digits = rows.columns[0], _digits(rows)
+    metrics = [metric for metric in METRICS if metric in set(rows["metric"])]
+    forms = {metric: ".1f" if metric in CRASHED else f".{digits[metric]}f" for metric in metrics}
     records = []
-    for row in rows.iter_rows(named=True):
-        record: dict[str, Any] = {varied: row[varied], "metric": METRICS[row["metric"]]}
-        if row["paper"] is not None:
-            record["paper"] = f"{row['paper']:.{digits[row['metric']]}f}"
-        for source in SOURCES:
-            record[source] = _number(row, source)
-            if row["paper"] is not None:
-                record[f"{source} agrees"] = _verdict(row, source, digits[row["metric"]])
-        records.append(record)
-    columns = [Column("paper")]
-    for source in SOURCES:
-        columns += [Column(source, form="margin"), Column(f"{source} agrees")]
-    table = Table.from_records(records, "", "", (varied, "metric"), tuple(columns))
-    titles = [title for source in SOURCES.values() for title in (source, "agrees")]
-    shown = table.named("paper", *titles)
+    for (name,), part in rows.group_by(varied, maintain_order=True):
+        found = {row["metric"]: row for row in part.iter_rows(named=True)}
+        for source, title in {"paper": "paper", **SOURCES}.items():
+            record: dict[str, Any] = {varied: name, "source": title}
+            record |= {metric: _number(row, source) for metric, row in found.items()}
+            if any(record[metric].value is not None for metric in found):
+                records.append(record)
+    columns = tuple(Column(metric, form=form) for metric, form in forms.items())
+    table = Table.from_records(records, "", "", (varied, "source"), columns)
+    shown = table.named(*(METRICS[metric] for metric in metrics))
     counts = []
     for source in SOURCES:
-        found = [record.get(f"{source} agrees", "–") for record in records]
-        counts.append(f"{found.count('yes')} of {len(found) - found.count('–')} rows")
+        verdicts = rows[f"{source}_agrees"].drop_nulls().to_list()
+        counts.append(f"{verdicts.count('yes')} of {len(verdicts)}")
     return (
-        f"{markdown(shown)}\nThe paper's value agrees with that of the authors' networks in "
-        f"{counts[0]}, and with that of this project in {counts[1]}.\n"
+        f"{markdown(shown)}\nOf the values of the authors' networks, {counts[0]} agree with the "
+        f"paper; of this project's, {counts[1]}.\n"
     )
 
 
+def _digits(rows: pl.DataFrame) -> dict[str, int]:
+    """The digits after the point that the paper gives for each metric."""
+    return {
+        metric: max(len(f"{value:g}".partition(".")[2]) for value in part["paper"])
+        for (metric,), part in rows.drop_nulls("paper").group_by("metric")
+    }
+
+
 def _number(row: Mapping[str, Any], source: str) -> Number:
-    """A value with its interval; shares that the paper does not report are in percent."""
-    found = [row[f"{source}_{part}"] for part in ("value", "low", "high")]
-    factor = 1.0 if row["paper"] is not None else 100.0
-    return Number(*(None if each is None else each * factor for each in found))
+    """A value, marked if it agrees with the paper's; proportions that crashed are in percent."""
+    value = row["paper"] if source == "paper" else row[f"{source}_value"]
+    factor = 100.0 if row["metric"] in CRASHED else 1.0
+    agrees = source != "paper" and row[f"{source}_agrees"] == "yes"
+    return Number(None if value is None else value * factor, marked=agrees)
 
 
-def _verdict(row: Mapping[str, Any], source: str, digits: int) -> str:
+def _verdict(row: Mapping[str, Any], source: str, digits: int) -> str | None:
     value, low, high = (row[f"{source}_{part}"] for part in ("value", "low", "high"))
     if value is None:
-        return "–"
+        return None
     difference = max(abs(row["paper"] - value) - 0.5 * 10**-digits, 0.0)
     reach = 0.0 if low is None else high - value if row["paper"] > value else value - low
     if difference <= math.sqrt(2) * reach:

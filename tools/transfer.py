@@ -1,23 +1,25 @@
 """How the egos of `suites/ego.yaml` do out of what they were trained in, for `write_results.py`.
 
-The conditions are the traffics of the run folders `transfer-*` and `released-transfer`: drivers
-with other parameters, learned drivers, other densities and other numbers of lanes.
+The conditions are the traffic models of the run folders `transfer-*` and `released-transfer`:
+drivers with other parameters, learned drivers, other densities and other numbers of lanes.
 """
 
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
+
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.stored import stored_tables
 from charms_bench.report.table import Column, Row, Table
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 
 METRICS = {
-    "crashed_episodes": ("Episodes crashed", "crashed in the worst of other conditions"),
-    "crashed_at_fault": ("Crashed at fault", "crashed at fault in the worst of other conditions"),
+    "crashed_episodes": "crashed in the worst of other conditions",
+    "crashed_at_fault": "crashed at fault in the worst of other conditions",
 }
-"""What the tables show: the title of a table, and the header of a column in the table of egos."""
+"""Metrics, and the header of each as a column in the table of egos."""
 CONDITIONS = {
     "transfer-traffics": "",
     "released-transfer": "the authors' ",
@@ -28,7 +30,8 @@ CONDITIONS = {
     "transfer-lanes-4": "4 lanes",
     "transfer-lanes-5": "5 lanes",
 }
-"""Names of run folders. One with several traffics gives a condition for each, after this prefix."""
+"""Names of run folders. One with several traffic models gives a condition for each, after this
+prefix."""
 
 
 def crashed_elsewhere(runs: Path, metric: str) -> dict[str, dict[str, Number]]:
@@ -46,31 +49,41 @@ def crashed_elsewhere(runs: Path, metric: str) -> dict[str, dict[str, Number]]:
     return found
 
 
-def transfer_table(run: Path) -> str:
-    """A table for each of `METRICS`, a condition per row and an ego per column, as Markdown."""
-    tables = []
-    for metric, (title, _) in METRICS.items():
-        found = crashed_elsewhere(run.parent, metric)
-        egos = dict.fromkeys((ego for numbers in found.values() for ego in numbers), ".1%")
-        records = ({"condition": condition, **numbers} for condition, numbers in found.items())
-        table = Table.plain(records, ("condition",), egos)
-        tables.append(f"**{title}**\n\n{markdown(table)}")
-    return "\n".join(tables)
+def transfer_table(runs: Path) -> str:
+    """The proportion of crashes at fault, a condition per row and an ego per column."""
+    found = crashed_elsewhere(runs, "crashed_at_fault")
+    egos = dict.fromkeys((ego for numbers in found.values() for ego in numbers), ".1%")
+    records = ({"condition": condition, **numbers} for condition, numbers in found.items())
+    return markdown(Table.plain(records, ("condition",), egos))
+
+
+def transfer_numbers(runs: Path) -> pl.DataFrame:
+    """One row per metric of `METRICS`, condition and ego: the value and its interval."""
+    return pl.DataFrame(
+        [
+            (metric, condition, ego, number.value, number.low, number.high)
+            for metric in METRICS
+            for condition, numbers in crashed_elsewhere(runs, metric).items()
+            for ego, number in numbers.items()
+        ],
+        schema=["metric", "condition", "ego", "value", "low", "high"],
+        orient="row",
+    )
 
 
 def with_worst(table: Table, runs: Path) -> Table:
-    """The table of egos with the largest share in any condition, for each of `METRICS`.
+    """The table of egos with the largest proportion in any condition, for each of `METRICS`.
 
     The columns of the table begin with those of `METRICS`.
     """
     columns = list(table.columns)
     numbers = {row.labels: list(row.numbers) for row in table.rows}
-    for place, (metric, (_, header)) in enumerate(METRICS.items()):
+    for place, (metric, header) in enumerate(METRICS.items()):
         at = 2 * place + 1
         columns.insert(at, Column(header, form=".1%"))
         conditions = crashed_elsewhere(runs, metric).values()
         for labels, own in numbers.items():
-            shares = [found[labels[0]] for found in conditions if labels[0] in found]
-            own.insert(at, max(shares, key=lambda each: each.value or 0.0, default=Number()))
+            found = [each[labels[0]] for each in conditions if labels[0] in each]
+            own.insert(at, max(found, key=lambda each: each.value or 0.0, default=Number()))
     rows = tuple(Row(labels, tuple(own)) for labels, own in numbers.items())
     return replace(table, columns=tuple(columns), rows=rows)

@@ -36,9 +36,9 @@ BLOCK = re.compile(r"(<!-- generated: ([a-z-]+) -->\n\n).*?(<!-- end of generate
 SUITE_KEYS: dict[str, type[BaseModel]] = {
     "suite": Suite,
     "egos[]": EgoEntry,
-    "traffics[]": TrafficEntry,
+    "traffic_models[]": TrafficEntry,
     "egos[].agent": AgentSpec,
-    "traffics[].traffic": TrafficSpec,
+    "traffic_models[].traffic": TrafficSpec,
     "references[]": ReferenceSpec,
     "scene": SceneSettings,
     "scene.vehicle_types[]": VehicleType,
@@ -152,10 +152,11 @@ def keys_of(model: type[BaseModel]) -> str:
     for name, field in model.model_fields.items():
         if field.exclude or name == "sha256":
             continue
-        fallback = "required" if name in required else default(field.get_default())
+        key = field.alias or name
+        fallback = "required" if key in required else default(field.get_default())
         if name == "profile":
             fallback = "`charms`"
-        rows.append((f"`{name}`", kind(schema["properties"][name]), fallback, said.get(name, "")))
+        rows.append((f"`{key}`", kind(schema["properties"][key]), fallback, said.get(name, "")))
     return table(("key", "value", "default", "meaning"), rows)
 
 

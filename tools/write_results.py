@@ -4,10 +4,11 @@ RUNS holds the run folders of the suites by their names, `RUNS/ego` and so on, a
 training as `RUNS/train`. Each gives a file in `docs/results`, which then replaces the text between
 `<!-- results: NAME -->` and `<!-- end of results -->` wherever that stands. What RUNS does not
 hold stays as it is. The tables of docs/reproduction.md compare `RUNS/released-ego` with `RUNS/ego`,
-and so on; CSV files in `docs/results` hold their numbers. `RUNS/rare` is what
+and so on. CSV files beside them hold the numbers of long tables. `RUNS/rare` is what
 `charms-bench rare suites/rare.yaml --output RUNS/rare` made, and `rare_comparison` names others.
 """
 
+import json
 import re
 import sys
 from collections import Counter
@@ -26,8 +27,8 @@ from plan_results import (
     plan_styles,
 )
 from rare_comparison import rare_comparison, rare_estimate
-from reproduction import compared, verdicts
-from transfer import transfer_table, with_worst
+from reproduction import compared, side_by_side, with_verdicts
+from transfer import transfer_numbers, transfer_table, with_worst
 
 from charms_bench import open_run
 from charms_bench.episodes.avoidability import Avoidability
@@ -38,7 +39,7 @@ from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.report.training_tables import stored_training
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
@@ -65,7 +66,7 @@ README = {
     "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
     "lane changes per km": ("lane_changes_per_km", ".1f"),
 }
-README_NAMES = {"CHARMS": "CHARMS (our recipe)", "ppo": "PPO (the script above)"}
+README_NAMES = {"CHARMS": "CHARMS (this project's)", "ppo": "PPO (the script above)"}
 STYLES = {
     "speed, m/s": ("speed_mean", ".2f"),
     "speed std": ("speed_std", ".2f"),
@@ -170,9 +171,34 @@ def realism(run: Path) -> str:
 
 
 def crossplay(run: Path) -> str:
-    """The matrices, each under its title."""
+    """The matrices of crashes at fault and of speeds; a CSV file has all of them."""
     found = matrices(tables_of(run).metrics)
-    return "\n".join(f"**{matrix.title}**\n\n{markdown(matrix)}" for matrix in found)
+    numbers = [
+        (matrix.title, *row.labels, column.name, number.value, number.low, number.high)
+        for matrix in found
+        for row in matrix.rows
+        for column, number in zip(matrix.columns, row.numbers, strict=True)
+    ]
+    columns = ["metric", "ego", "traffic model", "value", "low", "high"]
+    pl.DataFrame(numbers, schema=columns, orient="row").write_csv(RESULTS / "crossplay.csv")
+    shown = [each for each in found if each.name.endswith(("crashed_at_fault", "speed_mean"))]
+    return "\n".join(f"**{matrix.title}**\n\n{markdown(matrix)}" for matrix in shown)
+
+
+def made_at(run: Path) -> str:
+    """The commits of all runs; a CSV file has the commit and the hash of the suite of each."""
+    found = []
+    for path in sorted(run.parent.glob("*/manifest.json")):
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        if manifest.get("commit"):
+            found.append((path.parent.name, manifest["commit"], manifest.get("suite_sha256", "")))
+    columns = ["run", "commit", "suite_sha256"]
+    pl.DataFrame(found, schema=columns, orient="row").write_csv(RESULTS / "runs.csv")
+    commits = ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(each[1] for each in found))
+    return (
+        f"The {len(found)} runs were made with commit {commits}. [A CSV file](results/runs.csv) "
+        "has the commit and the hash of the suite of each, as in its `manifest.json`.\n"
+    )
 
 
 def edges(run: Path) -> str:
@@ -253,16 +279,23 @@ def reproduction(run: Path) -> str:
     if not (run.parent / name).is_dir():
         return ""
     numbers = RESULTS / f"reproduction-{name}.csv"
-    compared(run, run.parent / name).write_csv(numbers)
-    return verdicts(pl.read_csv(numbers))
+    with_verdicts(compared(run, run.parent / name)).write_csv(numbers)
+    return side_by_side(pl.read_csv(numbers))
+
+
+def transfer(run: Path) -> str:
+    """The crashes at fault in other conditions; a CSV file has all crashes, too."""
+    transfer_numbers(run.parent).write_csv(RESULTS / "transfer.csv")
+    return transfer_table(run.parent)
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "readme": ("ego-ppo", readme),
+    "runs": ("ego", made_at),
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),
     "styles": ("styles", partial(of_suite, STYLES)),
-    "transfer": ("transfer-traffics", transfer_table),
+    "transfer": ("transfer-traffics", transfer),
     "environment": ("environment", partial(of_suite, ENVIRONMENT)),
     "environment-edge-cases": ("environment", partial(rates, EDGE_CASES)),
     "released-edge-cases": ("released-environment", partial(rates, EDGE_CASES)),

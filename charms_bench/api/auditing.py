@@ -8,7 +8,7 @@ from charms_bench.api.warming import warm_up
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import note, progress
-from charms_bench.runs.folder import MANIFEST
+from charms_bench.runs.resumable_folder import MANIFEST
 
 if TYPE_CHECKING:
     from charms_bench.report.audit import Audit
@@ -43,8 +43,8 @@ def audit(
     from charms_bench.report.audit import Audit, audit_tables
     from charms_bench.report.stored import holds
     from charms_bench.runs.audit import Asked, audit_rare, audit_run
-    from charms_bench.runs.folder import CHECKSUMS, RunFolder
     from charms_bench.runs.rare import MANIFEST as RARE
+    from charms_bench.runs.resumable_folder import CHECKSUMS, RunFolder
 
     check_positive(shards=shards, workers=workers)
     path, suite_folder = absolute(path), absolute(suite_folder)

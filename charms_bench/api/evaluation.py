@@ -18,8 +18,8 @@ from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.document import Document
-from charms_bench.runs.folder import RunFolder
 from charms_bench.runs.lock import locked
+from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
 

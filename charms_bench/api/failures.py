@@ -5,73 +5,82 @@ from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.warming import warm_up
-from charms_bench.errors import InputError, ScenarioError
-from charms_bench.foundation.files import absolute, is_same_file
+from charms_bench.errors import ScenarioError
+from charms_bench.foundation.files import absolute
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
+from charms_bench.runs.manifest import opened_for_suite
+from charms_bench.runs.shard import forget_agents
 from charms_bench.runs.suite import Cell, check_networks, suite_of
 
 if TYPE_CHECKING:
     from charms_bench.episodes.search import Search
+
+MANIFEST = "search.json"
 
 
 def search(
     suite: PathLike,
     ego: str | None = None,
     traffic: str | None = None,
-    output: PathLike = "found.yaml",
+    output: PathLike | None = None,
     *,
     failures: int = 10,
     budget: int = 5000,
     seed: int = 0,
 ) -> "Search":
-    """Searches a scenario's parameters for failures of an agent, and writes them as a suite.
+    """Searches a scenario's parameters for failures of an agent, or continues.
 
     A failure is a collision that a driver named by `preventable_by` in the suite avoids. In a
-    suite without this key, every collision is a failure.
+    suite without this key, every collision is a failure. The folder keeps what was simulated, so
+    that the same call continues an interrupted search, and the failures as the suite `found.yaml`.
 
     Args:
         suite: The YAML file.
         ego: Label of an ego of the suite, or the name of an installed agent; needed if the suite
             has several other egos.
         traffic: Label of the scenario; needed if the suite has several.
-        output: The file to write, as soon as there is a failure.
+        output: The folder; by default `runs/NAME-search`.
         failures: Number of failures after which the search ends.
         budget: Number of simulated episodes after which the search ends.
         seed: Seed of the search.
 
     Raises:
-        CharmsBenchError: The suite or an agent cannot be used, or a name is unknown.
-        KeyboardInterrupt: The search was interrupted; its note names the file.
+        CharmsBenchError: The suite, an agent or the folder cannot be used, or a name is unknown.
+        KeyboardInterrupt: The search was interrupted; its note names the folder.
     """
     from charms_bench.episodes.found_suite import write_found
-    from charms_bench.episodes.search import Search, ego_of, scenario_of
+    from charms_bench.episodes.search import FOUND, Search, ego_of, scenario_of
 
     check_positive(failures=failures, budget=budget)
-    document, path = Document(Path(suite)), absolute(output)
-    if is_same_file(path, document.path):
-        raise InputError(f"{output}: is the suite that is searched; choose another --output")
+    document = Document(Path(suite))
     loaded = suite_of(document)
+    folder = absolute(output or Path("runs") / f"{loaded.suite}-search")
     check_networks(document, loaded)
     place = scenario_of(document.path, loaded, traffic)
     references = [each for each in loaded.egos if each.title in loaded.preventable_by]
     entry = loaded.traffics[place]
     scene = loaded.scene.of_scenario(entry.traffic.scenario)
     cell = Cell(ego=ego_of(document.path, loaded, ego), traffic=entry, scene=scene)
-    made = Search(cell, references, loaded.folder)
-    made.found = lambda: write_found(made, document, place, path)
+    made = Search(cell, references, loaded.folder, folder)
+    made.found = lambda: write_found(made, document, place, folder / FOUND)
     warm_up()
+    asked: dict[str, object] = {"ego": cell.ego.title, "traffic": entry.title, "seed": seed}
+    asked["preventable_by"] = [each.title for each in references]
+    forget_agents()
     try:
-        with progress("episodes", budget) as tell:
+        with (
+            opened_for_suite(folder, MANIFEST, "search", loaded, {"search": asked}),
+            progress("episodes", budget) as tell,
+        ):
             made.told = lambda episodes: tell(cell.ego.title, episodes)
             made.run(failures, budget, seed)
+            if made.failures:
+                made.found()
     except KeyboardInterrupt as interrupt:
-        if made.failures:
-            interrupt.add_note(f"{len(made.failures)} failures are in {path}")
+        interrupt.add_note(f"{len(made.failures)} failures are in {folder}")
         raise
     except ScenarioError as error:
-        at = ("traffics", place, "traffic", "scenario", *error.location)
+        at = ("traffic_models", place, "traffic", "scenario", *error.location)
         raise document.error(at, str(error)) from error
-    if made.failures:
-        made.found()
     return made

@@ -97,7 +97,7 @@ def rare(
                 "rare draws where vehicles start, and a scenario places them; expected a traffic "
                 "model"
             )
-            raise document.error(("traffics", index, "traffic", "scenario"), what)
+            raise document.error(("traffic_models", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
     name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
     folder = place if output else place / name

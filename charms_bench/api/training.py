@@ -9,7 +9,7 @@ from charms_bench.errors import InputError, RunFolderError
 from charms_bench.foundation.files import absolute
 from charms_bench.plugins.registry import PIPELINES, load
 from charms_bench.runs.document import Document
-from charms_bench.runs.folder import MANIFEST
+from charms_bench.runs.resumable_folder import MANIFEST
 
 if TYPE_CHECKING:
     from charms_bench.report.training_tables import Training

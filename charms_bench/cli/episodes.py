@@ -254,22 +254,27 @@ def search(
     ] = 5000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write: a suite of the failures.")
-    ] = Path("found.yaml"),
+        Path | None,
+        typer.Option("--output", "-o", help="Folder; the default is runs/SUITE-search."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Search a scenario for failures of an agent, and write them as a suite.
+    """Search a scenario for failures of an agent, or continue an interrupted search.
 
     A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
+    The folder has them as a suite, `found.yaml`.
     """
     from charms_bench import api
+    from charms_bench.episodes.search import FOUND
 
     with interruptible():
         made = api.search(suite, ego, traffic, output, failures=failures, budget=budget, seed=seed)
+    assert made.path is not None
+    found = shown(made.path / FOUND)
     if as_json:
         facts = {"failures": made.failures, "preventable_by": made.preventable_by}
         facts |= {"episodes": made.simulations, "episodes_to_first": made.simulations_to_first}
-        print_json({**facts, "suite": str(output) if made.failures else None})
+        print_json({**facts, "suite": found if made.failures else None})
         return
     where = made.cell.title
     if not made.failures:
@@ -288,4 +293,4 @@ def search(
         for record, names in zip(records, made.preventable_by, strict=True):
             record["preventable by"] = " and ".join(names)
     print_records("failure", records, forms)
-    say(f"Written: {output}; run it with `charms-bench run {output}`")
+    say(f"Written: {found}; run it with `charms-bench run {found}`")

@@ -226,7 +226,7 @@ def show(
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
-    from charms_bench.runs.folder import MANIFEST, RunFolder
+    from charms_bench.runs.resumable_folder import MANIFEST, RunFolder
 
     if not holds(run, MANIFEST):
         if metrics or everything:

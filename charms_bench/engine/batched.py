@@ -6,8 +6,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.commands import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.draws import draws_of
+from charms_bench.engine.meta_actions import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.motion import follow_no_lane
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.commands import nearest_target_speed
+from charms_bench.engine.meta_actions import nearest_target_speed
 from charms_bench.engine.parameters import set_parameters
 from charms_bench.engine.state import vacate
 from charms_bench.engine.stepping import Put

@@ -16,9 +16,9 @@ from charms_bench.runs.document import Document
 def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
     """Writes a suite whose episodes are the failures, driven by all drivers of the search.
 
-    The scene, and the scenario at this index among the traffics, are those of the document.
+    The scene, and the scenario at this index among the traffic models, are those of the document.
     """
-    entry = deepcopy(document.data["traffics"][traffic])
+    entry = deepcopy(document.data[document.key("traffic_models")][traffic])
     entry["traffic"]["scenario"]["points"] = search.failures
     egos = [search.cell.ego, *search.references]
     suite: dict[str, Any] = {
@@ -33,7 +33,7 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
             }
             for each in egos
         ],
-        "traffics": [entry],
+        "traffic_models": [entry],
         "columns": document.data.get("columns", []),
     }
     if search.references:

@@ -7,20 +7,27 @@ in a failure only. So the reference drivers are simulated only where the agent c
 
 An agent that draws its actions draws others in each episode. So its failure is noted only if it
 collides in the episode of the suite of failures, too.
+
+The margins of all points that are simulated together are kept in a file. A search that was
+interrupted is done again from its beginning, with these margins instead of simulations.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.registry import AGENTS, plugins
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
+from charms_bench.runs.checked_result import read_result, write_result
+from charms_bench.runs.code_hashes import harness_sha256
+from charms_bench.runs.shard import CellTask, installed
 from charms_bench.runs.suite import Cell, EgoEntry, Suite
 from charms_bench.world.points import from_shares, sobol
 from charms_bench.world.scene import Floats
@@ -33,7 +40,11 @@ POPULATION = 8
 GENERATIONS = 12
 """Generations after which the search starts again, from the next Sobol points."""
 
+FOUND = "found.yaml"
+"""The suite of the failures, in the folder of a search."""
+
 Point = dict[str, float]
+_MARGINS = TypeAdapter(list[float])
 
 
 @dataclass
@@ -45,11 +56,13 @@ class Search:
     """The drivers that decide which collisions are preventable; if there are none, all are."""
     folder: Path
     """Folder that relative paths of networks start from."""
+    path: Path | None = None
+    """Folder of the search; if there is none, the margins are not kept."""
     failures: list[Point] = field(default_factory=list)
     preventable_by: list[list[str]] = field(default_factory=list)
     """The titles of the reference drivers that avoid each failure."""
     simulations: int = 0
-    """Episodes simulated, those of the reference drivers included."""
+    """Episodes simulated, also before an interruption, those of the reference drivers included."""
     simulations_to_first: int | None = None
     found: Callable[[], None] = lambda: None
     """Called when there are new failures."""
@@ -145,10 +158,27 @@ class Search:
         numbered = (*points[:1] * first, *points)
         scenario = cell.scene.scenario.model_copy(update={"points": numbered})
         settings = cell.scene.of_scenario(scenario)
-        simulation = Simulation(settings, len(points), agent.key, traffic, agents)
+        file = None
+        if self.path is not None:
+            software = installed(agent, cell.traffic.traffic, networks)
+            task = CellTask(
+                title=cell.title,
+                scene=settings,
+                ego=agent,
+                traffic=cell.traffic.traffic,
+                networks=networks,
+                software=replace(software, code_sha256=harness_sha256(entry=__name__)),
+            )
+            file = self.path / "runs" / f"{self.simulations:08d}-{task.key[:16]}.json"
+        found = None if file is None else read_result(file, _MARGINS)
+        if found is None or len(found) != len(points):
+            simulation = Simulation(settings, len(points), agent.key, traffic, agents)
+            found = margins(simulation, first + np.arange(len(points))).tolist()
+            if file is not None:
+                write_result(file, found)
         self.simulations += len(points)
         self.told(len(points))
-        return margins(simulation, first + np.arange(len(points)))
+        return np.array(found)
 
 
 def scenario_of(path: Path, suite: Suite, title: str | None) -> int:

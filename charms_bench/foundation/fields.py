@@ -10,6 +10,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
@@ -23,16 +24,27 @@ Finite = Annotated[float, Field(ge=-1e9, le=1e9)]
 
 
 class FrozenModel(BaseModel):
-    """A strict, immutable model in which an unknown key is an error."""
+    """A strict, immutable model in which an unknown key is an error.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    A field with an alias is a renamed key: the alias is its name in YAML, and the field has the old
+    name, which run folders have, and which is still read.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, populate_by_name=True)
 
     @model_validator(mode="before")
     @classmethod
-    def _name_known_keys(cls, data: Any) -> Any:
-        """Says at an unknown key which keys there are, which pydantic's own error does not."""
+    def _name_known_keys(cls, data: Any, info: ValidationInfo) -> Any:
+        """Says at an unknown key which keys there are, which pydantic's own error does not.
+
+        Old names of renamed keys are noted in `renamed` of the context: the old by the new name.
+        """
         known = {field.alias or name: field for name, field in cls.model_fields.items()}
-        unknown = [key for key in data if key not in known] if isinstance(data, dict) else []
+        old = {name: field.alias for name, field in cls.model_fields.items() if field.alias}
+        given = data if isinstance(data, dict) else {}
+        if info.context:
+            info.context["renamed"] |= {old[key]: key for key in given if key in old}
+        unknown = [key for key in given if key not in known and key not in old]
         if not unknown:
             return data
         shown = {name: field for name, field in known.items() if not field.exclude}

@@ -25,7 +25,8 @@ def uniforms(keys: Words, decisions: Words, vehicles: Words, count: int) -> NDAr
     `Generator(Philox(key=[keys[m], 0], counter=[0, decisions[m], vehicles[m], 0])).random(count)`.
     """
     found = np.empty((keys.size, count))
-    _fill(keys, decisions, vehicles, found)
+    if count:
+        _fill(keys, decisions, vehicles, found)
     return found
 
 

@@ -95,7 +95,7 @@ class TrafficSpec(_Spec):
     def _one_of_three(self) -> "TrafficSpec":
         if (self.name is not None) + bool(self.mixture) + (self.scenario is not None) != 1:
             raise ValueError(
-                "give a name, shares of agents as {mixture: {agent: share}}, or a scenario"
+                "give a name, probabilities as {mixture: {agent: probability}}, or a scenario"
             )
         return self
 

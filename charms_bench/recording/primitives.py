@@ -14,7 +14,7 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.simulation import Simulation
-from charms_bench.foundation.compiled import compiled_of_scenes, index, inlined
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT
 from charms_bench.world.road import Straight, distance_along, is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
@@ -112,14 +112,11 @@ class Primitives:
 
     def take(self, scenes: Ints, ahead: int) -> Frames:
         """The frames of the scenes (S,), whose decision is the last one or some `ahead`."""
-        made = self._simulation
-        moments = np.zeros(scenes.size, dtype=MOMENT)
-        moments["scene"], moments["before"] = scenes, self._last[scenes]
-        moments["now"] = (moments["before"] + self._last.size) % (2 * self._last.size)
-        moments["decision"] = made.steps[scenes] + ahead
-        moments["ends"] = ~made.scene.active[scenes]
+        made, scene = self._simulation, self._simulation.scene
+        moments = np.empty(scenes.size, dtype=MOMENT)
+        note_moments(scenes, self._last, made.steps, ahead, scene.active, moments)
         frames = Frames(moments, self._vehicles)
-        seen = (made.scene, *frames, made.collision, made.action, made.has_action)
+        seen = (scene, *frames, made.collision, made.action, made.has_action)
         if self.changes:
             self._take_changing(seen, scenes, moments)
         else:
@@ -146,6 +143,19 @@ class Primitives:
         now["lost"] = np.where(has_appeared, now["crashed"] | ~now["is_on_road"], now["lost"])
         now["acceleration"][~is_here] = np.nan
         vehicles[moments["now"]] = now
+
+
+@compiled
+def note_moments(
+    scenes: Ints, last: Ints, steps: Ints, ahead: int, active: Bools, moments: Any
+) -> None:
+    """Fills in the moments of the frames of the scenes (S,)."""
+    for s in range(scenes.size):
+        b, moment = scenes[s], moments[s]
+        moment.scene, moment.before = b, last[b]
+        moment.now = (last[b] + last.size) % (2 * last.size)
+        moment.decision = steps[b] + ahead
+        moment.ends = not active[b]
 
 
 @compiled_of_scenes

@@ -38,9 +38,10 @@ class StepRows:
 
     def table(self) -> pl.DataFrame:
         """Returns the rows (`columns.STEP`), sorted by episode and step."""
-        recorded = self._rows["step"] > 0
-        columns = {name: self._rows[name][recorded] for name in STEP_SCHEMA}
-        exists = pl.selectors.float().fill_nan(None), pl.col(INDICES).replace(-1, None)
+        rows = self._rows[self._rows["step"] > 0]
+        columns = {name: rows[name] for name in STEP_SCHEMA}
+        indices = [pl.when(pl.col(name) >= 0).then(name) for name in INDICES]
+        exists = pl.selectors.float().fill_nan(None), *indices
         return table(columns, STEP_SCHEMA).with_columns(*exists).sort("episode", "step")
 
 

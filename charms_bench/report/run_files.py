@@ -1,7 +1,7 @@
 """Writes the tables and figures of a run into its folder."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import polars as pl
@@ -41,8 +41,9 @@ def measure(
     suite: Suite, rows: CellRows, metric_sets: Sequence[MetricSet] = METRIC_SETS
 ) -> MeasuredCell:
     """Computes what can be computed of one cell before the others are finished."""
-    metrics = suite_table.part_of(suite, rows, metric_sets)
-    return MeasuredCell(rows, metrics, drivers_table.part_of(suite, rows))
+    read = replace(rows, drivers=tuple(rows.drivers))  # once for both tables
+    metrics = suite_table.part_of(suite, read, metric_sets)
+    return MeasuredCell(rows, metrics, drivers_table.part_of(suite, read))
 
 
 def write_run(

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
@@ -68,10 +67,10 @@ class Highway(Task):
         _judge(scenes, rows, self.weights, self._rule, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
-        crashed = np.array(scenes.vehicles["crashed"][:, 0])
+        is_over = super().is_terminated(scenes)
         if self._ends_off_road:
-            crashed |= [not is_on_own_lane(scenes.unpacked, b) for b in range(crashed.size)]
-        return crashed
+            _end_off_road(scenes, is_over)
+        return is_over
 
 
 class FastHighway(Highway):
@@ -110,3 +109,10 @@ def _judge(scenes: Scenes, rows: Ints, weights: Floats, rule: Rule, out: Floats)
         if rule.normalises:
             total = share(total, weights[0], weights[2] + weights[1])
         out[b, 0] = total * out[b, 4]
+
+
+@compiled_of_scenes
+def _end_off_road(scenes: Scenes, is_over: Bools) -> None:
+    """Ends the scenes (B,) whose ego has left the road."""
+    for b in range(is_over.size):
+        is_over[b] |= not is_on_own_lane(scenes, b)

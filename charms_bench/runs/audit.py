@@ -17,8 +17,8 @@ from charms_bench.errors import RunFolderError
 from charms_bench.runs.audit_files import audit_files, audit_networks
 from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.audit_software import audit_software, planned_again
-from charms_bench.runs.folder import KINDS, RunFolder
 from charms_bench.runs.rare import damaged_files
+from charms_bench.runs.resumable_folder import KINDS, RunFolder
 from charms_bench.runs.runner import SHARD_LIMIT_S, on_this_machine
 from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.shards import Shard, places_of

@@ -16,7 +16,8 @@ from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.audit_finding import Finding
 from charms_bench.runs.audit_software import Planned, names_installed_code
-from charms_bench.runs.folder import (
+from charms_bench.runs.lock import LOCK
+from charms_bench.runs.resumable_folder import (
     CHECKSUMS,
     FILE_LIMIT_BYTES,
     KINDS,
@@ -24,7 +25,6 @@ from charms_bench.runs.folder import (
     NETWORKS,
     RunFolder,
 )
-from charms_bench.runs.lock import LOCK
 from charms_bench.runs.shard_rows import problem_between
 from charms_bench.runs.shards import Shard, places_of, shard_named
 from charms_bench.runs.suite import Suite

@@ -20,8 +20,8 @@ from charms_bench.runs.code_hashes import (
     module_blobs,
     row_modules,
 )
-from charms_bench.runs.folder import MANIFEST, RunFolder
 from charms_bench.runs.manifest import differing_fields
+from charms_bench.runs.resumable_folder import MANIFEST, RunFolder
 from charms_bench.runs.runner import plan_cell
 from charms_bench.runs.shard import ShardTask, forget_agents
 from charms_bench.runs.shards import Shard

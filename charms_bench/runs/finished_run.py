@@ -8,7 +8,7 @@ from pathlib import Path
 
 from charms_bench.errors import RunFolderError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.shard_rows import problem_of_steps
 from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite

@@ -1,15 +1,20 @@
 """What a folder with a manifest holds: it is compared before anything in the folder is changed."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from charms_bench.errors import RunFolderError, first_problem
-from charms_bench.foundation.files import json_of, read_file
+from charms_bench.foundation.files import json_of, read_file, write_bytes
 from charms_bench.runs.lock import locked
+from charms_bench.runs.suite import PRESENTATION, Suite
+
+MANIFEST_LIMIT_BYTES = 2**26
 
 
 class RunFields(BaseModel):
@@ -89,6 +94,24 @@ def opened(
                 f"{folder} holds another {kind}: {field.removeprefix('suite.')} was {was}, now "
                 f"{now}; choose another folder with --output, or delete this one"
             )
+        yield
+
+
+@contextmanager
+def opened_for_suite(
+    folder: Path, manifest: str, kind: str, suite: Suite, others: Mapping[str, Any]
+) -> Iterator[None]:
+    """Opens a folder as `opened` does, and writes its manifest: some fields and the suite.
+
+    It can be interrupted at any time; what is half written then is deleted here.
+    """
+    fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
+    ours, path = {**others, "suite": fields}, folder / manifest
+    read = partial(read_manifest, path, MANIFEST_LIMIT_BYTES)
+    with opened(folder, manifest, kind, ours, read):
+        for left in folder.glob("**/.*.partial"):
+            left.unlink()
+        write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
         yield
 
 

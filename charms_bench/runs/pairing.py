@@ -76,7 +76,7 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
         "scene": suite.scene.model_dump(mode="json"),
         "seed": suite.seed,
         "episodes": suite.episodes,
-        "traffics": [by_content(each.model_dump(mode="json"), networks) for each in traffics],
+        "traffic_models": [by_content(each.model_dump(mode="json"), networks) for each in traffics],
         "agents": by_content({k: agents[k] for k in agents if k not in egos}, networks),
     }
 

@@ -4,24 +4,21 @@ The folder has a manifest and one file per finished pilot or run of subset simul
 written whole or not at all, so an interrupted estimation continues with the runs that are missing.
 """
 
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 
 from pydantic import TypeAdapter
 
 from charms_bench.errors import CharmsBenchError, InputError
-from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.specs import networks_of
-from charms_bench.runs.manifest import opened, read_manifest
+from charms_bench.runs.checked_result import read_result, write_result
+from charms_bench.runs.manifest import opened_for_suite
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
 from charms_bench.runs.runner import on_this_machine
 from charms_bench.runs.shard import forget_agents, traffic_of
-from charms_bench.runs.suite import PRESENTATION, Cell, Suite
+from charms_bench.runs.suite import Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 
 FORMAT = 2
@@ -37,7 +34,7 @@ DRAWS_LIMIT = 2**27
 """Most random draws of a level, which are kept in memory."""
 RUN_LIMIT_S = 4 * 3600.0
 """Far longer than a run takes whose agents answer."""
-FILE_LIMIT_BYTES = 2**26
+_SUBSET_RUN = TypeAdapter(SubsetRun)
 
 Place = tuple[int, int]
 """The index of a cell and the number of a run; 0 is the pilot."""
@@ -83,7 +80,7 @@ def run_rare(
         found: dict[Place, SubsetRun] = {}
         missing: dict[RareTask, Place] = {}
         for place, task in tasks.items():
-            if (made := _read(_file(output, place, task))) is None:
+            if (made := read_result(_file(output, place, task), _SUBSET_RUN)) is None:
                 missing[task] = place
             else:
                 found[place] = made
@@ -92,12 +89,13 @@ def run_rare(
         with closing(running):
             for task, made in running:
                 place = missing[task]
-                _write(_file(output, place, task), made)
+                write_result(_file(output, place, task), asdict(made))
                 found[place] = made
                 progress(suite.cells[place[0]], 1)
         return found
 
-    with _opened(output, suite, event, samples):
+    ours = {"format": FORMAT, "event": event, "samples": samples}
+    with opened_for_suite(output, MANIFEST, "estimation of a rare event", suite, ours):
         tasks = _pilots(suite, event, samples)
         try:
             pilots = finished(tasks)
@@ -114,7 +112,8 @@ def run_rare(
 
 def damaged_files(folder: Path) -> list[Path]:
     """Returns the files of runs that have changed since they were written."""
-    return [path for path in sorted((folder / "runs").glob("*.json")) if _read(path) is None]
+    files = sorted((folder / "runs").glob("*.json"))
+    return [path for path in files if read_result(path, _SUBSET_RUN) is None]
 
 
 def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
@@ -151,40 +150,5 @@ def _runs(
     return tasks
 
 
-@contextmanager
-def _opened(folder: Path, suite: Suite, event: str, samples: int) -> Iterator[None]:
-    """Locks the folder and writes its manifest; a folder with something else is not changed."""
-    fields = json.loads(suite.model_dump_json(exclude={"episodes", *PRESENTATION}))
-    ours = {"format": FORMAT, "suite": fields, "event": event, "samples": samples}
-    path = folder / MANIFEST
-    read = partial(read_manifest, path, FILE_LIMIT_BYTES)
-    with opened(folder, MANIFEST, "estimation of a rare event", ours, read):
-        for left in folder.glob("**/.*.partial"):
-            left.unlink()
-        write_bytes(path, (json.dumps(ours, indent=2, ensure_ascii=False) + "\n").encode())
-        yield
-
-
 def _file(folder: Path, place: Place, task: RareTask) -> Path:
     return folder / "runs" / f"{place[0]:03d}-{place[1]:03d}-{task.key[:16]}.json"
-
-
-def _write(path: Path, run: SubsetRun) -> None:
-    text = json.dumps(asdict(run))
-    checked = {"sha256": hashlib.sha256(text.encode()).hexdigest(), "run": text}
-    write_bytes(path, json.dumps(checked).encode())
-
-
-_SUBSET_RUN = TypeAdapter(SubsetRun)
-
-
-def _read(path: Path) -> SubsetRun | None:
-    """Returns a finished run, or None if it is missing or has changed since it was written."""
-    try:
-        checked = json_of(read_limited(path, FILE_LIMIT_BYTES))
-        text = checked["run"]
-        if hashlib.sha256(text.encode()).hexdigest() != checked["sha256"]:
-            return None
-        return _SUBSET_RUN.validate_json(text)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None

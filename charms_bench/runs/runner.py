@@ -16,7 +16,7 @@ from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.shard import (
     CellTask,
     ShardFiles,

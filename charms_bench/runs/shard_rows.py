@@ -52,12 +52,14 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     """The rows of a kind of a shard in the Parquet file `path`; raises a `RunFolderError`."""
     schema = SCHEMAS[kind]
     try:
-        # Later versions may add columns.
-        lacking = {*LENGTHS} - pl.read_parquet_schema(BytesIO(data)).keys()
+        # Later versions may add columns; earlier ones recorded no lengths.
+        held = pl.read_parquet_schema(BytesIO(data)) if kind == "steps" else schema
+        lacking = [name for name in LENGTHS if name in schema and name not in held]
         names = [name for name in schema if name not in lacking]
         rows = pl.read_parquet(BytesIO(data), columns=names, n_rows=ROWS_LIMIT + 1)
-        added = [pl.lit(None, schema[name]).alias(name) for name in lacking & schema.keys()]
-        rows = rows.with_columns(added).select(schema.names())
+        if lacking:
+            added = [pl.lit(None, schema[name]).alias(name) for name in lacking]
+            rows = rows.with_columns(added).select(schema.names())
         found = rows.schema
         wrong = [name for name in schema if found[name] != schema[name]]
     except pl.exceptions.ColumnNotFoundError:

@@ -30,7 +30,7 @@ EPISODES_LIMIT = 10_000_000
 PLACED_AT_ONCE = 100_000
 """Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
-"""Most egos of a suite, and most traffics."""
+"""Most egos of a suite, and most traffic models."""
 PRESENTATION = ("title", "note", "columns", "pairs", "preventable_by", "references")
 """Fields of a suite that affect only the presentation of results, and no row."""
 
@@ -111,7 +111,8 @@ class Suite(FrozenModel):
     ]
     """The agents that are evaluated, at most 100."""
     traffics: Annotated[
-        tuple[TrafficEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)
+        tuple[TrafficEntry, ...],
+        Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False, alias="traffic_models"),
     ]
     """What drives the vehicles around the ego, at most 100."""
     columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
@@ -148,13 +149,13 @@ class Suite(FrozenModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Suite":
-        for what, entries in (("egos", self.egos), ("traffics", self.traffics)):
+        for what, entries in (("egos", self.egos), ("traffic models", self.traffics)):
             titles = [entry.title for entry in entries]
             for title in titles:
                 if titles.count(title) > 1:
                     raise ValueError(f"two {what} are called '{title}'; give them different labels")
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
-            raise ValueError("pairs needs two or more egos and one traffic")
+            raise ValueError("pairs needs two or more egos and one traffic model")
         if self.references and len(self.egos) > 1:
             raise ValueError("references are compared with traffic models; expected one ego")
         if len({reference.title for reference in self.references}) < len(self.references):
@@ -250,7 +251,7 @@ def check_scenarios(document: Document, suite: Suite) -> None:
                         ranges = _ranges_of(str(vehicle.agent))
                         driver_parameters(scenario, k, settings, ranges, numbers)
             except ScenarioError as error:
-                at = ("traffics", index, "traffic", "scenario", *error.location)
+                at = ("traffic_models", index, "traffic", "scenario", *error.location)
                 raise document.error(at, str(error)) from error
 
 
@@ -285,8 +286,8 @@ def check_networks(document: Document, suite: Suite) -> None:
 
 
 def _entries(suite: Suite) -> dict[str, Sequence[EgoEntry | TrafficEntry]]:
-    """Returns the egos and the traffics of a suite by their keys in YAML."""
-    return {"egos": suite.egos, "traffics": suite.traffics}
+    """Returns the egos and the traffic models of a suite by their keys in YAML."""
+    return {"egos": suite.egos, "traffic_models": suite.traffics}
 
 
 def _check_metric(

@@ -177,7 +177,7 @@ class SceneSettings(FrozenModel):
         names = [each.name for each in self.vehicle_types]
         if names and abs(sum(each.share for each in self.vehicle_types) - 1) > 1e-9:
             total = sum(each.share for each in self.vehicle_types)
-            raise ValueError(f"vehicle_types: the shares sum to {total:g}; expected 1")
+            raise ValueError(f"vehicle_types: the proportions sum to {total:g}; expected 1")
         if len(set(names)) < len(names):
             raise ValueError("vehicle_types: two types have the same name")
         if self.ego_type not in (None, *names):

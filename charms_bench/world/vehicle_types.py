@@ -77,7 +77,7 @@ class VehicleType(FrozenModel):
 
     name: Name
     """Its name, for `ego_type`."""
-    share: Annotated[float, Field(gt=0, le=1)]
+    share: Annotated[float, Field(gt=0, le=1, alias="proportion")]
     """The proportion of vehicles of this type; those of all types sum to 1."""
     length_m: Length | Distribution | None = None
     """Its length; by default the profile's."""

@@ -71,7 +71,8 @@ human:
     conditions: roads
     episodes: 4
   fine_tuning: {loss: cross_entropy, learning_rate: 1.0e-4, epochs: 2, batch_size: 16}
-  imitation: {loss: cross_entropy, learning_rate: 1.0e-2, epochs: 3, batch_size: 16, pull: 0.0}
+  imitation:
+    {loss: cross_entropy, learning_rate: 1.0e-2, epochs: 3, batch_size: 16, l2_anchoring: 0.0}
   stages:
     people: {drivers: simulated, hidden_layers: [8]}
     charms_style: {fine_tunes: style}

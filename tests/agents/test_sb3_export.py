@@ -37,7 +37,7 @@ suite: exported
 episodes: 2
 scene: {duration_s: 2.0, traffic_vehicles: 5, decision_hz: 5}
 egos: [{agent: {onnx: out.onnx}}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 FACTS = {"decision_hz": "5", "style": "hasty"}
 

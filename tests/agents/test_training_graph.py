@@ -46,8 +46,8 @@ stages:
   selfish: {like: level_1, traffic: level_1}
 human:
   recordings: recordings
-  fine_tuning: {learning_rate: 1.0e-3, epochs: 3, batch_size: 16, pull: 0.1}
-  imitation: {learning_rate: 1.0e-2, epochs: 4, batch_size: 16, pull: 0.0}
+  fine_tuning: {learning_rate: 1.0e-3, epochs: 3, batch_size: 16, l2_anchoring: 0.1}
+  imitation: {learning_rate: 1.0e-2, epochs: 4, batch_size: 16, l2_anchoring: 0.0}
   stages:
     charms_kind: {fine_tunes: kind}
     charms_selfish: {fine_tunes: selfish, settings: {epochs: 2, rehearsal: 0.1}}

@@ -28,7 +28,7 @@ scene: {duration_s: 2.0, traffic_vehicles: 5}
 egos:
   - {agent: idm_mobil, label: IDM, paper: {speed_mean: 23.67}}
   - {agent: EGO}
-traffics:
+traffic_models:
   - traffic: idm_mobil
 """
 

@@ -17,7 +17,7 @@ suite: small
 episodes: 100
 seed: 900000000
 egos: [{agent: imitation}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 STEPS, EPOCH = 1500, 500
 REPORT = """

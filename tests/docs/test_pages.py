@@ -9,13 +9,22 @@ from pathlib import Path
 import pytest
 import typer
 import yaml
+from trios import busy_road, write_trio
 from written import PAGES, ROOT, blocks, spans
 
 from charms_bench import __version__
 from charms_bench.cli import app
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
+from charms_bench.runs.suite import Suite
 
+SMALL = {
+    "suite": "small",
+    "episodes": 1,
+    "egos": [{"agent": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
+}
+"""What an example that shows a part of a suite leaves out."""
 KNOWN = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # of a group
 
 
@@ -63,6 +72,26 @@ def test_every_agent_and_traffic_model_of_the_package_is_described() -> None:
         if each.distribution == "charms-bench"
     }
     assert ours <= named
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_of_the_project_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    named = set(re.findall(r"\b(?:tools|tests|suites)/[\w/.-]+\.(?:py|yaml)\b", text))
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_example_of_a_suite_is_valid(page: Path, tmp_path: Path) -> None:
+    write_trio(tmp_path, busy_road())
+    for block in (block for block in blocks(page) if block.language == "yaml"):
+        example = yaml.safe_load(block.text)
+        if "vehicle_types" in example:
+            example = {"scene": example}
+        if "recording" in example.get("scene", {}):
+            example["scene"]["recording"] |= {"folder": str(tmp_path), "main_lanes": 1}
+            example["scene"]["duration_s"] = 0.5
+        Suite.model_validate({**SMALL, **example})
 
 
 def test_every_page_is_two_clicks_from_the_readme() -> None:

@@ -1,4 +1,4 @@
-"""The Python code of `docs/python.md` and of the README runs, in order."""
+"""The Python code of `docs/python.md`, of the README and about other roads runs, in order."""
 
 import re
 import shutil
@@ -28,3 +28,9 @@ def test_the_code_of_the_page_runs(
     assert list(tmp_path.glob("*.gif")), "a replay was drawn"
     assert page == "README.md" or (tmp_path / "state.json").exists()
     assert "IDM+MOBIL" in capsys.readouterr().out
+
+
+def test_the_code_about_highway_envs_other_roads_runs() -> None:
+    page = ROOT / "docs" / "highway-env-roads.md"
+    parts = [block.text for block in blocks(page) if block.language == "python"]
+    exec(compile("\n".join(parts), page.name, "exec"), {"__name__": "page"})

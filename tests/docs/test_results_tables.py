@@ -1,6 +1,7 @@
 """The tables of the readme and the documentation are those of runs."""
 
 import math
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,7 +55,12 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
         ("other", "mixed", "paper-2", "speed_mean", None, None, None, 0, None),
         ("other", "mixed", "standard-5", "crashed_episodes", 0.0, None, None, 100, None),
     ]
-    suite = {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    suite = {
+        "suite": "s",
+        "episodes": 1,
+        "egos": [{"agent": "a"}],
+        "traffic_models": [{"traffic": "t"}],
+    }
     long = pl.DataFrame(rows, schema=long_schema(KEYS, LONG), orient="row")
     table = from_frame(long, Suite.model_validate(suite))
     columns = {name: tool.EGO[name] for name in ("episodes crashed", "speed, m/s")}
@@ -106,7 +112,8 @@ def test_the_table_of_rare_events_compares_at_equal_width(tool: ModuleType, tmp_
 @pytest.mark.parametrize("name", REPRODUCTIONS)
 def test_a_table_of_the_reproduction_is_that_of_its_numbers(tool: ModuleType, name: str) -> None:
     numbers = pl.read_csv(tool.RESULTS / f"{name}.csv")
-    assert tool.verdicts(numbers) == (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8")
+    written = (tool.RESULTS / f"{name}.md").read_text(encoding="utf-8")
+    assert tool.side_by_side(numbers) == written
 
 
 def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleType) -> None:
@@ -119,17 +126,32 @@ def test_a_value_agrees_if_two_samples_of_its_size_differ_as_much(tool: ModuleTy
         ("B", "speed_mean", 23.67, 23.6, 23.47, 23.73, 23.668, None, None),
         ("B", "crashed_episodes", None, 0.25, 0.2, 0.3, None, None, None),
     ]
-    *table, empty, summary = tool.verdicts(
-        pl.DataFrame(rows, schema=columns, orient="row")
-    ).splitlines()
+    numbers = tool.with_verdicts(pl.DataFrame(rows, schema=columns, orient="row"))
+    assert numbers["released_agrees"].to_list() == ["yes", "yes", None]
+    assert numbers["ours_agrees"].to_list() == ["no, 5.5", "yes", None]
+    *table, empty, summary = tool.side_by_side(numbers).splitlines()
     assert not empty
-    assert summary.endswith(
-        "networks in 2 of 2 rows, and with that of this project in 1 of 2 rows."
+    assert summary == (
+        "Of the values of the authors' networks, 2 of 2 agree with the paper; of this project's, "
+        "1 of 2."
     )
     assert table == [
-        "| agent | metric | paper | authors' networks | agrees | this project | agrees |",
-        "|---|---|---:|---:|---:|---:|---:|",
-        "| A | speed, m/s | 23.10 | 23.20 [23.10, 23.30] | yes | 22.70 [22.60, 22.80] | no, 5.5 |",
-        "| B | speed, m/s | 23.67 | 23.60 [23.47, 23.73] | yes | 23.7 | yes |",
-        "| B | episodes crashed, % | – | 25.0 [20.0, 30.0] | – | – | – |",
+        "| agent | source | speed, m/s | episodes crashed, % |",
+        "|---|---|---:|---:|",
+        "| A | paper | 23.10 | – |",
+        "| A | authors' networks | **23.20** | – |",
+        "| A | this project | 22.70 | – |",
+        "| B | paper | 23.67 | – |",
+        "| B | authors' networks | **23.60** | 25.0 |",
+        "| B | this project | **23.67** | – |",
     ]
+
+
+def test_a_link_to_numbers_leads_to_their_file() -> None:
+    linked = {
+        name
+        for page in PAGES
+        for name in re.findall(r"\]\((results/[a-z-]+\.csv)\)", page.read_text(encoding="utf-8"))
+    }
+    assert {"results/crossplay.csv", "results/transfer.csv"} <= linked
+    assert [name for name in linked if not (ROOT / "docs" / name).is_file()] == []

@@ -19,8 +19,8 @@ from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, SceneSettings, Vehicles
 
 TYPES = [
-    {"name": "truck", "share": 0.3, "length_m": 16.0, "desired_speed_mps": [22, 25]},
-    {"name": "car", "share": 0.7},
+    {"name": "truck", "proportion": 0.3, "length_m": 16.0, "desired_speed_mps": [22, 25]},
+    {"name": "car", "proportion": 0.7},
 ]
 SCENES = 6
 

@@ -234,7 +234,10 @@ def test_a_planner_keeps_the_ego_on_the_road_without_a_crash() -> None:
 
 
 def test_rollouts_leave_every_vehicle_its_size_whoever_plans() -> None:
-    types = [{"name": "truck", "share": 0.5, "length_m": 16.0}, {"name": "car", "share": 0.5}]
+    types = [
+        {"name": "truck", "proportion": 0.5, "length_m": 16.0},
+        {"name": "car", "proportion": 0.5},
+    ]
     fields = {"vehicle_types": types, "ego_type": "truck", "traffic_vehicles": 8}
     agents = {"ego": make_agent("idm_mobil"), "planner": Planner()}
     settings = SceneSettings.model_validate(fields)

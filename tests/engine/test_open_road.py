@@ -20,13 +20,13 @@ from charms_bench.world.scene import Scene, SceneSettings
 TYPES = [
     {
         "name": "car",
-        "share": 0.7,
+        "proportion": 0.7,
         "length_m": {"normal": [4.7, 0.4], "range": [3.5, 5.8]},
         "desired_speed_mps": {"normal": [30.0, 3.0], "range": [24, 36]},
         "driver_parameters": {"time_headway_s": {"lognormal": [1.2, 0.3], "range": [0.7, 2.0]}},
         "correlations": [["desired_speed_mps", "time_headway_s", -0.4]],
     },
-    {"name": "truck", "share": 0.3, "length_m": 16.0, "desired_speed_mps": [22, 25]},
+    {"name": "truck", "proportion": 0.3, "length_m": 16.0, "desired_speed_mps": [22, 25]},
 ]
 SHORT: dict[str, Any] = {
     "profile": {"name": "naturalistic", "road_length_m": 700.0, "offroad_terminal": False},

@@ -20,10 +20,10 @@ from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import Scene, SceneSettings
 
-CAR = {"name": "car", "share": 0.75, "desired_speed_mps": [26, 33]}
+CAR = {"name": "car", "proportion": 0.75, "desired_speed_mps": [26, 33]}
 TRUCK = {
     "name": "truck",
-    "share": 0.25,
+    "proportion": 0.25,
     "length_m": 16.0,
     "width_m": 2.5,
     "desired_speed_mps": [22, 25],
@@ -79,7 +79,7 @@ def test_the_ego_may_have_a_type() -> None:
 
 
 def test_types_of_the_profiles_size_change_nothing() -> None:
-    plain, typed = started(settings_of()), started(settings_of({"name": "car", "share": 1}))
+    plain, typed = started(settings_of()), started(settings_of({"name": "car", "proportion": 1}))
     assert {*plain.state().arrays()} == {*typed.state().arrays()}
     for name, array in plain.state().arrays().items():
         np.testing.assert_array_equal(array, getattr(typed.state(), name), name)
@@ -97,7 +97,7 @@ def test_vehicles_start_with_the_gaps_that_cars_have() -> None:
 
 
 def test_the_road_is_long_enough_for_long_vehicles() -> None:
-    lorry = {"name": "lorry", "share": 1, "length_m": 30.0}
+    lorry = {"name": "lorry", "proportion": 1, "length_m": 30.0}
     made = started(settings_of(lorry, traffic_vehicles=300, density=3.0, lanes=2), seeds=1)
     fastest = made.settings.profile.speed_max_mps * made.settings.duration_s
     assert made.scene.x.max() + fastest < made.settings.road_length_m
@@ -115,8 +115,8 @@ def test_parameters_of_a_type_are_uniform_in_its_range() -> None:
 @pytest.mark.parametrize("profile", ["charms", "highway-env"])
 @pytest.mark.parametrize("ego", ["idm_mobil", "stackelberg", "varied"])
 def test_both_engines_move_trucks_and_cars_alike(profile: str, ego: str) -> None:
-    motorcycle = {"name": "motorcycle", "share": 0.25, "length_m": 2.0, "width_m": 0.8}
-    types = ({**CAR, "share": 0.5}, TRUCK, motorcycle)
+    motorcycle = {"name": "motorcycle", "proportion": 0.25, "length_m": 2.0, "width_m": 0.8}
+    types = ({**CAR, "proportion": 0.5}, TRUCK, motorcycle)
     settings = settings_of(*types, profile=profile, density=2.5, ego_type="truck")
     ours, theirs = (started(settings, 2, engine, ego) for engine in ENGINES)
     for step in range(100):
@@ -158,7 +158,7 @@ def test_draws_place_vehicles_with_the_types_of_their_seeds() -> None:
 @pytest.mark.parametrize(
     ("types", "fields", "what"),
     [
-        ([{**CAR, "share": 0.5}, TRUCK], {}, "the shares sum to 0.75; expected 1"),
+        ([{**CAR, "proportion": 0.5}, TRUCK], {}, "the proportions sum to 0.75; expected 1"),
         ([CAR, {**TRUCK, "name": "car"}], {}, "two types have the same name"),
         ([CAR, TRUCK], {"ego_type": "lorry"}, "no vehicle type called 'lorry'"),
         ([CAR, {**TRUCK, "desired_speed_mps": [15, 25]}], {}, "expected 22 to 33"),
@@ -206,7 +206,7 @@ def test_a_scenario_may_give_sizes() -> None:
 
 TALL = {
     "name": "tall",
-    "share": 1.0,
+    "proportion": 1.0,
     "length_m": {"normal": [12.0, 2.0], "range": [8.0, 16.0]},
     "width_m": {"normal": [2.4, 0.1], "range": [2.2, 2.6]},
     "desired_speed_mps": [20, 30],

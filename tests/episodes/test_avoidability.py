@@ -30,7 +30,7 @@ SUITE = {
     "seed": 900_000_000,
     "scene": {"duration_s": 6.0, "traffic_vehicles": 9, "density": 1.5, "ego_slots": 3},
     "egos": [{"agent": "imitation"}],
-    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
+    "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
 }
 
 

@@ -37,7 +37,7 @@ episodes: 2
 seed: 900000000
 scene: {duration_s: 8.0, traffic_vehicles: 10, density: 1.5}
 egos: [{agent: charms}, {agent: idm_mobil}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 FIRST_VEHICLE = 1001
 ROUNDING_S = 0.00501

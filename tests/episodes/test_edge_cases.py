@@ -19,7 +19,7 @@ SUITE = {
     "episodes": 30,
     "scene": {"duration_s": 8.0, "density": 1.5, "traffic_vehicles": 10},
     "egos": [{"agent": "idm_mobil"}, {"agent": "prior_level_k", "label": "[b]Level-k[/b]"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 

@@ -37,7 +37,7 @@ def cell(network_file: Callable[..., Path], tmp_path: Path) -> RecordedCell:
         "seed": 900_000_000,
         "scene": SCENE,
         "egos": [{"agent": str(path), "label": "hasty"}, {"agent": "level_0"}],
-        "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
+        "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}}],
     }
     return RecordedCell(run(Suite.model_validate(suite), tmp_path / "run", workers=1), 0, Path())
 

@@ -22,7 +22,7 @@ SUITE = {
     "seed": 900_000_000,
     "scene": {"duration_s": 8.0, "traffic_vehicles": 10, "density": 1.5},
     "egos": [{"agent": "outside_policy"}],
-    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+    "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
 }
 COLUMNS = (
     "frame,id,x,y,width,height,xVelocity,yVelocity,xAcceleration,yAcceleration,"

@@ -21,7 +21,7 @@ episodes: 8
 seed: 900000000
 scene: {duration_s: 8.0, traffic_vehicles: 10, density: 2.0, profile: highway-env}
 egos: [{agent: outside_policy}]
-traffics: [{traffic: {mixture: {idm_mobil: 0.5, outside_policy: 0.5}}}]
+traffic_models: [{traffic: {mixture: {idm_mobil: 0.5, outside_policy: 0.5}}}]
 """
 
 
@@ -90,7 +90,7 @@ def test_its_spaces_are_those_of_its_environment(loaded: Any) -> None:
     ],
 )
 def test_only_a_traffic_of_plain_values_has_an_environment(traffic: Any, is_plain: bool) -> None:
-    entries = {"egos": [{"agent": "charms"}], "traffics": [{"traffic": traffic}]}
+    entries = {"egos": [{"agent": "charms"}], "traffic_models": [{"traffic": traffic}]}
     (cell,) = Suite.model_validate({"suite": "s", "episodes": 1, **entries}).cells
     assert (environment_of(cell, neighbours) is not None) == is_plain
 

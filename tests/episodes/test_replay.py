@@ -14,7 +14,7 @@ from charms_bench.episodes.replay import TRAJECTORY_SCHEMA, replay
 from charms_bench.errors import RunFolderError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.runs.finished_run import FinishedRun, open_finished
-from charms_bench.runs.folder import KINDS
+from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import run
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
@@ -25,7 +25,7 @@ SMALL = {
     "seed": 10,
     "scene": {"duration_s": 3.0, "traffic_vehicles": 8},
     "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy", "label": "Keep right"}],
-    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+    "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
 }
 
 

@@ -25,7 +25,7 @@ SUITE = {
     "seed": 10,
     "scene": {"duration_s": 5.0, "traffic_vehicles": 8, "density": 1.5},
     "egos": [{"agent": "outside_policy"}],
-    "traffics": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
+    "traffic_models": [{"traffic": {"mixture": {"idm_mobil": 0.5, "outside_policy": 0.5}}}],
 }
 ARRAYS = (
     "x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "crashed",

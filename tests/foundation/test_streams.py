@@ -13,7 +13,7 @@ suite: small
 episodes: 6
 scene: {duration_s: 2.0, traffic_vehicles: 5}
 egos: [{agent: idm_mobil}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 
 

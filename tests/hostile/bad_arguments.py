@@ -10,7 +10,7 @@ suite: small
 episodes: 2
 scene: {duration_s: 2.0, traffic_vehicles: 5}
 egos: [{agent: idm_mobil}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 LONG = "x" * 5000
 WORDS: tuple[Sequence[str], ...] = (

@@ -24,7 +24,7 @@ scene:
   duration_s: 2.0
 egos:
   - agent: idm_mobil
-traffics:
+traffic_models:
   - traffic: idm_mobil
 columns: []
 pairs: false

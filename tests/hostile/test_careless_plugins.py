@@ -20,7 +20,7 @@ suite: small
 episodes: 6
 scene: {{duration_s: 4.0, traffic_vehicles: 5}}
 egos: [{{agent: {ego}}}]
-traffics: [{{traffic: {traffic}}}]
+traffic_models: [{{traffic: {traffic}}}]
 """
 COMMAND = "import sys; from charms_bench.cli import main; main()"
 TO_NEAREST = 0

@@ -15,7 +15,7 @@ from bad_run_folders import forged, signed
 from command_line import charms_bench
 
 import charms_bench as harness
-from charms_bench.runs.folder import RunFolder
+from charms_bench.runs.resumable_folder import RunFolder
 
 
 @pytest.fixture(scope="module")

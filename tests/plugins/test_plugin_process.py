@@ -53,7 +53,7 @@ suite: small
 episodes: 30
 scene: {{duration_s: 15.0, traffic_vehicles: 10}}
 egos: [{{agent: {ego}}}]
-traffics: [{{traffic: idm_mobil}}]
+traffic_models: [{{traffic: idm_mobil}}]
 """
 NAMES = ("Loud", "Moving", "Torn")
 COMMAND = "from charms_bench.cli import main; main()"

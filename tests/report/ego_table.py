@@ -12,5 +12,5 @@ IDM,mixed,standard-5(ttc_s=2),speed_mean,25.0,24.0,26.0,100,
 CHARMS,mixed,standard-5(ttc_s=2),speed_mean,31.0,30.0,32.0,100,
 """
 SUITE = Suite.model_validate(
-    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    {"suite": "ego", "episodes": 1, "egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
 )

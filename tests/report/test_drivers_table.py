@@ -15,7 +15,12 @@ from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
 
 SUITE = Suite.model_validate(
-    {"suite": "mixed", "episodes": 3, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    {
+        "suite": "mixed",
+        "episodes": 3,
+        "egos": [{"agent": "a"}],
+        "traffic_models": [{"traffic": "t"}],
+    }
 )
 
 
@@ -66,7 +71,7 @@ def test_a_run_has_the_table_and_opens_it_again(tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(
         "suite: small\nepisodes: 4\nscene: {duration_s: 3.0, traffic_vehicles: 5}\n"
         "egos: [{agent: idm_mobil}]\n"
-        "traffics: [{traffic: {mixture: {idm_mobil: 0.5, stackelberg: 0.5}}}]\n"
+        "traffic_models: [{traffic: {mixture: {idm_mobil: 0.5, stackelberg: 0.5}}}]\n"
     )
     charms_bench("run", "suite.yaml", "--workers", "1", cwd=tmp_path)
     stored = open_run(tmp_path / "runs" / "small").tables["small-drivers"]

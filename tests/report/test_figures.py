@@ -19,7 +19,7 @@ from charms_bench.runs.suite import Suite
 from charms_bench.world.following import BINS
 
 SUITE = Suite.model_validate(
-    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
 )
 
 

@@ -21,7 +21,7 @@ STYLES = Suite.model_validate(
         "suite": "styles",
         "episodes": 60,
         "egos": [{"agent": name} for name in ("one", "other", "fast")],
-        "traffics": [{"traffic": "idm"}],
+        "traffic_models": [{"traffic": "idm"}],
         "pairs": True,
     }
 )
@@ -127,7 +127,7 @@ suite: small
 episodes: 12
 scene: {duration_s: 3.0, traffic_vehicles: 5}
 egos: [{agent: idm_mobil}, {agent: stackelberg}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 pairs: true
 """
 

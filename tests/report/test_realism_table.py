@@ -35,7 +35,7 @@ SUITE = Suite.model_validate(
         "episodes": EPISODES,
         "seed": 4,
         "egos": [{"agent": "a"}],
-        "traffics": [{"traffic": "t"}],
+        "traffic_models": [{"traffic": "t"}],
     }
 )
 RNG = np.random.default_rng(0)

@@ -23,14 +23,14 @@ suite: small
 episodes: 160
 scene: {duration_s: 2.0, traffic_vehicles: 5}
 egos: [{agent: idm_mobil, label: IDM}, {agent: policy.onnx, label: Net}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 RARE = """\
 suite: small
 episodes: 1
 scene: {duration_s: 1.0, traffic_vehicles: 5}
 egos: [{agent: idm_mobil}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 
 

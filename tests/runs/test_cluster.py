@@ -31,7 +31,7 @@ SUITE = """\
 suite: away
 episodes: 600
 egos: [{agent: {onnx: ../network.onnx}}, {agent: stackelberg}]
-traffics: [{traffic: {mixture: {../network.onnx: 0.1, idm_mobil: 0.9}}}]
+traffic_models: [{traffic: {mixture: {../network.onnx: 0.1, idm_mobil: 0.9}}}]
 """
 PAGE = Path(__file__).parents[2] / "docs" / "running.md"
 JOBQUEUE = """\
@@ -143,7 +143,7 @@ def test_an_invalid_address_is_refused_with_the_expected_form(address: str) -> N
 
 
 def test_tls_without_a_certificate_says_where_dask_looks_for_one() -> None:
-    agent = {"egos": [{"agent": "idm_mobil"}], "traffics": [{"traffic": "idm_mobil"}]}
+    agent = {"egos": [{"agent": "idm_mobil"}], "traffic_models": [{"traffic": "idm_mobil"}]}
     suite = Suite.model_validate({"suite": "x", "episodes": 1, **agent})
     simulate_all = on_cluster("tls://127.0.0.1:8786")
     shards = simulate_all(list(plan(suite, "batched").values()), 1.0, print)

@@ -25,7 +25,7 @@ scene:
 egos:
   - {{agent: human, label: Human}}
   - {{agent: {network}, label: My network}}
-traffics:
+traffic_models:
   - {{traffic: idm_mobil, label: IDM}}
 """
 

@@ -12,7 +12,7 @@ suite: small
 episodes: 8
 scene: {{duration_s: 6.0, traffic_vehicles: 8}}
 egos: [{egos}]
-traffics: [{{traffic: idm_mobil}}]
+traffic_models: [{{traffic: idm_mobil}}]
 """
 
 

@@ -19,7 +19,7 @@ SUITE = {
     "episodes": 12,
     "scene": {"duration_s": 5.0, "traffic_vehicles": 8},
     "egos": [{"agent": "outside_policy"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 

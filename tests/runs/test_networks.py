@@ -35,7 +35,7 @@ WAYS: dict[str, Callable[[str], Any]] = {
 
 def suite_of(folder: Path, traffic: object, ego: object = "idm_mobil") -> Suite:
     scene = {"duration_s": 3.0, "traffic_vehicles": 6}
-    entries = {"egos": [{"agent": ego}], "traffics": [{"traffic": traffic, "label": "mine"}]}
+    entries = {"egos": [{"agent": ego}], "traffic_models": [{"traffic": traffic, "label": "mine"}]}
     return Suite.model_validate(
         {"suite": "small", "episodes": 3, "scene": scene, "folder": folder, **entries}
     )
@@ -127,24 +127,24 @@ def test_a_moved_run_folder_has_the_networks_of_its_traffic(
     [
         (
             "nets/none.onnx",
-            "suite.yaml:5: traffics[0].traffic: {0}/nets/none.onnx: cannot be read: No such file",
+            "suite.yaml:5: traffic_models[0].traffic: {0}/nets/none.onnx: cannot be read: No",
         ),
         ("nets/none.onnx", "directory; `charms-bench export none.zip --to {0}/nets` makes it"),
         (
             "\n      mixture:\n        idm_mobil: 0.5\n        nets/bad.onnx: 0.5",
-            "suite.yaml:8: traffics[0].traffic.mixture.nets/bad.onnx: {0}/nets/bad.onnx: is not an",
+            "suite.yaml:8: traffic_models[0].traffic.mixture.nets/bad.onnx: {0}/nets/bad.onnx: is",
         ),
         (
             "{name: pch, options: {tau: 1,\n    styles: {safe-egoistic: nets/none.onnx}}}",
-            "suite.yaml:6: traffics[0].traffic.options.styles.safe-egoistic: {0}/nets/none.onnx: c",
+            "suite.yaml:6: traffic_models[0].traffic.options.styles.safe-egoistic: {0}/nets/none.",
         ),
         (
             "{name: pch, options: {styles: {kind: nets/bad.onnx}}}",
-            "suite.yaml:5: traffics[0]: traffic 'pch': no style 'kind'. Known: efficient-competi",
+            "suite.yaml:5: traffic_models[0]: traffic 'pch': no style 'kind'. Known: efficient-",
         ),
         (
             "nets/bad.pt",
-            "suite.yaml:5: traffics[0]: no traffic named 'nets/bad.pt'. Known: ",
+            "suite.yaml:5: traffic_models[0]: no traffic named 'nets/bad.pt'. Known: ",
         ),
         ("nets/bad.pt", "The path of a network ends in .onnx."),
         ("{name: nets/bad.onnx, options: {gain: 1}}", "is an agent; as a traffic, it takes no opt"),
@@ -158,7 +158,7 @@ def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_ru
     for name in ("bad.onnx", "bad.pt"):
         (tmp_path / "nets" / name).write_bytes(b"nothing")
     suite = tmp_path / "suite.yaml"
-    head = "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\ntraffics:\n"
+    head = "suite: small\nepisodes: 1\negos: [{agent: idm_mobil}]\ntraffic_models:\n"
     suite.write_text(f"{head}  - traffic: {traffic}\n")
     for command in (("run", suite, "--output", tmp_path / "run"), ("verify", "--suite", suite)):
         called = charms_bench(*command)
@@ -176,7 +176,8 @@ def test_both_engines_agree_with_networks_in_the_traffic(
     suite.write_text(
         "suite: small\nepisodes: 2\nscene: {duration_s: 3.0, traffic_vehicles: 6}\n"
         "egos: [{agent: policy.onnx}]\n"
-        "traffics: [{traffic: policy.onnx}, {traffic: {mixture: {policy.onnx: 0.5, level_0: 0.5}}}]"
+        "traffic_models: [{traffic: policy.onnx}, "
+        "{traffic: {mixture: {policy.onnx: 0.5, level_0: 0.5}}}]"
     )
     called = charms_bench("verify", "--suite", suite, "--episodes", 2, "--workers", 1)
     assert called.returncode == 0, called.stderr
@@ -195,5 +196,5 @@ def test_runs_are_compared_if_their_traffics_networks_have_the_same_content(
         runs.append(open_finished(tmp_path / name))
     ((one, other),) = pairs_of(runs[0], runs[1], None)
     assert (one.agent, other.agent) == ("idm_mobil", "level_0")
-    with pytest.raises(InputError, match=r"traffics\[0\]\.options\.styles\.safe-egoistic is"):
+    with pytest.raises(InputError, match=r"traffic_models\[0\]\.options\.styles\.safe-egoistic is"):
         pairs_of(runs[0], runs[2], None)

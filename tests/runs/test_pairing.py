@@ -20,7 +20,7 @@ SMALL = {
     "episodes": 12,
     "scene": {"duration_s": 3.0, "traffic_vehicles": 5},
     "egos": [{"agent": "idm_mobil"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 
@@ -66,7 +66,7 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
     crossed = made(
         "crossed",
         egos=[{"agent": "idm_mobil"}, {"agent": "stackelberg"}],
-        traffics=[{"traffic": "idm_mobil"}, {"traffic": "stackelberg", "label": "games"}],
+        traffic_models=[{"traffic": "idm_mobil"}, {"traffic": "stackelberg", "label": "games"}],
     )
     assert named(pairs_of(crossed, None, ("stackelberg", "idm_mobil"))) == [
         ("stackelberg", "idm_mobil", traffic) for traffic in ("idm_mobil", "games")
@@ -90,8 +90,8 @@ def test_two_agents_of_a_run_are_compared_in_each_of_its_traffics(
         ),
         (
             "games",
-            {"traffics": [{"traffic": "stackelberg"}]},
-            r"traffics\[0\]\.name is idm_mobil in the first and stackelberg in the second",
+            {"traffic_models": [{"traffic": "stackelberg"}]},
+            r"traffic_models\[0\]\.name is idm_mobil in the first and stackelberg in the second",
         ),
     ],
 )

@@ -20,7 +20,7 @@ suite: crowded
 episodes: 2
 scene: {duration_s: 2.0, traffic_vehicles: 4, ego_slots: 2, density: 2.2}
 egos: [{agent: idm_mobil, label: IDM}]
-traffics: [{traffic: {mixture: {idm_mobil: 0.5, stackelberg: 0.5}}, label: mixed}]
+traffic_models: [{traffic: {mixture: {idm_mobil: 0.5, stackelberg: 0.5}}, label: mixed}]
 """
 OPTIONS = {"runs": 5, "samples": 100, "workers": 1}
 EVENT = "ttc:below_s=0.7"
@@ -165,6 +165,8 @@ def test_a_training_suite_is_refused(tmp_path: Path) -> None:
 
 def test_a_scenario_is_refused_because_nothing_of_it_is_drawn(tmp_path: Path) -> None:
     suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
-    with pytest.raises(InputError, match=r"r157.yaml:\d+: traffics\[0\].traffic.scenario: rare"):
+    with pytest.raises(
+        InputError, match=r"r157.yaml:\d+: traffic_models\[0\].traffic.scenario: rare"
+    ):
         api.rare(suite, output=tmp_path / "out")
     assert not (tmp_path / "out").exists()

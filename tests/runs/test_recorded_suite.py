@@ -23,7 +23,7 @@ scene:
 egos:
   - {agent: recorded, label: Recorded driver}
   - {agent: imitation, label: Imitation}
-traffics:
+traffic_models:
   - {traffic: recorded, label: Replayed}
   - {traffic: {name: recorded_until_deviation}, label: Until}
   - {traffic: idm_mobil, label: Reactive}

@@ -51,8 +51,10 @@ def test_a_suite_differs_from_its_counterpart_in_its_networks_and_seeds(name: st
     assert (theirs["seed"], theirs["episodes"]) == (5_000_000, ours["episodes"])
     assert theirs["columns"] == ours["columns"]
     ours["egos"] = [each for each in ours["egos"] if "best response" not in each["label"]]
-    theirs["traffics"] = [each for each in theirs["traffics"] if each["label"] != FINE_TUNED]
-    for entries in ("egos", "traffics"):
+    theirs["traffic_models"] = [
+        each for each in theirs["traffic_models"] if each["label"] != FINE_TUNED
+    ]
+    for entries in ("egos", "traffic_models"):
         for one, other in zip(theirs[entries], ours[entries], strict=True):
             assert one["label"] == other["label"]
             assert one.get("paper") == other.get("paper")

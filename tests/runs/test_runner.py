@@ -17,7 +17,7 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
-from charms_bench.runs.folder import KINDS
+from charms_bench.runs.resumable_folder import KINDS
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Suite
@@ -28,7 +28,7 @@ SMALL: dict[str, Any] = {
     "episodes": 25,
     "scene": {"duration_s": 2.0, "traffic_vehicles": 5},
     "egos": [{"agent": "idm_mobil"}, {"agent": "outside_policy"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 
@@ -297,7 +297,9 @@ def test_a_shards_key_follows_the_agents_options_and_the_scene() -> None:
 def test_both_engines_record_the_same_episodes_with_the_outside_plugin(tmp_path: Path) -> None:
     scene = {"duration_s": 4.0, "traffic_vehicles": 8, "density": 2.0}
     egos = [{"agent": "outside_policy"}, {"agent": "outside_model"}]
-    both = suite(episodes=3, scene=scene, egos=egos, traffics=[{"traffic": "outside_traffic"}])
+    both = suite(
+        episodes=3, scene=scene, egos=egos, traffic_models=[{"traffic": "outside_traffic"}]
+    )
     ours = run(both, tmp_path / "batched", "batched", workers=1).cells()
     theirs = run(both, tmp_path / "highway-env", "highway-env", workers=1).cells()
     for a, b in zip(ours, theirs, strict=True):
@@ -318,7 +320,7 @@ def test_a_large_suite_makes_each_cell_agent_and_traffic_once(
         monkeypatch.setattr(kind, "make", make)
     egos = [{"agent": "outside_policy", "label": f"ego {k}"} for k in range(12)]
     traffics = [{"traffic": "idm_mobil", "label": f"traffic {k}"} for k in range(11)]
-    large = suite(egos=egos, traffics=traffics)
+    large = suite(egos=egos, traffic_models=traffics)
     assert len(plan(large, "batched")) == 12 * 11
     assert made == {"outside_policy": 1, "idm_mobil": 2}  # as an agent and as a traffic
     assert large.cells[0] is large.cells[0]

@@ -7,10 +7,13 @@ import polars as pl
 import pytest
 
 import charms_bench
-from charms_bench.errors import InputError, SuiteError
+from charms_bench.engine.simulation import Simulation
+from charms_bench.episodes.severity import margins
+from charms_bench.errors import InputError, RunFolderError, SuiteError
 from charms_bench.report.preventable_table import crashed
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.points import values_at
+from charms_bench.world.scene import Floats, Ints
 
 SUITE = """\
 suite: small
@@ -21,7 +24,7 @@ scene:
 egos:
   - {agent: careful_human, label: Careful}
   - {agent: level_0, label: Level 0}
-traffics:
+traffic_models:
   - label: Braking
     traffic:
       scenario:
@@ -137,9 +140,9 @@ def test_agents_in_scenarios_are_compared(run: charms_bench.Run) -> None:
 
 
 def test_a_search_finds_failures_that_run_as_a_suite(tmp_path: Path) -> None:
-    found = tmp_path / "found.yaml"
+    found = tmp_path / "search" / "found.yaml"
     suite = written(tmp_path)
-    made = charms_bench.search(suite, "Level 0", "Braking", found, failures=3, budget=400)
+    made = charms_bench.search(suite, "Level 0", "Braking", found.parent, failures=3, budget=400)
     assert len(made.failures) == 3
     assert made.simulations_to_first is not None
     again = charms_bench.run(found, tmp_path / "again", workers=1)
@@ -149,9 +152,9 @@ def test_a_search_finds_failures_that_run_as_a_suite(tmp_path: Path) -> None:
 
 
 def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path: Path) -> None:
-    found = tmp_path / "found.yaml"
+    found = tmp_path / "search" / "found.yaml"
     suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
-    made = charms_bench.search(suite, "CHARMS", "Cut-in", found, failures=5)
+    made = charms_bench.search(suite, "CHARMS", "Cut-in", found.parent, failures=5)
     points = [tuple(point.values()) for point in made.failures]
     assert len(points) == len(set(points)) == 5
     run = charms_bench.run(found, tmp_path / "run", workers=1)
@@ -162,9 +165,9 @@ def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path
 
 
 def test_a_search_says_under_which_rule_a_failure_is_preventable(tmp_path: Path) -> None:
-    found = tmp_path / "found.yaml"
+    found = tmp_path / "search" / "found.yaml"
     suite = Path(__file__).parents[2] / "suites" / "r157.yaml"
-    made = charms_bench.search(suite, "IDM+MOBIL", "Cut-in", found, failures=3)
+    made = charms_bench.search(suite, "IDM+MOBIL", "Cut-in", found.parent, failures=3)
     clear, standstill = made.references[0].title, made.references[1].title
     assert made.preventable_by == [[clear]] * 3
     table = charms_bench.run(found, tmp_path / "run", workers=1).tables["found-preventable"]
@@ -177,13 +180,13 @@ def test_a_search_says_under_which_rule_a_failure_is_preventable(tmp_path: Path)
     assert of_agent[standstill]["crashed"] == 1.0
 
 
-def test_a_search_without_failures_writes_nothing(tmp_path: Path) -> None:
+def test_a_search_without_failures_writes_no_suite(tmp_path: Path) -> None:
     text = SUITE.replace("gap: [5, 70]", "gap: [300, 400]")
     made = charms_bench.search(
-        written(tmp_path, text), "Level 0", "Braking", tmp_path / "found.yaml", budget=40
+        written(tmp_path, text), "Level 0", "Braking", tmp_path / "search", budget=40
     )
     assert made.failures == []
-    assert not (tmp_path / "found.yaml").exists()
+    assert not (tmp_path / "search" / "found.yaml").exists()
 
 
 @pytest.mark.parametrize(
@@ -198,7 +201,7 @@ def test_a_search_names_what_it_can_search(
     tmp_path: Path, agent: str, traffic: str, error: str
 ) -> None:
     with pytest.raises(InputError, match=error):
-        charms_bench.search(written(tmp_path), agent, traffic, tmp_path / "found.yaml")
+        charms_bench.search(written(tmp_path), agent, traffic, tmp_path / "search")
 
 
 @pytest.mark.parametrize(
@@ -221,10 +224,36 @@ def test_wrong_parameters_of_a_driver_are_refused_with_their_line(
         load_suite(written(tmp_path, text))
 
 
-def test_a_search_does_not_overwrite_the_suite_that_it_searches(tmp_path: Path) -> None:
+def test_an_interrupted_search_continues_without_repeating_simulations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = written(tmp_path), "Level 0", "Braking"
+    expected = charms_bench.search(*asked, tmp_path / "whole", failures=9, budget=200)
+    charms_bench.search(*asked, tmp_path / "search", failures=9, budget=40)
+    files = sorted((tmp_path / "search" / "runs").glob("*.json"))
+    files[0].write_text("{", encoding="utf-8")
+    made: list[int] = []
+
+    def noted(simulation: Simulation, seeds: Ints) -> Floats:
+        made.append(seeds.size)
+        return margins(simulation, seeds)
+
+    monkeypatch.setattr("charms_bench.episodes.search.margins", noted)
+    continued = charms_bench.search(*asked, tmp_path / "search", failures=9, budget=200)
+    assert continued.failures == expected.failures
+    assert continued.simulations == expected.simulations
+    assert 0 < sum(made) < expected.simulations
+    found = [tmp_path / name / "found.yaml" for name in ("whole", "search")]
+    assert found[0].read_bytes() == found[1].read_bytes()
+    everything = [len(list((tmp_path / name / "runs").iterdir())) for name in ("whole", "search")]
+    assert everything[0] == everything[1]
+
+
+def test_a_search_does_not_change_a_folder_with_something_else(tmp_path: Path) -> None:
     path = written(tmp_path, name="found.yaml")
-    (tmp_path / "link.yaml").symlink_to(path)
-    for output in (path, tmp_path / "link.yaml"):
-        with pytest.raises(InputError, match=r"is the suite that is searched; choose another"):
-            charms_bench.search(path, "Level 0", output=output, failures=1, budget=40)
+    with pytest.raises(RunFolderError, match=r"is not empty and holds no search"):
+        charms_bench.search(path, "Level 0", output=tmp_path, failures=1, budget=40)
     assert path.read_text(encoding="utf-8") == SUITE
+    charms_bench.search(path, "Level 0", output=tmp_path / "one", failures=1, budget=40)
+    with pytest.raises(RunFolderError, match=r"holds another search: search.seed was 0, now 1"):
+        charms_bench.search(path, "Level 0", output=tmp_path / "one", failures=1, seed=1)

@@ -13,7 +13,7 @@ MINIMAL = {
     "suite": "small",
     "episodes": 4,
     "egos": [{"agent": "idm_mobil"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 VALIDATION_SEEDS = 900_000_000
@@ -45,7 +45,7 @@ def test_the_profiles_have_the_constants_of_the_release_and_of_highway_env() -> 
 def test_every_ego_meets_every_traffic() -> None:
     egos = [{"agent": "idm_mobil"}, {"agent": "stackelberg"}]
     traffics = [{"traffic": "idm_mobil"}, {"traffic": {"mixture": {"level_0": 1.0}}}]
-    suite = Suite.model_validate({**MINIMAL, "egos": egos, "traffics": traffics})
+    suite = Suite.model_validate({**MINIMAL, "egos": egos, "traffic_models": traffics})
     assert [(cell.ego.title, cell.traffic.title) for cell in suite.cells] == [
         ("idm_mobil", "idm_mobil"),
         ("idm_mobil", "level_0"),
@@ -118,7 +118,8 @@ def test_the_two_ways_to_write_a_network_mean_the_same() -> None:
 def test_an_agent_that_is_not_installed_is_named_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "suite.yaml"
     path.write_text(
-        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobl\ntraffics:\n- traffic: idm_mobil\n"
+        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobl\n"
+        "traffic_models:\n- traffic: idm_mobil\n"
     )
     expected = r"suite\.yaml:4: egos\[0\]: no agent named 'idm_mobl'\. .*Did you mean 'idm_mobil'"
     with pytest.raises(SuiteError, match=expected):
@@ -130,8 +131,9 @@ def test_a_vehicle_types_parameter_that_no_driver_has_is_named_with_its_line(
 ) -> None:
     path = tmp_path / "suite.yaml"
     path.write_text(
-        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobil\ntraffics:\n"
-        "- traffic: idm_mobil_varied\nscene:\n  vehicle_types:\n  - name: truck\n    share: 1\n"
+        "suite: small\nepisodes: 1\negos:\n- agent: idm_mobil\ntraffic_models:\n"
+        "- traffic: idm_mobil_varied\nscene:\n  vehicle_types:\n  - name: truck\n"
+        "    proportion: 1\n"
         "    driver_parameters:\n      time_headway: [1, 2]\n"
     )
     expected = r"suite\.yaml:12: scene.vehicle_types\[0\].driver_parameters.time_headway: no driver"

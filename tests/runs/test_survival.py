@@ -19,8 +19,8 @@ from plugin_folder import installed
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import write_bytes
-from charms_bench.runs.folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.lock import locked
+from charms_bench.runs.resumable_folder import CHECKSUMS, KINDS, RunFolder
 from charms_bench.runs.runner import run
 from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite, load_suite
@@ -30,14 +30,14 @@ SMALL = {
     "episodes": 4,
     "scene": {"duration_s": 1.0, "traffic_vehicles": 5},
     "egos": [{"agent": "idm_mobil"}],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 SUITE = """\
 suite: survivor
 episodes: EPISODES
 scene: {duration_s: 3, traffic_vehicles: 8}
 egos: [{agent: idm_mobil}, {agent: stackelberg}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 SMALL_SHARDS = """\
 import signal

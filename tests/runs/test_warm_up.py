@@ -12,7 +12,7 @@ suite: small
 episodes: 1
 scene: {duration_s: 2}
 egos: [{agent: idm_mobil}]
-traffics: [{traffic: idm_mobil}]
+traffic_models: [{traffic: idm_mobil}]
 """
 COMPILING = "compiling the engine (once, about half a minute)"
 

@@ -37,7 +37,7 @@ SUITE = {
             (0.2, 3, {"label": "noisier"}),
         )
     ],
-    "traffics": [{"traffic": "idm_mobil"}],
+    "traffic_models": [{"traffic": "idm_mobil"}],
 }
 
 pytestmark = pytest.mark.slow

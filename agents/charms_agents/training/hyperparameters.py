@@ -27,8 +27,8 @@ class Hyperparameters(FrozenModel):
     """Steps between two copies of the network to the target network."""
     exploration_initial: Share = 1.0
     exploration_final: Share = 0.05
-    exploration_share: Share = 0.1
-    """Share of all steps over which exploration falls from initial to final."""
+    exploration_share: Annotated[Share, Field(alias="exploration_fraction")] = 0.1
+    """Proportion of all steps over which exploration falls from initial to final."""
     max_gradient_norm: Positive = 10.0
     hidden_layers: Annotated[tuple[Width, ...], Field(strict=False, max_length=8)] = (256, 256)
     scenes: Annotated[int, Field(ge=1, le=1000)] = 10
@@ -100,8 +100,8 @@ class Supervised(FrozenModel):
     learning_rate: Positive = 1e-6
     batch_size: Annotated[int, Field(ge=1, le=100_000)] = 128
     epochs: Count = 8
-    pull: NonNegative = 0.2
-    """Lambda of eq. 11: how strongly the weights are pulled back to their start."""
+    pull: Annotated[NonNegative, Field(alias="l2_anchoring")] = 0.2
+    """Lambda of eq. 11: weight of the squared distance of the network from its start."""
     label_floor: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     """Smallest probability of an action in a label; at 0, eq. 11 would be infinite."""
     rehearsal: NonNegative = 0.0

@@ -1,6 +1,7 @@
 """Stages that learn from human driving, eq. 11 of the paper.
 
-Fine-tuning starts from a trained network. Imitation starts from an untrained one, with no pull.
+Fine-tuning starts from a trained network. Imitation starts from an untrained one, without L2
+anchoring (`pull`).
 
 The softmax of eq. 11 is that of Q / T, where T is how far the starting network's values of the
 actions differ: a trained network predicts people worse than chance, so a temperature fitted to it

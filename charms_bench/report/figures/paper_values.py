@@ -1,6 +1,7 @@
 """Values beside the paper's: a panel per metric, with our intervals and the paper's marks."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 from matplotlib.figure import Figure
 
@@ -9,6 +10,8 @@ from charms_bench.report.table import Table
 
 PANELS = 4
 """Side by side at most."""
+TITLE_WIDTH = 30
+"""Letters in a line of a panel's title; longer lines run into the next panel."""
 
 
 def draw_beside_paper(table: Table) -> list[Figure]:
@@ -20,7 +23,7 @@ def draw_beside_paper(table: Table) -> list[Figure]:
 
 def _row(table: Table, places: Sequence[int]) -> Figure:
     names = [" in ".join(row.labels) for row in table.rows]
-    figure, axes = panels(PANELS, 2.4, 0.9 + 0.27 * len(names))
+    figure, axes = panels(PANELS, 2.4, 1.1 + 0.27 * len(names))
     for panel in axes[len(places) :]:
         panel.remove()
     for k, (panel, place) in enumerate(zip(axes, places, strict=False)):
@@ -41,5 +44,5 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
         panel.locator_params(axis="x", nbins=4)
         if table.columns[place].form == "%":
             panel.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
-        panel.set_title(table.columns[place].title, fontsize=9)
+        panel.set_title(fill(table.columns[place].title, TITLE_WIDTH), fontsize=9)
     return figure

@@ -10,7 +10,7 @@ from charms_bench.foundation.names import unused
 from charms_bench.report.stored import RunTables, holds, stored_tables
 from charms_bench.report.training_tables import CURVES, Training, stored_training
 from charms_bench.runs.finished_run import FinishedRun, open_finished
-from charms_bench.runs.folder import MANIFEST
+from charms_bench.runs.resumable_folder import MANIFEST
 
 
 @dataclass(frozen=True)

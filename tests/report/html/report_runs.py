@@ -18,7 +18,7 @@ scene: {SCENE}
 egos:
   - {{agent: idm_mobil, label: "{IMAGE}", paper: {{speed_mean: 23.67}}}}
   - {{agent: stackelberg, label: '{DOLLARS}'}}
-traffics: [{{traffic: idm_mobil, label: "{SCRIPT}"}}]
+traffic_models: [{{traffic: idm_mobil, label: "{SCRIPT}"}}]
 columns: [speed_mean, crashed_episodes]
 pairs: true
 """,
@@ -27,7 +27,7 @@ suite: people
 episodes: 6
 scene: {SCENE}
 egos: [{{agent: idm_mobil}}]
-traffics: [{{traffic: idm_mobil}}, {{traffic: stackelberg, label: "{IMAGE}"}}]
+traffic_models: [{{traffic: idm_mobil}}, {{traffic: stackelberg, label: "{IMAGE}"}}]
 references: [i24, us101]
 """,
     "crossplay": f"""\
@@ -36,7 +36,7 @@ title: Who is good in whose company
 episodes: 4
 scene: {SCENE}
 egos: [{{agent: idm_mobil}}, {{agent: stackelberg, label: '{DOLLARS}'}}]
-traffics: [{{traffic: idm_mobil}}, {{traffic: stackelberg}}]
+traffic_models: [{{traffic: idm_mobil}}, {{traffic: stackelberg}}]
 """,
 }
 CURVES = """\

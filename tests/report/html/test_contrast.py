@@ -23,7 +23,7 @@ from charms_bench.report.table import Column, Row, Table, long_schema
 from charms_bench.runs.suite import Suite
 
 SUITE = Suite.model_validate(
-    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffics": [{"traffic": "t"}]}
+    {"suite": "s", "episodes": 1, "egos": [{"agent": "a"}], "traffic_models": [{"traffic": "t"}]}
 )
 MODES = ("light", "dark")
 ENOUGH = 4.5

@@ -1,4 +1,4 @@
-"""How meta-actions and the answers of driver models become targets and accelerations."""
+"""Meta-actions to target speeds and lanes, and the answers of driver models to accelerations."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
