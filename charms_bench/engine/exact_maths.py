@@ -31,6 +31,7 @@ _MODULES = (
 _ENVIRONMENTS = (
     "envs.common.observation",
     "envs.exit_env",
+    "envs.intersection_env",
     "envs.lane_keeping_env",
     "envs.merge_env",
     "envs.parking_env",

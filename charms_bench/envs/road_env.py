@@ -1,6 +1,7 @@
 """highway-env's other environments, such as `charms_bench/merge-v0`, alone and as vectors."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import gymnasium
@@ -13,8 +14,7 @@ from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.roads.controls import Controls
-from charms_bench.roads.episodes import Decision, Episodes
-from charms_bench.roads.observing import Observed
+from charms_bench.roads.episodes import Decision, Episodes, Seen
 from charms_bench.roads.parking import Parking
 from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
 from charms_bench.world.road import is_reachable, side_lanes
@@ -82,37 +82,52 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         if seed is not None:
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         episodes.start(episodes.everyone)
-        return self._observe(), {name: each[0] for name, each in _facts(episodes).items()}
+        info = {name: each[0] for name, each in _facts(episodes).items()}
+        return _row(episodes.observe(), 0), info
 
-    def step(
-        self, action: NDArray[Any] | np.int64 | int
-    ) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Carries out the ego's action until the next decision.
+    def step(self, action: Any) -> tuple[Any, Any, Any, bool, dict[str, Any]]:
+        """Carries out the ego's action until the next decision, or a tuple of those of the agents.
 
         Returns:
-            Observation, reward, terminated, truncated, and highway-env's info.
+            Observation, reward, terminated, truncated, and highway-env's info. Where highway-env
+            has several agents, the observation is a tuple of theirs; in `intersection-multi-agent`
+            from `-v1` on, so are reward and terminated.
 
         Raises:
             InputError: The action is not one of `action_space`.
         """
         episodes = self._episodes
-        decision = episodes.step(_checked(np.asarray(action)[None], episodes))
+        if episodes.has_agents:
+            checked = _checked(tuple(np.asarray(each)[None] for each in action), episodes)
+        else:
+            checked = _checked(np.asarray(action)[None], episodes)
+        decision = episodes.step(checked)
         info: dict[str, Any] = {}
         if episodes.task.has_info:
             info |= {name: each[0] for name, each in _facts(episodes).items()}
             info["action"] = action
         if episodes.task.terms:
             info["rewards"] = dict(_terms(episodes, decision, 0))
-        info |= {name: each[0] for name, each in episodes.task.information(episodes.scenes).items()}
-        ended = bool(decision.terminated[0]), bool(decision.truncated[0])
-        return self._observe(), float(decision.rewards[0]), *ended, info
+        for name, each in episodes.task.information(episodes.scenes).items():
+            info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0]
+        seen, truncated = _row(decision.observations, 0), bool(decision.truncated[0])
+        if episodes.is_split:
+            return seen, info["agents_rewards"], info["agents_terminated"], truncated, info
+        return seen, float(decision.rewards[0]), bool(decision.terminated[0]), truncated, info
 
-    def get_available_actions(self) -> list[int]:
-        """The actions that have an effect now [`DiscreteMetaAction.get_available_actions`]."""
+    def get_available_actions(self) -> Any:
+        """The actions that have an effect now [`DiscreteMetaAction.get_available_actions`].
+
+        With several agents, these are the combinations of theirs.
+        """
+        possible = [self._available_to(ego) for ego in range(self._episodes.agents)]
+        return product(*possible) if self._episodes.has_agents else possible[0]
+
+    def _available_to(self, ego_place: int) -> list[int]:
         scenes, actions = self._episodes.scenes, self._episodes.actions
         if isinstance(actions, Controls):
             raise InputError("get_available_actions: expected meta-actions")
-        ego, names = scenes.vehicles[0, 0], actions.names
+        ego, names = scenes.vehicles[0, ego_place], actions.names
         possible = ["IDLE"]
         left, right = side_lanes(scenes.road, int(ego["lane"]))
         for lane, name in ((left, ACTIONS[LANE_LEFT]), (right, ACTIONS[LANE_RIGHT])):
@@ -148,6 +163,10 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     As in Gymnasium's own vector environments, each has a random generator of its own, which the
     next episodes continue, and `reset(seed=k)` seeds the i-th with `k + i`.
+
+    With several agents, observations and actions are tuples of theirs. Rewards are the means over
+    the agents, an episode ends where highway-env's does without `MultiAgentWrapper`, and infos have
+    `agents_rewards` and `agents_terminated` (B, A).
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
@@ -205,7 +224,7 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         episodes.start(episodes.everyone)
         return episodes.observe(), self._masked(_facts(episodes), self._known)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the actions (B, ...) until the next decision.
 
         Returns:
@@ -217,10 +236,9 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             InputError: An action is not one of `action_space`.
         """
         episodes, known = self._episodes, self._known
-        actions = _checked(np.asarray(actions), episodes)
-        decision = episodes.step(actions)
+        decision = episodes.step(_checked(actions, episodes))
         ended = decision.terminated | decision.truncated
-        observations = episodes.observe()
+        observations = decision.observations
         has_info = episodes.task.has_info
         facts: dict[str, Any] = {**_facts(episodes), "action": actions} if has_info else {}
         if episodes.task.terms:
@@ -262,11 +280,25 @@ def _episodes(
 
 
 def _spaces(episodes: Episodes) -> Spaces:
-    return episodes.observer.space, episodes.actions.space
+    seen = [observer.space for observer in episodes.observers]
+    chosen = [episodes.actions.space for _ in range(episodes.agents)]
+    return (
+        gymnasium.spaces.Tuple(seen) if episodes.sees_agents else seen[0],
+        gymnasium.spaces.Tuple(chosen) if episodes.has_agents else chosen[0],
+    )
 
 
-def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
-    """The actions (B, ...), if they are such."""
+def _checked(actions: Any, episodes: Episodes) -> Any:
+    """The actions (B, ...) or those of each agent, if they are such."""
+    if not episodes.has_agents:
+        return _checked_of_one(np.asarray(actions), episodes)
+    if len(actions) != episodes.agents:
+        raise InputError(f"actions of {len(actions)} agents; expected {episodes.agents}")
+    return tuple(_checked_of_one(np.asarray(each), episodes) for each in actions)
+
+
+def _checked_of_one(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
+    """The actions (B, ...) of one agent, if they are such."""
     space = episodes.actions.space
     is_discrete = isinstance(space, gymnasium.spaces.Discrete)
     shape = episodes.everyone.size, *(space.shape or ())
@@ -285,20 +317,25 @@ def _checked(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
     return actions.astype(np.int64, copy=False)
 
 
-def _row(observations: Observed, row: Any) -> Any:
+def _row(observations: Seen, row: Any) -> Any:
     """One of several observations."""
+    if isinstance(observations, tuple):
+        return tuple(_row(each, row) for each in observations)
     if isinstance(observations, dict):
         return {name: each[row].copy() for name, each in observations.items()}
     return observations[row].copy()
 
 
-def _put(observations: Observed, rows: Ints, others: Observed) -> None:
+def _put(observations: Seen, rows: Ints, others: Any) -> None:
     """Replaces some of several observations."""
-    if isinstance(observations, dict):
-        for name, each in observations.items():
-            each[rows] = dict(others)[name]
+    if isinstance(observations, tuple):
+        for each, other in zip(observations, others, strict=True):
+            _put(each, rows, other)
+    elif isinstance(observations, dict):
+        for name, values in observations.items():
+            values[rows] = others[name]
     else:
-        observations[rows] = np.asarray(others)
+        observations[rows] = others
 
 
 def _goal_rewards(

@@ -114,6 +114,20 @@ def integers(state: State, low: int, high: int) -> int:
 
 
 @compiled
+def two_integers(state: State, high: int) -> tuple[int, int]:
+    """Two different integers from 0 to `high` - 1 [`choice(high, 2, replace=False)`].
+
+    NumPy draws them by Floyd's algorithm and then shuffles them.
+    """
+    one, other = integers(state, 0, high - 1), integers(state, 0, high)
+    if other == one:
+        other = high - 1
+    if integers(state, 0, 2):
+        return one, other
+    return other, one
+
+
+@compiled
 def choice(state: State, weights: NDArray[np.float64]) -> int:
     """An index below the number of `weights` (K,), with these probabilities, which add up to 1."""
     total = 0.0

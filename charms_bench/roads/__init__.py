@@ -36,5 +36,11 @@ TASKS = {
     "parking-ActionRepeat-v0": "parking:Parking",
     "parking-parked-v0": "parking:Parking",
     "lane-keeping-v0": "lane_keeping:LaneKeeping",
+    "intersection-v0": "intersection:Intersection",
+    "intersection-v1": "intersection:Intersection",
+    "intersection-v2": "intersection:Intersection",
+    "intersection-multi-agent-v0": "intersection:Intersection",
+    "intersection-multi-agent-v1": "intersection:Intersection",
+    "intersection-multi-agent-v2": "intersection:Intersection",
 }
 """The modules and classes of the environments by highway-env's names."""

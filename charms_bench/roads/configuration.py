@@ -13,7 +13,7 @@ from charms_bench.roads.scenes import Scenes
 from charms_bench.world.actions import ACTIONS
 
 _IDM = "highway_env.vehicle.behavior.IDMVehicle"
-_FREE = {"manual_control": False, "other_vehicles_type": _IDM, "controlled_vehicles": 1}
+_FREE = {"manual_control": False, "other_vehicles_type": _IDM}
 """Keys of which one value is supported."""
 _ACTIONS = {
     (True, True): ACTIONS,
@@ -36,7 +36,7 @@ class MetaActions(NamedTuple):
         """Of one action."""
         return gymnasium.spaces.Discrete(len(self.names))
 
-    def give(self, scenes: Scenes, actions: NDArray[Any]) -> Ints:
+    def give(self, scenes: Scenes, actions: NDArray[Any], ego: int) -> Ints:
         """The meta-actions (B,) for `stepping.decide`, from indices (B,) of actions."""
         return np.asarray(self.meaning[actions])
 
@@ -50,6 +50,8 @@ def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dic
     found = {**default, **(config or {})}
     if found["offscreen_rendering"] is None:
         found["offscreen_rendering"] = True  # as without a window [`AbstractEnv.configure`]
+    if not found.get("controlled_vehicles", 1) >= 1:
+        raise InputError("config.controlled_vehicles: expected at least 1")
     for key, value in found.items():
         if key not in default:
             raise InputError(f"config: no key named '{key}'. {suggestion(key, dict(default))}")
@@ -74,6 +76,18 @@ def meta_actions(config: Mapping[str, Any]) -> MetaActions:
     if speeds.ndim != 1 or speeds.size < 2 or not (np.diff(speeds) > 0).all():
         raise InputError("config.action.target_speeds: expected at least two increasing speeds")
     return MetaActions(names, np.array([ACTIONS.index(name) for name in names]), speeds)
+
+
+def of_each_agent(config: Mapping[str, Any], what: str) -> tuple[dict[str, Any], bool]:
+    """The configuration with the `action` or `observation` of one agent.
+
+    Also returns whether each agent has one [`MultiAgentAction`, `MultiAgentObservation`].
+    """
+    given, name = config[what], f"MultiAgent{what.capitalize()}"
+    if given.get("type") != name:
+        return dict(config), False
+    found = options(what, given, {"type": name, f"{what}_config": {}})
+    return {**config, what: found[f"{what}_config"]}, True
 
 
 def options(what: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -65,15 +65,15 @@ class Controls:
             self._table = np.array(list(product(*steps)))
             self.space = gymnasium.spaces.Discrete(len(self._table))
 
-    def give(self, scenes: Scenes, actions: NDArray[Any]) -> Ints:
-        """Gives the egos of all scenes their actions (B, axes), or (B,) indices.
+    def give(self, scenes: Scenes, actions: NDArray[Any], ego: int) -> Ints:
+        """Gives the ego at a place in all scenes its actions (B, axes), or (B,) indices.
 
         Accelerations and steering angles have the precision of the actions, as in highway-env.
 
         Returns:
             Meta-actions (B,) for `stepping.decide`, which have no effect.
         """
-        egos = scenes.vehicles[:, 0]
+        egos = scenes.vehicles[:, ego]
         actions = actions if self._table is None else self._table[actions]
         if self._clips:
             actions = np.clip(actions, -1, 1)

@@ -1,13 +1,14 @@
-"""The bicycle model with tyre friction and slip, operation for operation as in highway-env.
+"""How vehicles move by the bicycle model, operation for operation as in highway-env.
 
-The model is that of Rajamani, Vehicle Dynamics and Control (2011), chapter 2.
+The model with tyre friction and slip is that of Rajamani, Vehicle Dynamics and Control (2011),
+chapter 2.
 """
 
 import math
 
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled
-from charms_bench.roads.scenes import Row
+from charms_bench.roads.scenes import DYNAMICAL, IDM, Row
 
 TO_AXLE_M = 2.5
 """From the centre of a vehicle to each axle [`LENGTH_A`, `LENGTH_B`]."""
@@ -18,6 +19,41 @@ FRICTION = 15.0
 MOST_YAW_RATE = 2 * math.pi
 """rad/s [`MAX_ANGULAR_SPEED`]."""
 Rates = tuple[float, float, float, float]
+
+
+@compiled
+def move(vehicle: Row, dt: float) -> None:
+    """Moves a vehicle by one step [`Vehicle.clip_actions`, `Vehicle.step`].
+
+    A crashed vehicle stops, and one that is too fast or too slow brakes or accelerates.
+    """
+    speed = vehicle.speed
+    if vehicle.crashed:
+        vehicle.steering, vehicle.acceleration = 0.0, -1.0 * speed
+    if speed > vehicle.speed_max:
+        vehicle.acceleration = min(vehicle.acceleration, 1.0 * (vehicle.speed_max - speed))
+    elif speed < vehicle.speed_min:
+        vehicle.acceleration = max(vehicle.acceleration, 1.0 * (vehicle.speed_min - speed))
+    if vehicle.kind == DYNAMICAL:
+        move_with_slip(vehicle, dt)
+        return
+    if vehicle.kind == IDM:
+        vehicle.timer_s += dt
+    if vehicle.steering == 0.0:  # the functions below would give 0 and the direction itself
+        vehicle.x += speed * vehicle.direction_x * dt
+        vehicle.y += speed * vehicle.direction_y * dt
+    else:
+        slip = maths.atan(1 / 2 * maths.tan(vehicle.steering))
+        sine, cosine = maths.sin_cos(vehicle.heading + slip)
+        vehicle.x += speed * cosine * dt
+        vehicle.y += speed * sine * dt
+        vehicle.heading += speed * maths.sin(slip) / (vehicle.length / 2) * dt
+        vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
+    if vehicle.has_impact:
+        vehicle.x += vehicle.impact_x
+        vehicle.y += vehicle.impact_y
+        vehicle.crashed, vehicle.has_impact = True, False
+    vehicle.speed += vehicle.acceleration * dt
 
 
 @compiled

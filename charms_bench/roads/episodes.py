@@ -1,6 +1,7 @@
 """B episodes of one of highway-env's environments, which advance together."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -21,15 +22,28 @@ from charms_bench.roads.stepping import decide
 from charms_bench.roads.task import Task
 from charms_bench.world.profile import HIGHWAY_ENV
 
+Seen = Observed | tuple[Observed, ...]
+"""Observations (B, ...); of several agents, those of each."""
+
 
 class Decision(NamedTuple):
     """What a decision led to, for each scene (B,)."""
 
+    observations: Seen
     rewards: Floats
     terms: Floats
     """(B, K) the terms of the rewards."""
     terminated: Bools
     truncated: Bools
+
+
+_PLAIN: dict[str, Any] = {
+    "observation": {"type": "Kinematics"},
+    "initial_vehicle_count": 0,
+    "simulation_frequency": 15,
+}
+"""The configuration with which highway-env's road is read."""
+_CHANGED = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
 
 
 class Episodes:
@@ -44,24 +58,37 @@ class Episodes:
 
         spec = gymnasium.spec(name)
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
-        with exact_roads():
+        with exact_roads(), unchanged_idm():
             stock = source()
         self.config = configuration.checked(stock.config, config)
         """highway-env's configuration, with the defaults."""
+        self.is_split = bool(spec.additional_wrappers)
+        """Whether each agent has its own reward and ending [`MultiAgentWrapper`]."""
+        one, self.has_agents = configuration.of_each_agent(self.config, "action")
+        """Whether an action is one for each agent."""
+        one, self.sees_agents = configuration.of_each_agent(one, "observation")
+        """Whether an observation is one of each agent."""
         module, class_name = TASKS[name].split(":")
         task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
-        self.actions = actions_of(self.config, task.actions)
-        plain = {"observation": {"type": "Kinematics"}, "action": {"type": task.actions[0]}}
-        stock.configure({**self.config, **plain})
+        self.actions = actions_of(one, task.actions)
+        """Those of one agent."""
+        stock.configure({**self.config, **_PLAIN, "action": {"type": task.actions[0]}})
         try:
-            with exact_roads():
+            with exact_roads(), unchanged_idm():
                 stock.reset()
         except Exception as error:  # whatever a value leads to in highway-env
             raise InputError(f"config: highway-env does not start with it: {error!r}") from error
         road = road_of(stock.road.network)
-        self.task = task(self.config, stock.road.network)
-        self.observer = observer_of(self.config, count, self.task.lanes)
+        self.task = task(one, stock.road.network)
+        self.agents = self.task.egos if self.has_agents else 1
+        """The number of egos that are given actions."""
+        self.observers = [
+            observer_of(one, count, self.task.lanes, ego)
+            for ego in range(self.task.egos if self.sees_agents else 1)
+        ]
         hz = self.config["simulation_frequency"]
+        constants = HIGHWAY_ENV.constants(1 / hz)
+        idm = constants.idm_mobil._replace(**self.task.idm)
         self._frames = int(hz // self.config["policy_frequency"])
         self._interval = 1 / self.config["policy_frequency"]
         self._most_steps = spec.max_episode_steps
@@ -73,7 +100,8 @@ class Episodes:
             road,
             self.config["neighbour_vehicles_connected_lanes"],
             self.actions.target_speeds,
-            HIGHWAY_ENV.constants(1 / hz),
+            constants._replace(idm_mobil=idm),
+            self.task.regulation_steps,
         )
         for b in range(count):
             for k, each in enumerate(stock.road.objects):
@@ -83,7 +111,6 @@ class Episodes:
                 row = self.scenes.vehicles[b, self.task.vehicles + k]
                 row["length"], row["width"] = each.LENGTH, each.WIDTH
         self.everyone = np.arange(count)
-        self._seen: Observed | None = None
         self._rewards = np.zeros((count, 1 + len(self.task.terms)))
 
     def seed(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
@@ -95,32 +122,49 @@ class Episodes:
         scenes = self.scenes
         scenes.time[rows] = 0.0
         self.steps[rows] = 0
-        self._seen = None
         self.task.start(scenes, rows)
-        self.observer.start(scenes, rows)
+        for observer in self.observers:
+            observer.start(scenes, rows)
 
-    def step(self, actions: NDArray[Any]) -> Decision:
-        """Carries out the egos' actions (B, ...), each one of `actions.space`."""
+    def step(self, actions: NDArray[Any] | tuple[NDArray[Any], ...]) -> Decision:
+        """Carries out the egos' actions (B, ...), each one of `actions.space`.
+
+        Those of several agents are a tuple.
+        """
         scenes, rewards = self.scenes, self._rewards
         self.task.prepare(scenes, self.everyone)
-        given = self.actions.give(scenes, actions)
-        if self.task.observes_before:
-            self._seen = self.observer.observe(scenes, self.everyone)
-        decide(scenes, self.everyone, given, self._frames, self._interval)
+        parts = actions if isinstance(actions, tuple) else (actions,)
+        given = [self.actions.give(scenes, part, ego) for ego, part in enumerate(parts)]
+        seen = self.observe() if self.task.observes_before else None
+        decide(scenes, self.everyone, np.stack(given, axis=1), self._frames, self._interval)
         self.steps += 1
-        self.task.judge(scenes, self.everyone, actions, rewards)
+        self.task.judge(scenes, self.everyone, parts[0], rewards)
         truncated = self.task.is_truncated(scenes)
         if self._most_steps is not None:
             truncated = truncated | (self.steps >= self._most_steps)
-        found = rewards.copy()
-        return Decision(found[:, 0], found[:, 1:], self.task.is_terminated(scenes), truncated)
+        found, terminated = rewards.copy(), self.task.is_terminated(scenes)
+        seen = self.observe() if seen is None else seen
+        self.task.follow(scenes, self.everyone)
+        return Decision(seen, found[:, 0], found[:, 1:], terminated, truncated)
 
-    def observe(self, rows: Ints | None = None) -> Observed:
-        """The egos' observations of the scenes `rows`; by default, of all scenes.
+    def observe(self, rows: Ints | None = None) -> Seen:
+        """The observations of the scenes `rows`; by default, of all scenes.
 
-        To be called once after `start`, for the scenes that were started, and once after `step`:
-        some observations have noise.
+        To be called once after `start`, for the scenes that were started: some observations have
+        noise. Those after a decision are part of it.
         """
-        if rows is None and self._seen is not None:
-            return self._seen
-        return self.observer.observe(self.scenes, self.everyone if rows is None else rows)
+        rows = self.everyone if rows is None else rows
+        seen = [observer.observe(self.scenes, rows) for observer in self.observers]
+        return tuple(seen) if self.sees_agents else seen[0]
+
+
+@contextmanager
+def unchanged_idm() -> Iterator[None]:
+    """Restores the constants that highway-env's `intersection` changes for the whole process."""
+    kind: Any = import_module("highway_env.vehicle.behavior").IDMVehicle
+    before = {name: getattr(kind, name) for name in _CHANGED}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(kind, name, value)

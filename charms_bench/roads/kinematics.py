@@ -5,45 +5,58 @@ import math
 import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, wrap_to_pi
 from charms_bench.roads.scenes import NOTHING, OBSTACLE, Scenes
-from charms_bench.world.road import distance_along, local_coordinates
+from charms_bench.world.road import distance_along, heading_at, local_coordinates, position
 from charms_bench.world.scene import Observations
 
-FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
-"""The features that are supported; a feature is an index into this tuple."""
-PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H = range(len(FEATURES))
+FEATURES = (
+    *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
+    *("cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
+)
+"""highway-env's features; a feature is an index into this tuple."""
+PRESENCE, X, Y, VX, VY, HEADING, COS_H, SIN_H, COS_D, SIN_D, LONG_OFF, LAT_OFF, ANG_OFF = range(
+    len(FEATURES)
+)
 PERCEPTION_M = 200.0
 """[`AbstractEnv.PERCEPTION_DISTANCE`]"""
 
 
 @compiled_of_scenes
 def observe(
-    scenes: Scenes, rows: Ints, features: Ints, ranges: Floats, how: Ints, out: Observations
+    scenes: Scenes,
+    rows: Ints,
+    ego_place: int,
+    features: Ints,
+    ranges: Floats,
+    how: Ints,
+    out: Observations,
 ) -> None:
-    """Writes the egos' observations (B, rows, F) of the scenes `rows` [`KinematicObservation`].
+    """Writes the observations (B, rows, F) of an ego in the scenes `rows` [`KinematicObservation`].
 
     Args:
         scenes: The scenes.
         rows: (R,) those that are observed.
+        ego_place: The place of the ego.
         features: (F,) indices into `FEATURES`.
         ranges: (B, F, 2) what is mapped onto [-1, 1]; not a number where nothing is.
         how: Whether positions are absolute, vehicles are sorted, values clipped, vehicles behind
-            seen and obstacles included; then the lane along which the ego's x is measured, -1 for
-            the x of the road [`ExitObservation`].
+            seen, obstacles included and other vehicles' destinations seen; then the lane along
+            which the ego's x is measured, -1 for the x of the road [`ExitObservation`].
         out: The observations.
     """
-    is_absolute, is_sorted, clips, sees_behind, has_obstacles, exit_lane = how
-    places = scenes.vehicles.shape[1]
+    is_absolute, is_sorted, clips, sees_behind, has_obstacles, sees_intentions, exit_lane = how
+    places, has_more = scenes.vehicles.shape[1], features.max() >= COS_D
     near, away = np.empty(places, dtype=np.int64), np.empty(places)
     values = np.empty(len(FEATURES))
     for b in rows:
-        ego = scenes.vehicles[b, 0]
+        ego = scenes.vehicles[b, ego_place]
         count = 0
-        for j in range(1, places):
+        for m in range(places):
+            j = scenes.order[b, m].place
             other = scenes.vehicles[b, j]
             is_obstacle = other.kind <= OBSTACLE
-            if other.kind == NOTHING or (is_obstacle and not has_obstacles):
+            if j == ego_place or other.kind == NOTHING or (is_obstacle and not has_obstacles):
                 continue
             dx, dy = other.x - ego.x, other.y - ego.y
             if not math.sqrt(dx * dx + dy * dy) < PERCEPTION_M:
@@ -61,8 +74,11 @@ def observe(
             if row > count:
                 out[b, row] = 0.0
                 continue
-            j = near[row - 1] if row else 0
-            describe(scenes, b, j, row > 0 and not is_absolute, values)
+            j = near[row - 1] if row else ego_place
+            origin = ego_place if row > 0 and not is_absolute else -1
+            describe(scenes, b, j, origin, values)
+            if has_more:
+                describe_way(scenes, b, j, row == 0 or sees_intentions, values)
             if row == 0 and exit_lane >= 0:
                 values[X], _ = local_coordinates(scenes.road, exit_lane, ego.x, ego.y)
             for f in range(features.size):
@@ -75,9 +91,12 @@ def observe(
 
 
 @compiled
-def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> None:
-    """Fills in the `FEATURES` of a vehicle or an obstacle [`Vehicle.to_dict`]."""
-    vehicle, ego = scenes.vehicles[b, j], scenes.vehicles[b, 0]
+def describe(scenes: Scenes, b: int, j: int, origin: int, values: Floats) -> None:
+    """Fills in the `FEATURES` of a vehicle or an obstacle [`Vehicle.to_dict`].
+
+    Positions and velocities are those relative to the vehicle at the place `origin`, if any.
+    """
+    vehicle = scenes.vehicles[b, j]
     values[PRESENCE] = 1.0
     # highway-env does not say an obstacle's heading [`RoadObject.to_dict`].
     values[HEADING] = math.nan if vehicle.kind <= OBSTACLE else vehicle.heading
@@ -87,8 +106,33 @@ def describe(scenes: Scenes, b: int, j: int, relative: bool, values: Floats) -> 
         vehicle.speed * vehicle.direction_y,
     )
     values[COS_H], values[SIN_H] = vehicle.direction_x, vehicle.direction_y
-    if relative:
+    if origin >= 0:
+        ego = scenes.vehicles[b, origin]
         values[X] -= ego.x
         values[Y] -= ego.y
         values[VX] -= ego.speed * ego.direction_x
         values[VY] -= ego.speed * ego.direction_y
+
+
+@compiled
+def describe_way(scenes: Scenes, b: int, j: int, shows_destination: bool, values: Floats) -> None:
+    """Fills in the `FEATURES` of a vehicle or an obstacle that depend on its route and its lane.
+
+    [`destination_direction`, `lane_offset`]
+    """
+    vehicle, road = scenes.vehicles[b, j], scenes.road
+    values[COS_D] = values[SIN_D] = 0.0
+    if vehicle.kind <= OBSTACLE:  # highway-env does not say its lane [`RoadObject.to_dict`]
+        values[LONG_OFF] = values[LAT_OFF] = values[ANG_OFF] = math.nan
+        return
+    if shows_destination and vehicle.route_step < vehicle.route_end:
+        last = vehicle.route_end - 1
+        lane = vehicle.route_roads[last] + max(vehicle.route_numbers[last], 0)
+        x, y = position(road, lane, road.lanes[lane].length, 0.0)
+        dx, dy = x - vehicle.x, y - vehicle.y
+        distance = math.sqrt(dx * dx + dy * dy)
+        if distance > 0:
+            values[COS_D], values[SIN_D] = dx / distance, dy / distance
+    values[LONG_OFF], values[LAT_OFF] = local_coordinates(road, vehicle.lane, vehicle.x, vehicle.y)
+    heading = heading_at(road, vehicle.lane, values[LONG_OFF])
+    values[ANG_OFF] = wrap_to_pi(vehicle.heading - heading)

@@ -33,6 +33,7 @@ _KINEMATICS: dict[str, Any] = {
     "see_behind": False,
     "observe_intentions": False,
     "include_obstacles": True,
+    "flatten": False,  # without effect, as in highway-env
 }
 _GOALS = ("observation", "achieved_goal", "desired_goal")
 _GRID: dict[str, Any] = {
@@ -49,7 +50,7 @@ _GRID: dict[str, Any] = {
 
 
 class Observer(Protocol):
-    """An observation of B scenes."""
+    """An ego's observation of B scenes."""
 
     @property
     def space(self) -> gymnasium.Space[Any]:
@@ -59,13 +60,16 @@ class Observer(Protocol):
         """Notes what highway-env keeps from the start of an episode."""
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observed:
-        """The egos' observations of the scenes `rows` (R,)."""
+        """The ego's observations of the scenes `rows` (R,)."""
 
 
 class Kinematics:
     """[`KinematicObservation`, `ExitObservation`]"""
 
-    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
+    ) -> None:
+        self._ego = ego
         observation = config["observation"]
         kind, exit_lane = str(observation["type"]), -1
         found = options("observation", observation, {"type": kind, **_KINEMATICS})
@@ -88,24 +92,29 @@ class Kinematics:
         has_width = not found["features_range"] and found["normalize"]
         self._of_width = [k for k, name in enumerate(features) if name == "y" and has_width]
         flags = found["absolute"], found["order"] == "sorted", found["clip"], found["see_behind"]
-        self._how = np.array([*flags, found["include_obstacles"], exit_lane], dtype=np.int64)
+        sees = found["include_obstacles"], found["observe_intentions"], exit_lane
+        self._how = np.array([*flags, *sees], dtype=np.int64)
         self._out = np.zeros((count, *shape), dtype=np.float32)
 
     def start(self, scenes: Scenes, rows: Ints) -> None:
         for k in self._of_width:
-            lanes = scenes.road.lanes["lanes"][scenes.vehicles["lane"][rows, 0]]
+            lanes = scenes.road.lanes["lanes"][scenes.vehicles["lane"][rows, self._ego]]
             half = _LANE_WIDTH_M * lanes
             self._ranges[rows, k] = np.stack((-half, half), axis=1)
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
-        kinematics.observe(scenes, rows, self._features, self._ranges, self._how, self._out)
+        how = self._features, self._ranges, self._how
+        kinematics.observe(scenes, rows, self._ego, *how, self._out)
         return self._out[rows]
 
 
 class TimeToCollision:
     """[`TimeToCollisionObservation`]"""
 
-    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
+    ) -> None:
+        self._ego = ego
         known = {"type": "TimeToCollision", "horizon": 10}
         found = options("observation", config["observation"], known)
         self._interval = 1 / config["policy_frequency"]
@@ -118,14 +127,17 @@ class TimeToCollision:
         pass
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
-        time_to_collision.observe(scenes, rows, self._interval, self._out)
+        time_to_collision.observe(scenes, rows, self._ego, self._interval, self._out)
         return self._out[rows]
 
 
 class OccupancyGrid:
     """[`OccupancyGridObservation`]"""
 
-    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
+    ) -> None:
+        self._ego = ego
         found = options("observation", config["observation"], _GRID)
         if found["absolute"]:
             raise InputError("config.observation.absolute: True is not supported")
@@ -157,14 +169,17 @@ class OccupancyGrid:
         pass
 
     def observe(self, scenes: Scenes, rows: Ints) -> Observations:
-        occupancy_grid.observe(scenes, rows, self._features, self._ranges, self._grid, self._out)
+        how = self._features, self._ranges, self._grid
+        occupancy_grid.observe(scenes, rows, self._ego, *how, self._out)
         return self._out[rows].astype(self._dtype)
 
 
 class KinematicsGoal:
     """[`KinematicsGoalObservation`]"""
 
-    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
+    ) -> None:
         known = {"type": "KinematicsGoal", "scales": None, **_KINEMATICS}
         found = options("observation", config["observation"], known)
         self._features = list(found["features"] or _KINEMATICS["features"])
@@ -186,7 +201,9 @@ class KinematicsGoal:
 class Attributes:
     """[`AttributesObservation`]"""
 
-    def __init__(self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> None:
+    def __init__(
+        self, config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int
+    ) -> None:
         known = {"type": "AttributesObservation", "attributes": ()}
         self._names = list(options("observation", config["observation"], known)["attributes"])
         _check_features(self._names, attributes.ATTRIBUTES, "attributes")
@@ -215,7 +232,7 @@ def _check_features(names: Iterable[str], known: Collection[str], key: str = "fe
             raise InputError(f"config.observation.{key}: {what}")
 
 
-_OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Observer]] = {
+_OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int], int], Observer]] = {
     "Kinematics": Kinematics,
     "ExitObservation": Kinematics,
     "TimeToCollision": TimeToCollision,
@@ -225,8 +242,10 @@ _OBSERVERS: dict[str, Callable[[Mapping[str, Any], int, Mapping[Any, int]], Obse
 }
 
 
-def observer_of(config: Mapping[str, Any], count: int, lanes: Mapping[Any, int]) -> Observer:
-    """The observation of a configuration, for B = `count` scenes.
+def observer_of(
+    config: Mapping[str, Any], count: int, lanes: Mapping[Any, int], ego: int = 0
+) -> Observer:
+    """What the ego at a place observes by a configuration, for B = `count` scenes.
 
     `lanes` are the indices of the road's lanes by highway-env's names.
 
@@ -246,4 +265,4 @@ def observer_of(config: Mapping[str, Any], count: int, lanes: Mapping[Any, int])
     if name not in known:
         what = suggestion(str(name), known)
         raise InputError(f"config.observation.type: '{name}' is not supported. {what}")
-    return _OBSERVERS[name](config, count, lanes)
+    return _OBSERVERS[name](config, count, lanes, ego)

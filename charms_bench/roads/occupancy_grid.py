@@ -7,8 +7,8 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.kinematics import FEATURES, X, Y, describe
-from charms_bench.roads.scenes import OBSTACLE, Scenes
+from charms_bench.roads.kinematics import COS_D, FEATURES, X, Y, describe, describe_way
+from charms_bench.roads.scenes import OBSTACLE, Row, Scenes
 from charms_bench.world.lane_geometry import CIRCULAR, STRAIGHT, line_coordinates, line_position
 from charms_bench.world.scene import Observations
 
@@ -37,30 +37,40 @@ class Grid(NamedTuple):
 
 @compiled_of_scenes
 def observe(
-    scenes: Scenes, rows: Ints, features: Ints, ranges: Floats, grid: Grid, out: Observations
+    scenes: Scenes,
+    rows: Ints,
+    ego_place: int,
+    features: Ints,
+    ranges: Floats,
+    grid: Grid,
+    out: Observations,
 ) -> None:
-    """Writes the egos' observations (B, F, X, Y) of the scenes `rows` [`OccupancyGridObservation`].
+    """Writes an ego's observations (B, F, X, Y) of the scenes `rows` [`OccupancyGridObservation`].
 
     Args:
         scenes: The scenes.
         rows: (R,) those that are observed.
+        ego_place: The place of the ego.
         features: (F,) `ON_ROAD`, or indices into `kinematics.FEATURES`.
         ranges: (`kinematics.FEATURES`, 2) what is mapped onto [-1, 1]; not a number where nothing
             is.
         grid: The grid.
         out: The observations; those of an image are integers from 0 to 255.
     """
-    values = np.empty(len(FEATURES))
+    values, has_more = np.empty(len(FEATURES)), features.max() >= COS_D
     for b in rows:
-        ego = scenes.vehicles[b, 0]
+        ego = scenes.vehicles[b, ego_place]
         out[b] = 0.0
         for layer in range(features.size):
             if features[layer] == ON_ROAD:
-                fill_road(scenes, b, grid, out[b, layer])
-        for j in range(scenes.vehicles.shape[1] - 1, -1, -1):
+                fill_road(scenes, ego, grid, out[b, layer])
+        for m in range(scenes.vehicles.shape[1] - 1, -1, -1):
+            j = scenes.order[b, m].place
             if scenes.vehicles[b, j].kind <= OBSTACLE:
                 continue
-            describe(scenes, b, j, True, values)
+            describe(scenes, b, j, ego_place, values)
+            if has_more:
+                describe_way(scenes, b, j, True, values)
             for f in range(len(FEATURES)):
                 low, high = ranges[f]
                 if not math.isnan(low):
@@ -97,13 +107,13 @@ def cell_of(grid: Grid, x: float, y: float, cosine: float, sine: float) -> tuple
 
 
 @compiled
-def fill_road(scenes: Scenes, b: int, grid: Grid, layer: Floats) -> None:
+def fill_road(scenes: Scenes, ego: Row, grid: Grid, layer: Floats) -> None:
     """Marks the cells with points of lanes [`fill_road_layer_by_lanes`].
 
     The points of a lane are those of `numpy.arange`, moved to the lane's ends where they are
     beyond. Points that are certainly outside the grid are left out.
     """
-    ego, lanes = scenes.vehicles[b, 0], scenes.road.lanes
+    lanes = scenes.road.lanes
     value = shown(grid, 1.0)
     for lane in range(lanes.size):
         row = lanes[lane]

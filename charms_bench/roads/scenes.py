@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.arrays import Floats
-from charms_bench.foundation.compiled import Unpacked, compiled, row_after, woven
+from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.compiled import Unpacked, compiled, inlined, row_after, woven
 from charms_bench.foundation.generator import State
 from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.road import closest_lane, position
@@ -42,28 +42,33 @@ VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
     "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate",
     integers="kind lane target_lane speed_index route_step route_end",
-    booleans="crashed has_impact changes_lanes checks_collisions",
+    booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
     routes="route_roads route_numbers",
 )
 """A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
 
 `exponent` is that of IDM. `speed_index` is the place of the target speed of a commanded vehicle.
 `changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide
-if one of them `checks_collisions`. Outside of `speed_min` to `speed_max`, a vehicle brakes or
-accelerates. Only a dynamical vehicle has a `lateral_speed` and a `yaw_rate`. A route is a list of
-steps: the first lane of a road between two nodes, and the number of the lane on it, -1 if it is
-open. The vehicle's next step is `route_step`, and before `route_end` is the last."""
+if one of them `checks_collisions`. A vehicle that `is_yielding` stops for another one; see
+`right_of_way`. Outside of `speed_min` to `speed_max`, a vehicle brakes or accelerates. Only a
+dynamical vehicle has a `lateral_speed` and a `yaw_rate`. A route is a list of steps: the first lane
+of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next
+step is `route_step`, and before `route_end` is the last."""
 COORDINATES = _table(floats="s r")
 """How far a vehicle is along and beside a lane, m; not a number until it is asked for."""
 CONNECTED = _table(integers="lane", floats="offset")
 """A lane on which neighbours are sought, and how far its start is along the lane in question."""
+ORDER = _table(integers="place")
+"""The place of a vehicle or an obstacle in the table of a scene."""
 SEARCH = _table(integers="first after")
 """The rows of `Scenes.connected` for a lane: the lane itself, then those that start at its end or
 end at its start [`Road.neighbour_vehicles`]."""
 CONSTANTS = _table(
     floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
+    integers="regulation_steps",
 )
-"""`Constants` and `IdmMobilParameters`, one after the other."""
+"""`Constants` and `IdmMobilParameters`, one after the other. After so many simulation steps,
+vehicles look who has the right of way; 0 if they never do."""
 
 
 @compiled
@@ -76,11 +81,16 @@ class _Fields(NamedTuple):
     """The fields of `Scenes`."""
 
     vehicles: NDArray[np.void]
-    """[B, N] rows of `VEHICLE`, in highway-env's order: vehicles, then obstacles."""
+    """[B, N] rows of `VEHICLE`: the egos, then the other vehicles, then obstacles."""
+    order: NDArray[np.void]
+    """[B, N] rows of `ORDER`, in highway-env's order of vehicles. Where vehicles come and go,
+    places with nothing are last."""
     generator: State
     """[B, 6] the state of the scene's random generator."""
     time: Floats
     """[B] sum of the decision intervals, s, as highway-env rounds it."""
+    steps: Ints
+    """[B] the simulation steps of a road on which vehicles yield [`RegulatedRoad.steps`]."""
     target_speeds: Floats
     """[S] between which FASTER and SLOWER choose, m/s."""
     road: Network
@@ -95,7 +105,7 @@ class _Fields(NamedTuple):
 
 
 class Scenes(_Fields):
-    """B scenes. The first vehicle of each is the ego."""
+    """B scenes. The first vehicles of each are the egos, mostly one."""
 
     @cached_property
     def unpacked(self) -> Unpacked:
@@ -111,17 +121,22 @@ class Scenes(_Fields):
         connects: bool,
         target_speeds: Floats,
         constants: Constants,
+        regulation_steps: int = 0,
     ) -> "Scenes":
         """Scenes without vehicles, on a road without polylines.
 
         `connects` says whether neighbours are also sought on connected lanes
         [`neighbour_vehicles_connected_lanes`].
         """
-        numbers = *constants[:-1], *constants.idm_mobil
+        numbers = *constants[:-1], *constants.idm_mobil, regulation_steps
+        order = np.zeros((scenes, places), ORDER)
+        order["place"] = np.arange(places)
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
+            order=order,
             generator=np.zeros((scenes, 6), np.uint64),
             time=np.zeros(scenes),
+            steps=np.zeros(scenes, dtype=np.int64),
             target_speeds=target_speeds,
             road=road,
             **_searches(road, connects),
@@ -164,6 +179,7 @@ class Here(NamedTuple):
     """The scene that is being advanced, as the first rows of its tables."""
 
     vehicles: Row
+    order: Row
     places: int
     coordinates: Row
     lanes: Row
@@ -178,6 +194,7 @@ def here_of(scenes: Scenes, b: int) -> Here:
     """Scene b."""
     return Here(
         scenes.vehicles[b, 0],
+        scenes.order[b, 0],
         scenes.vehicles.shape[1],
         scenes.coordinates[0],
         scenes.road.lanes[0],
@@ -192,6 +209,12 @@ def here_of(scenes: Scenes, b: int) -> Here:
 def vehicle_of(here: Here, i: int) -> Row:
     """The row of vehicle i."""
     return row_after(here.vehicles, i)
+
+
+@inlined
+def place_of(here: Here, k: int) -> int:
+    """The place of the k-th vehicle or obstacle in highway-env's order."""
+    return int(row_after(here.order, k).place)
 
 
 @woven
@@ -227,7 +250,7 @@ def place(
     vehicle.exponent = IDM_EXPONENT
     vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
     vehicle.route_step = vehicle.route_end = 0
-    vehicle.crashed = vehicle.has_impact = False
+    vehicle.crashed = vehicle.has_impact = vehicle.is_yielding = False
     vehicle.changes_lanes = vehicle.checks_collisions = True
     if kind == COMMANDED:
         vehicle.speed_index = index_of(speed, scenes.target_speeds)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import uniform
@@ -31,12 +32,24 @@ class Task(ABC):
     """Whether highway-env says anything about a step."""
     observes_before: ClassVar[bool] = False
     """Whether highway-env observes when the action is given, before the vehicles move."""
+    idm: ClassVar[Mapping[str, float]] = {}
+    """The constants of `IdmMobilParameters` that are particular to the environment."""
+    regulation_steps = 0
+    """After so many simulation steps, vehicles look who has the right of way; 0 if never."""
+    can_have_egos = False
+    """Whether several vehicles can be controlled."""
     vehicles: int
-    """The most vehicles of a scene, with the ego."""
+    """The most vehicles of a scene, with the egos."""
 
     def __init__(self, config: Mapping[str, Any], network: Any) -> None:
         self.weights = np.array([float(config.get(term, 0)) for term in self.terms])
         """What the terms are multiplied by."""
+        self.egos = int(config.get("controlled_vehicles", 1))
+        """The number of controlled vehicles."""
+        if self.egos > 1 and not self.can_have_egos:
+            raise InputError(
+                f"config.controlled_vehicles: {self.egos} is not supported on this road; expected 1"
+            )
         self.duration = float(config.get("duration", np.inf))
         """The time after which an episode is truncated, s."""
         self.lanes = {name: k for k, name in enumerate(network.lanes_dict())}
@@ -53,6 +66,9 @@ class Task(ABC):
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         """Writes the rewards after actions (B, ...), and their terms, into `rewards` (B, 1 + K)."""
 
+    def follow(self, scenes: Scenes, rows: Ints) -> None:  # noqa: B027  # most tasks do nothing
+        """Changes the scenes `rows` after a decision and its observation."""
+
     def is_terminated(self, scenes: Scenes) -> Bools:
         """Whether each scene (B,) is over; by default, whether the ego has crashed."""
         return np.array(scenes.vehicles["crashed"][:, 0])
@@ -62,7 +78,7 @@ class Task(ABC):
         return np.greater_equal(scenes.time, self.duration)
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
-        """What the info has in addition, (B,) by name."""
+        """What the info has in addition, (B,) or (B, A) by name."""
         return {}
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, not_zero
-from charms_bench.roads.scenes import CONTINUOUS, Scenes
+from charms_bench.roads.scenes import CONTINUOUS, Row, Scenes
 from charms_bench.world.road import distance_along
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Observations
@@ -20,8 +20,8 @@ _BRANCHES = 64
 
 
 @compiled_of_scenes
-def observe(scenes: Scenes, rows: Ints, interval: float, out: Observations) -> None:
-    """Writes the egos' observations (B, 3, 3, T) of the scenes `rows`.
+def observe(scenes: Scenes, rows: Ints, ego_place: int, interval: float, out: Observations) -> None:
+    """Writes the observations (B, 3, 3, T) of the ego at a place in the scenes `rows`.
 
     These are the costs of a collision at each multiple of `interval`, s, by target speed and lane
     [`TimeToCollisionObservation.observe`].
@@ -29,8 +29,8 @@ def observe(scenes: Scenes, rows: Ints, interval: float, out: Observations) -> N
     speeds, times = scenes.target_speeds.size, out.shape[3]
     grid = np.empty((speeds, scenes.road.lanes["lanes"].max(), times))
     for b in rows:
-        fill(scenes, b, interval, grid)
-        ego = scenes.vehicles[b, 0]
+        fill(scenes, b, ego_place, interval, grid)
+        ego = scenes.vehicles[b, ego_place]
         row = scenes.road.lanes[ego.lane]
         for k in range(SIDES):
             speed = min(max(ego.speed_index + k - 1, 0), speeds - 1)
@@ -42,14 +42,16 @@ def observe(scenes: Scenes, rows: Ints, interval: float, out: Observations) -> N
 
 
 @compiled
-def fill(scenes: Scenes, b: int, interval: float, grid: Floats) -> None:
+def fill(scenes: Scenes, b: int, ego_place: int, interval: float, grid: Floats) -> None:
     """Fills a grid, by target speed, lane and time [`finite_mdp.compute_ttc_grid`]."""
-    road, ego = scenes.road, scenes.vehicles[b, 0]
+    road, ego = scenes.road, scenes.vehicles[b, ego_place]
     own = road.lanes[ego.lane]
     grid[:] = 0.0
-    for j in range(1, scenes.vehicles.shape[1]):
+    for j in range(scenes.vehicles.shape[1]):
         other = scenes.vehicles[b, j]
-        if other.kind < CONTINUOUS or not is_connected(scenes, b, other.lane):
+        if j == ego_place or other.kind < CONTINUOUS:
+            continue
+        if not is_connected(scenes, ego, other.lane):
             continue
         row = road.lanes[other.lane]
         first, after = 0, own.lanes
@@ -73,12 +75,12 @@ def fill(scenes: Scenes, b: int, interval: float, grid: Floats) -> None:
 
 
 @compiled
-def is_connected(scenes: Scenes, b: int, lane: int) -> bool:
+def is_connected(scenes: Scenes, ego: Row, lane: int) -> bool:
     """Whether a lane is on the ego's road, before it, or on one of the next `DEPTH` roads.
 
     [`RoadNetwork.is_connected_road`, with the ego's route]
     """
-    road, ego = scenes.road, scenes.vehicles[b, 0]
+    road = scenes.road
     sought = road.lanes[lane].first
     roads, steps, depths = np.empty((3, _BRANCHES), dtype=np.int64)
     roads[0], steps[0], depths[0] = road.lanes[ego.lane].first, ego.route_step, DEPTH

@@ -76,8 +76,8 @@ def _highway_env(name: str) -> Step:
     env.action_space.seed(SEED)
 
     def step() -> int:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
+        truncated = env.step(env.action_space.sample())[3]
+        if truncated or env.unwrapped._is_terminated():
             env.reset()
         return 1
 

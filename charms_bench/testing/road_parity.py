@@ -11,9 +11,8 @@ import numpy as np
 from charms_bench.engine.exact_maths import use_exact_maths, worker_environment
 from charms_bench.foundation.workers import in_processes
 from charms_bench.roads.controls import Controls
-from charms_bench.roads.episodes import Decision, Episodes
+from charms_bench.roads.episodes import Decision, Episodes, unchanged_idm
 from charms_bench.roads.scenes import OBSTACLE
-from charms_bench.world.actions import ACTIONS, FASTER, IDLE, SLOWER
 
 NUMBERS = (
     *("x", "y", "heading", "speed", "acceleration", "steering", "target_speed"),
@@ -108,11 +107,17 @@ def compare(
     """
     import highway_env  # noqa: F401  # registers its environments
 
-    spec = gymnasium.spec(name)
-    stock = spec.make(disable_env_checker=True)
+    with unchanged_idm():
+        return _compare(name, seeds, decisions, tolerance, config)
+
+
+def _compare(
+    name: str, seeds: range, decisions: int, tolerance: float, config: Mapping[str, Any] | None
+) -> Comparison:
+    stock: Any = gymnasium.spec(name).make(disable_env_checker=True)
     # Some environments take no configuration when they are made.
     stock.reset(options={"config": dict(config or {})})
-    names = [*stock.unwrapped.road.network.lanes_dict()]  # type: ignore[attr-defined]
+    names = [*stock.unwrapped.road.network.lanes_dict()]
     ours, found = Episodes(name, 1, config), Comparison(name)
     for seed in seeds:
         rng, is_random = np.random.default_rng([seed, 6]), seed % 2 == 0
@@ -123,23 +128,25 @@ def compare(
         found.largest_at_start = max(found.largest_at_start, apart)
         found.episodes += 1
         for _ in range(decisions if apart <= tolerance else 0):
-            action = _action(ours, stock.unwrapped, rng, is_random)
-            expected = list(stock.step(action))
-            decision = ours.step(np.asarray(action)[None])
+            vehicles = stock.unwrapped.controlled_vehicles[: ours.agents]
+            actions = tuple(_action(ours, each, rng, is_random) for each in vehicles)
+            parts = tuple(np.asarray(each)[None] for each in actions)
+            expected = list(stock.step(actions if ours.has_agents else actions[0]))
+            decision = ours.step(parts if ours.has_agents else parts[0])
             apart, what = _apart(stock, ours, names, expected, decision)
             found.decisions += 1
             found.largest = max(found.largest, apart)
-            if apart > tolerance or expected[2] or expected[3]:
+            if apart > tolerance or np.all(expected[2]) or expected[3]:
                 break
-        found.crashed += bool(ours.scenes.vehicles["crashed"][0, 0])
+        found.crashed += bool(ours.scenes.vehicles["crashed"][0, : ours.task.egos].any())
         found.largest = max(found.largest, apart)
         if apart > tolerance:
             found.differing.append(f"episode {seed}, decision {ours.steps[0]}: {what}")
     return found
 
 
-def _action(ours: Episodes, stock: Any, rng: np.random.Generator, is_random: bool) -> Any:
-    """A random action, or one that keeps the ego on the road."""
+def _action(ours: Episodes, vehicle: Any, rng: np.random.Generator, is_random: bool) -> Any:
+    """A random action, or one that keeps highway-env's vehicle on the road."""
     actions = ours.actions
     if isinstance(actions, Controls):
         if isinstance(actions.space, gymnasium.spaces.Discrete):
@@ -147,12 +154,12 @@ def _action(ours: Episodes, stock: Any, rng: np.random.Generator, is_random: boo
         controls = rng.uniform(-1, 1, actions.space.shape or ()).astype(np.float32)
         if not is_random:
             controls *= np.float32(0.1)
-            controls[-1] += np.float32(_steering(stock.vehicle))
+            controls[-1] += np.float32(_steering(vehicle))
         return controls
     action = int(rng.integers(len(actions.names)))
-    if not is_random and len(actions.names) == len(ACTIONS):
-        others = rng.choice((FASTER, SLOWER))
-        action = IDLE if rng.random() < _SHARE_OF_IDLE else int(others)
+    if not is_random and "FASTER" in actions.names:
+        name = rng.choice(("FASTER", "SLOWER"))
+        action = actions.names.index("IDLE" if rng.random() < _SHARE_OF_IDLE else str(name))
     return action
 
 
@@ -168,11 +175,14 @@ def _apart(
     stock: Any, ours: Episodes, names: list[Any], expected: list[Any], decision: Decision | None
 ) -> tuple[float, str]:
     """The largest difference now, and of what; infinity for what is no number."""
-    found, seen = ours.observe(), expected[0]
-    if not isinstance(found, dict):
-        found, seen = {"observation": found}, {"observation": seen}
-    pairs: dict[str, tuple[Any, Any]] = {what: (found[what][0], seen[what]) for what in found}
-    road, table = stock.unwrapped.road, ours.scenes.vehicles[0]
+    seen = ours.observe() if decision is None else decision.observations
+    found, their = seen, expected[0]
+    if isinstance(seen, tuple):
+        found, their = dict(enumerate(seen)), dict(enumerate(their))
+    elif not isinstance(seen, dict):
+        found, their = {"observation": seen}, {"observation": their}
+    pairs: dict[str, tuple[Any, Any]] = {f"{what}": (found[what][0], their[what]) for what in found}
+    road, table = stock.unwrapped.road, ours.scenes.vehicles[0, ours.scenes.order["place"][0]]
     vehicles = [each for each in table if each["kind"] > OBSTACLE]
     if len(vehicles) != len(road.vehicles):
         return np.inf, f"{len(vehicles)} and {len(road.vehicles)} vehicles"
@@ -184,6 +194,7 @@ def _apart(
         is_same = {
             "lane": names[vehicle["lane"]] == theirs.lane_index,
             "crashed": vehicle["crashed"] == theirs.crashed,
+            "yielding": vehicle["is_yielding"] == getattr(theirs, "is_yielding", False),
         }
         if "route" in values:
             steps = [tuple(step) for step in theirs.route or ()]
@@ -199,13 +210,15 @@ def _apart(
             pairs[f"exponent of vehicle {k}"] = vehicle["exponent"], theirs.DELTA
     if decision is not None:
         _, reward, terminated, truncated, info = expected
+        if ours.is_split:
+            reward, terminated = stock.unwrapped._reward(None), stock.unwrapped._is_terminated()
         pairs["reward"] = decision.rewards[0], reward
         for term, value in zip(ours.task.terms, decision.terms[0], strict=True):
             pairs[term] = value, info["rewards"][term]
         ended = decision.terminated[0], decision.truncated[0]
         pairs["end"] = 0.0, 0.0 if ended == (terminated, truncated) else np.inf
         for name, value in ours.task.information(ours.scenes).items():
-            pairs[name] = float(value[0]), float(info[name])
+            pairs[name] = value[0], info[name]
     apart = {what: _difference(*pair) for what, pair in pairs.items()}
     what = max(apart, key=lambda name: apart[name])
     return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"

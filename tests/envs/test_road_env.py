@@ -1,5 +1,6 @@
 """The environments of highway-env's other roads, alone and as vectors."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -12,6 +13,14 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.errors import InputError
 from charms_bench.roads import TASKS
+from charms_bench.roads.episodes import unchanged_idm
+
+
+@pytest.fixture(autouse=True)
+def idm_of_highway_env() -> Iterator[None]:
+    """Without it, the other roads would differ after highway-env's `intersection`."""
+    with unchanged_idm():
+        yield
 
 
 def stock(name: str) -> Any:

@@ -1,0 +1,286 @@
+"""highway-env's `intersection`: crossing four roads while vehicles come and go."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_bench.errors import InputError
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes
+from charms_bench.foundation.generator import integers, normal, random, two_integers
+from charms_bench.roads.controls import kind_of_ego
+from charms_bench.roads.locating import forget
+from charms_bench.roads.right_of_way import FREQUENCY_HZ
+from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane
+from charms_bench.roads.stepping import advance
+from charms_bench.roads.task import Task, draw_exponent, plan_route, routes_to, share, weighted
+from charms_bench.world.road import heading_at, is_on_lane, local_coordinates, position
+
+_SIDES = 4
+MOST_TO_COME = 100
+"""For so many vehicles there is room, in addition to those at the start."""
+STARTS_ALONG_M = 80.0
+"""Up to there, the vehicles at the start enter."""
+CHANCE = 0.6
+"""That of each to enter."""
+SIMULATED_S = 3
+"""For so long, they are simulated before the start of the episode."""
+CHALLENGER_ALONG_M = EGO_ALONG_M = 60.0
+SPEED_MPS = 8.0
+"""The mean speed of vehicles that enter."""
+SPACE_M, EGO_SPACE_M = 15.0, 20.0
+"""The least distance to a vehicle that enters, and to an ego at the start."""
+ARRIVED_M, LEAVING_M = 25.0, 20.0
+"""An ego has arrived so far behind the intersection; the others leave so far before the end."""
+
+
+class Rule(NamedTuple):
+    """What the functions below need to know; lanes are indices, and other units are SI."""
+
+    egos: int
+    kind: int
+    """What the egos are, an index into `scenes.KINDS`."""
+    destination: int
+    """The index of the egos' route, -1 if their sides are drawn."""
+    chance: float
+    """That of a vehicle to enter after a decision."""
+    warm_up_steps: int
+    speed_low: float
+    speed_high: float
+    collision: float
+    arrived: float
+    normalises: bool
+
+
+class Intersection(Task):
+    """[`IntersectionEnv`]"""
+
+    terms = ("collision_reward", "high_speed_reward", "arrived_reward", "on_road_reward")
+    idm: ClassVar[Mapping[str, float]] = {
+        "jam_distance_m": 7.0,
+        "acceleration_mps2": 6.0,
+        "deceleration_mps2": 3.0,
+    }
+    can_have_egos = True
+    actions = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
+
+    def __init__(self, config: Mapping[str, Any], network: Any) -> None:
+        super().__init__(config, network)
+        hz = config["simulation_frequency"]
+        self.regulation_steps = int(1 / (1 / hz) / FREQUENCY_HZ)
+        if not self.regulation_steps:
+            raise InputError("config.simulation_frequency: expected at least 2 on this road")
+        count = int(config["initial_vehicle_count"])
+        to_come = min(math.ceil(self.duration * config["policy_frequency"]) + 1, MOST_TO_COME)
+        self.vehicles = self.egos + max(count, 1) + to_come
+        self._along = np.linspace(0, STARTS_ALONG_M, count)[:-1] if count > 1 else np.zeros(0)
+        given = config["destination"]
+        names = [f"o{side}" for side in range(_SIDES)]
+        self._routes = routes_to(network, [*names, *([str(given)] if given else [])])
+        self._entries = np.array([self.lanes[f"o{k}", f"ir{k}", 0] for k in range(_SIDES)])
+        leads_out = ["il" in start and "o" in end for start, end, _ in self.lanes]
+        self._exits = np.array(leads_out, dtype=np.bool_)
+        self._ends_off_road = bool(config["offroad_terminal"])
+        self._rule = Rule(
+            self.egos,
+            kind_of_ego(config),
+            _SIDES if given else -1,
+            float(config["spawn_probability"]),
+            SIMULATED_S * int(hz),
+            float(config["reward_speed_range"][0]),
+            float(config["reward_speed_range"][1]),
+            float(config["collision_reward"]),
+            float(config["arrived_reward"]),
+            bool(config["normalize_reward"]),
+        )
+        self._rewards = np.zeros((0, self.egos))
+        self._have_arrived = np.zeros((0, self.egos), dtype=np.bool_)
+
+    def start(self, scenes: Scenes, rows: Ints) -> None:
+        _start(scenes, rows, self._rule, self._along, self._entries, self._routes)
+
+    def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
+        self._rewards = np.zeros((len(scenes.vehicles), self.egos))
+        self._have_arrived = np.zeros(self._rewards.shape, dtype=np.bool_)
+        own = self._rewards, self._have_arrived
+        _judge(scenes, rows, self.weights, self._rule, self._exits, *own, rewards)
+
+    def follow(self, scenes: Scenes, rows: Ints) -> None:
+        _follow(scenes, rows, self._rule, self._entries, self._exits, self._routes)
+
+    def is_terminated(self, scenes: Scenes) -> Bools:
+        egos = scenes.vehicles[:, : self.egos]
+        over = np.asarray(egos["crashed"].any(axis=1) | self._have_arrived.all(axis=1))
+        if self._ends_off_road:
+            for b, ego in enumerate(egos[:, 0]):
+                where = int(ego["lane"]), float(ego["x"]), float(ego["y"])
+                over[b] |= not is_on_lane(scenes.road, *where, 0.0)
+        return over
+
+    def information(self, scenes: Scenes) -> dict[str, Any]:
+        crashed = scenes.vehicles["crashed"][:, : self.egos]
+        return {
+            "agents_rewards": self._rewards,
+            "agents_terminated": crashed | self._have_arrived,
+        }
+
+
+@compiled
+def is_free(scenes: Scenes, b: int, x: float, y: float, space: float) -> bool:
+    """Whether no vehicle is closer to a point than a distance."""
+    for i in range(scenes.vehicles.shape[1]):
+        vehicle = scenes.vehicles[b, i]
+        dx, dy = vehicle.x - x, vehicle.y - y
+        if vehicle.kind != NOTHING and math.sqrt(dx * dx + dy * dy) < space:
+            return False
+    return True
+
+
+@compiled
+def enter(
+    scenes: Scenes,
+    b: int,
+    entries: Ints,
+    routes: Ints,
+    along: float,
+    chance: float,
+    deviation: tuple[float, float],
+    goes_straight: bool,
+) -> None:
+    """Has a vehicle enter by chance, if there is space [`IntersectionEnv._spawn_vehicle`].
+
+    `deviation` is that of its position, m, and of its speed, m/s.
+    """
+    state = scenes.generator[b]
+    if random(state) > chance:
+        return
+    side, destination = two_integers(state, _SIDES)
+    if goes_straight:
+        destination = (side + 2) % _SIDES
+    lane, s = entries[side], along + 5.0 + normal(state, 0.0, 1.0) * deviation[0]
+    speed = SPEED_MPS + normal(state, 0.0, 1.0) * deviation[1]
+    x, y = position(scenes.road, lane, s, 0.0)
+    if not is_free(scenes, b, x, y, SPACE_M):
+        return
+    k = 0
+    while scenes.vehicles[b, scenes.order[b, k].place].kind != NOTHING:
+        k += 1
+        if k == scenes.vehicles.shape[1]:
+            raise ValueError("more vehicles are on the intersection than there is room for")
+    i = scenes.order[b, k].place
+    put_on_lane(scenes, b, i, IDM, lane, s, heading_at(scenes.road, lane, s), speed)
+    plan_route(scenes, b, i, routes, destination)
+    draw_exponent(scenes, b, i)
+
+
+@compiled
+def tidy(scenes: Scenes, b: int) -> None:
+    """Puts the places with nothing to the end of the order of a scene."""
+    places, kept = scenes.vehicles.shape[1], 0
+    before = np.empty(places, dtype=np.int64)
+    for k in range(places):
+        before[k] = scenes.order[b, k].place
+    for is_nothing in (False, True):
+        for i in before:
+            if (scenes.vehicles[b, i].kind == NOTHING) == is_nothing:
+                scenes.order[b, kept].place = i
+                kept += 1
+
+
+@compiled_of_scenes
+def _start(
+    scenes: Scenes, rows: Ints, rule: Rule, starts: Floats, entries: Ints, routes: Ints
+) -> None:
+    """[`IntersectionEnv._make_vehicles`]"""
+    road, places = scenes.road, scenes.vehicles.shape[1]
+    corners = np.empty((2, 4, 2))
+    for b in rows:
+        scenes.steps[b] = 0
+        for i in range(places):
+            scenes.vehicles[b, i].kind = NOTHING
+            scenes.order[b, i].place = (i + rule.egos) % places  # the egos come last
+        for along in starts:
+            enter(scenes, b, entries, routes, along, CHANCE, (1.0, 1.0), False)
+        here = here_of(scenes, b)
+        for i in range(places):
+            forget(here, i)
+        for _ in range(rule.warm_up_steps):
+            advance(scenes, b, here, corners)
+        enter(scenes, b, entries, routes, CHALLENGER_ALONG_M, 1.0, (0.1, 0.0), True)
+        for ego in range(rule.egos):
+            lane, destination = entries[ego % _SIDES], rule.destination
+            if destination < 0:
+                destination = integers(scenes.generator[b], 1, _SIDES)
+            s = EGO_ALONG_M + 5.0 * normal(scenes.generator[b], 1.0, 1.0)
+            heading = heading_at(road, lane, EGO_ALONG_M)
+            put_on_lane(scenes, b, ego, rule.kind, lane, s, heading, road.lanes[lane].speed_limit)
+            if rule.kind == COMMANDED:
+                plan_route(scenes, b, ego, routes, destination)
+            own = scenes.vehicles[b, ego]
+            for i in range(rule.egos, places):
+                other = scenes.vehicles[b, i]
+                dx, dy = other.x - own.x, other.y - own.y
+                if math.sqrt(dx * dx + dy * dy) < EGO_SPACE_M:
+                    other.kind = NOTHING
+        tidy(scenes, b)
+
+
+@compiled_of_scenes
+def _follow(
+    scenes: Scenes, rows: Ints, rule: Rule, entries: Ints, exits: Bools, routes: Ints
+) -> None:
+    """Has vehicles leave and one enter [`_clear_vehicles`, `_spawn_vehicle`]."""
+    road = scenes.road
+    for b in rows:
+        has_left = False
+        for i in range(rule.egos, scenes.vehicles.shape[1]):
+            vehicle = scenes.vehicles[b, i]
+            if vehicle.kind == NOTHING or not exits[vehicle.lane]:
+                continue
+            s, _ = local_coordinates(road, vehicle.lane, vehicle.x, vehicle.y)
+            if s >= road.lanes[vehicle.lane].length - LEAVING_M:
+                vehicle.kind, has_left = NOTHING, True
+        if has_left:
+            tidy(scenes, b)
+        enter(scenes, b, entries, routes, 0.0, rule.chance, (1.0, 1.0), False)
+
+
+@compiled_of_scenes
+def _judge(
+    scenes: Scenes,
+    rows: Ints,
+    weights: Floats,
+    rule: Rule,
+    exits: Bools,
+    rewards: Floats,
+    have_arrived: Bools,
+    out: Floats,
+) -> None:
+    """[`IntersectionEnv._reward`, `IntersectionEnv._rewards`]
+
+    Also fills in the rewards (B, A) of each ego, and whether it has arrived.
+    """
+    row = np.zeros(1 + weights.size)
+    for b in rows:
+        out[b] = 0.0
+        for ego in range(rule.egos):
+            vehicle = scenes.vehicles[b, ego]
+            s, _ = local_coordinates(scenes.road, vehicle.lane, vehicle.x, vehicle.y)
+            has_arrived = exits[vehicle.lane] and s >= ARRIVED_M
+            row[1] = vehicle.crashed
+            row[2] = clip(share(vehicle.speed, rule.speed_low, rule.speed_high), 0.0, 1.0)
+            row[3] = has_arrived
+            row[4] = is_on_lane(scenes.road, vehicle.lane, vehicle.x, vehicle.y, 0.0)
+            reward = rule.arrived if has_arrived else weighted(weights, row)
+            reward *= row[4]
+            if rule.normalises:
+                reward = share(reward, rule.collision, rule.arrived)
+            row[0] = rewards[b, ego] = reward
+            have_arrived[b, ego] = has_arrived
+            for k in range(row.size):
+                out[b, k] += row[k]
+        for k in range(row.size):
+            out[b, k] /= rule.egos
