@@ -45,9 +45,9 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         render_mode: str | None = None,
     ) -> None:
         self._name = name
-        self._episodes = _episodes(name, 1, config, render_mode)
-        self._episodes.seed(self._episodes.everyone, _random_seeds(1))
-        self.observation_space, self.action_space = _spaces(self._episodes)
+        self._episodes = episodes_of(name, 1, config, render_mode)
+        self._episodes.seed(self._episodes.everyone, random_seeds(1))
+        self.observation_space, self.action_space = spaces_of(self._episodes)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -75,9 +75,9 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             raise InputError(f"reset takes the option 'config', got {', '.join(unknown)}")
         if options:
             before = self._episodes.scenes.generator
-            self._episodes = _episodes(self._name, 1, {**self.config, **options["config"]}, None)
+            self._episodes = episodes_of(self._name, 1, {**self.config, **options["config"]}, None)
             self._episodes.scenes.generator[:] = before
-            self.observation_space, self.action_space = _spaces(self._episodes)
+            self.observation_space, self.action_space = spaces_of(self._episodes)
         episodes = self._episodes
         if seed is not None:
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
@@ -182,12 +182,12 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         render_mode: str | None = None,
     ) -> None:
         self._name = name
-        self._episodes = _episodes(name, num_envs, config, render_mode)
+        self._episodes = episodes_of(name, num_envs, config, render_mode)
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = _spaces(self._episodes)
+        self.single_observation_space, self.single_action_space = spaces_of(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._episodes.seed(self._episodes.everyone, _random_seeds(num_envs))
+        self._episodes.seed(self._episodes.everyone, random_seeds(num_envs))
         self._known = np.ones(num_envs, dtype=np.bool_)
 
     @property
@@ -268,9 +268,10 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         return {**facts, **{f"_{name}": known for name in facts}}
 
 
-def _episodes(
+def episodes_of(
     name: str, count: int, config: Mapping[str, Any] | None, render_mode: str | None
 ) -> Episodes:
+    """The scenes of environments; errors name them."""
     if render_mode is not None:
         raise InputError(f"{name}: render_mode: pictures of this road are not supported")
     try:
@@ -279,7 +280,8 @@ def _episodes(
         raise InputError(f"{name}: {error}") from error
 
 
-def _spaces(episodes: Episodes) -> Spaces:
+def spaces_of(episodes: Episodes) -> Spaces:
+    """The spaces of the observations and the actions of one environment."""
     seen = [observer.space for observer in episodes.observers]
     chosen = [episodes.actions.space for _ in range(episodes.agents)]
     return (
@@ -358,6 +360,6 @@ def _terms(episodes: Episodes, decision: Decision, row: Any = slice(None)) -> An
     return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)
 
 
-def _random_seeds(count: int) -> NDArray[np.uint64]:
+def random_seeds(count: int) -> NDArray[np.uint64]:
     """Seeds (B,) from the operating system."""
     return np.random.SeedSequence().generate_state(count, np.uint64).astype(np.uint64)

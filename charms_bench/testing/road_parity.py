@@ -1,7 +1,7 @@
 """Compares highway-env's environments with those of `charms_bench.roads`, decision by decision."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -62,6 +62,21 @@ def verify_road(
         _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}))
         for start in range(0, episodes, _CHUNK)
     ]
+    return _compared(name, chunks, workers, progress)
+
+
+def verify_configurations(
+    name: str, configs: Iterable[Mapping[str, Any]], workers: int | None = None
+) -> Comparison:
+    """Like `verify_road`, but compares the episode k with the configuration k."""
+    chunks = [_Chunk(name, seed, 1, dict(config)) for seed, config in enumerate(configs)]
+    return _compared(name, chunks, workers, lambda episodes: None)
+
+
+def _compared(
+    name: str, chunks: list["_Chunk"], workers: int | None, progress: Callable[[int], None]
+) -> Comparison:
+    """Compares the episodes of chunks in processes."""
     count = min(workers or os.cpu_count() or 1, len(chunks))
     environment = worker_environment("highway-env")
     total = Comparison(name)

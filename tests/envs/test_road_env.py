@@ -85,6 +85,68 @@ def test_the_vector_environment_is_gymnasiums_of_highway_env() -> None:
     assert ended >= count
 
 
+def test_agents_get_tuples_as_in_highway_env() -> None:
+    env, theirs = ours("intersection-multi-agent-v1"), stock("intersection-multi-agent-v1")
+    seen, expected = env.reset(seed=3)[0], theirs.reset(seed=3)[0]
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-6)
+    for actions in ((1, 2), (0, 1), (2, 2)):
+        assert [*env.unwrapped.get_available_actions()] == [
+            *theirs.unwrapped.get_available_actions()
+        ]
+        seen, rewards, terminated, truncated, info = env.step(actions)
+        expected, *others, their_info = theirs.step(actions)
+        assert isinstance(seen, tuple)
+        np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-6)
+        assert rewards == pytest.approx(others[0])
+        assert (terminated, truncated) == tuple(others[1:])
+        assert info.keys() == their_info.keys()
+        assert info["agents_rewards"] == pytest.approx(their_info["agents_rewards"])
+        assert info["agents_terminated"] == their_info["agents_terminated"]
+
+
+def test_the_vector_environment_has_means_of_the_agents_rewards() -> None:
+    env, theirs = vector("intersection-multi-agent-v0", 2), stock("intersection-multi-agent-v0")
+    env.reset(seed=5)
+    theirs.reset(seed=6)
+    seen, rewards, terminated, _, infos = env.step((np.array([0, 1]), np.array([2, 2])))
+    expected, reward, is_over, _, info = theirs.step((1, 2))
+    assert env.observation_space.contains(seen)
+    np.testing.assert_allclose([each[1] for each in seen], expected, rtol=0, atol=1e-6)
+    assert rewards[1] == pytest.approx(reward)
+    assert terminated[1] == is_over
+    assert tuple(infos["agents_rewards"][1]) == pytest.approx(info["agents_rewards"])
+
+
+def test_highway_envs_own_idm_is_as_before() -> None:
+    from highway_env.vehicle.behavior import IDMVehicle
+
+    before = IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN
+    ours("intersection-v0").reset(seed=0)
+    after = IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    ("config", "what"),
+    [
+        ({"controlled_vehicles": 0}, "config.controlled_vehicles"),
+        ({"simulation_frequency": 1}, "config.simulation_frequency"),
+        ({"action": {"type": "MultiAgentAction", "action": {}}}, "no key named 'action'"),
+        ({"action": {"type": "MultiAgentAction", "action_config": {"type": "A"}}}, "'A'"),
+    ],
+)
+def test_the_intersection_rejects_what_is_not_supported(config: dict[str, Any], what: str) -> None:
+    with pytest.raises(InputError, match=what):
+        ours("intersection-v0", config=config)
+
+
+def test_another_number_of_actions_than_of_agents_is_rejected() -> None:
+    env = ours("intersection-multi-agent-v0")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="actions of 3 agents; expected 2"):
+        env.unwrapped.step((0, 1, 2))
+
+
 def test_an_episode_of_the_two_way_road_has_at_most_15_decisions() -> None:
     slow = {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15]}
     env = vector("two-way-v0", 1, config={"action": slow})
@@ -121,7 +183,7 @@ def test_available_actions_are_those_of_highway_env(name: str) -> None:
         ({"lanes": 3}, "no key named 'lanes'"),
         ({"action": {"type": "ContinuousAction"}}, "config.action.type: 'ContinuousAction'"),
         ({"observation": {"type": "GrayscaleObservation"}}, "'GrayscaleObservation'"),
-        ({"observation": {"type": "Kinematics", "features": ["cos_d"]}}, "'cos_d'"),
+        ({"observation": {"type": "Kinematics", "features": ["lane"]}}, "'lane'"),
         ({"observation": {"type": "Kinematics", "row": 3}}, "no key named 'row'"),
         ({"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "LinearVehicle"),
         ({"manual_control": True}, "config.manual_control"),

@@ -13,6 +13,7 @@ from charms_bench.foundation.generator import (
     random,
     seeded,
     to_numpy,
+    two_integers,
     uniform,
     word,
 )
@@ -36,7 +37,7 @@ def test_small_seeds_are_those_of_numpys_generator(seed: int) -> None:
 @settings(deadline=None)
 @given(
     SEEDS,
-    st.lists(st.integers(0, 5), max_size=40),
+    st.lists(st.integers(0, 6), max_size=40),
     st.integers(1, 2**32 - 1),
     st.lists(st.floats(0.0, 9.0), min_size=1, max_size=6).filter(lambda some: sum(some) > 0.1),
 )
@@ -56,6 +57,9 @@ def test_any_sequence_of_draws_is_numpys(
             assert normal(state, -1.5, 7.0) == rng.normal(-1.5, 7.0)
         elif kind == 4:
             assert choice(state, weights) == rng.choice(weights.size, p=weights)
+        elif kind == 5:
+            most = 2 + count % 9
+            assert two_integers(state, most) == tuple(rng.choice(most, 2, replace=False))
         else:
             assert integers(state, 0, len(some)) == rng.choice(len(some))
     assert (state == from_numpy(rng)).all()

@@ -242,7 +242,9 @@ def random_lane_keeping(rng: np.random.Generator) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in TASKS if name.endswith("v0")])
+@pytest.mark.parametrize(
+    "name", [each for each in TASKS if each.endswith("v0") and "intersection" not in each]
+)
 def test_100_random_configurations_give_the_same_episodes(name: str) -> None:
     for seed in range(100):
         config = random_configuration(name, seed)

@@ -1,0 +1,157 @@
+"""highway-env's environments with several agents as a PettingZoo `ParallelEnv`.
+
+It needs the extra `pettingzoo`.
+"""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from charms_bench.envs.parallel_env import ParallelEnv, Step
+from charms_bench.envs.road_env import episodes_of, random_seeds, spaces_of
+from charms_bench.errors import InputError
+from charms_bench.world.scene import Observations
+
+Infos = dict[str, dict[str, Any]]
+
+
+class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
+    """One episode after another of one of highway-env's environments with several agents.
+
+    The agents are `vehicle_0`, `vehicle_1` and so on, in the order of highway-env's
+    `controlled_vehicles`. An agent terminates, and leaves `agents`, when its vehicle crashes or
+    arrives. Its vehicle stays in the scene and is given no more actions but `IDLE`. When the time
+    is over, the remaining agents are truncated.
+
+    The same seed gives the scene of highway-env, and the same actions the same episode.
+
+    Args:
+        name: highway-env's name of the environment, such as `intersection-multi-agent-v1`.
+        config: highway-env's configuration; what is not given has its default.
+        render_mode: Pictures are not supported.
+
+    Raises:
+        InputError: The environment has one agent or actions that are not meta-actions, or its
+            configuration is not supported.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  # pettingzoo's declaration
+        "name": "charms_bench_road_v0",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        name: str,
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self._episodes = episodes_of(name, 1, config, render_mode)
+        if not (self._episodes.has_agents and self._episodes.sees_agents):
+            raise InputError(
+                f"{name}: expected actions of type 'MultiAgentAction' and observations of type "
+                "'MultiAgentObservation'"
+            )
+        if "IDLE" not in getattr(self._episodes.actions, "names", ()):
+            raise InputError(f"{name}: expected actions of type 'DiscreteMetaAction'")
+        self._episodes.seed(self._episodes.everyone, random_seeds(1))
+        self.render_mode = None
+        self.possible_agents = [f"vehicle_{k}" for k in range(self._episodes.agents)]
+        self.agents: list[str] = []
+        self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
+        seen, chosen = spaces_of(self._episodes)
+        # Each agent has spaces of its own, because a space holds the seed of its samples.
+        self.observation_spaces = dict(zip(self._place, deepcopy([*seen]), strict=True))
+        self.action_spaces = {agent: deepcopy(chosen[k]) for agent, k in self._place.items()}
+
+    def observation_space(self, agent: str) -> Any:
+        """The space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """The space of an agent's actions."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observations], Infos]:
+        """Starts an episode.
+
+        Args:
+            seed: That of the random generator; None continues it.
+            options: Ignored, which PettingZoo's tests require.
+
+        Returns:
+            Observations, and infos with each vehicle's `speed` and whether it has `crashed`.
+        """
+        episodes = self._episodes
+        if seed is not None:
+            episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
+        episodes.start(episodes.everyone)
+        self.agents = self.possible_agents.copy()
+        return self._of_agents(episodes.observe()), self._infos()
+
+    def step(self, actions: Mapping[str, int]) -> Step:
+        """Carries out the actions of all agents until the next decision.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of the agents that acted.
+
+        Raises:
+            InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
+        """
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        episodes = self._episodes
+        decision = episodes.step(self._checked(actions))
+        found = episodes.task.information(episodes.scenes)
+        observations, infos = self._of_agents(decision.observations), self._infos()
+        rewards = self._of_agents(found["agents_rewards"].T)
+        terminated = self._of_agents(found["agents_terminated"].T)
+        truncated = dict.fromkeys(self.agents, bool(decision.truncated[0]))
+        self.agents = [
+            agent for agent in self.agents if not (terminated[agent] or truncated[agent])
+        ]
+        return (
+            observations,
+            {agent: float(reward) for agent, reward in rewards.items()},
+            {agent: bool(is_over) for agent, is_over in terminated.items()},
+            truncated,
+            infos,
+        )
+
+    def _checked(self, actions: Mapping[str, int]) -> tuple[Any, ...]:
+        """The actions, (1,) of each agent; those of agents that have left are `IDLE`."""
+        if actions.keys() != {*self.agents}:
+            missing = ", ".join(agent for agent in self.agents if agent not in actions)
+            other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
+            raise InputError(
+                "step takes one action for each agent in `agents`; "
+                f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
+            )
+        names: Any = self._episodes.actions
+        chosen = np.full((len(self.possible_agents), 1), names.names.index("IDLE"))
+        for agent, action in actions.items():
+            if action not in self.action_spaces[agent]:
+                expected = f"expected 0 to {len(names.names) - 1}: {', '.join(names.names)}"
+                raise InputError(f"{agent}: no action {action}; {expected}")
+            chosen[self._place[agent]] = action
+        return tuple(chosen)
+
+    def _of_agents(self, values: Any) -> dict[str, Any]:
+        """The values of `agents`, from those (1, ...) of all agents."""
+        return {agent: values[self._place[agent]][0] for agent in self.agents}
+
+    def _infos(self) -> Infos:
+        """The infos of `agents`."""
+        vehicles = self._episodes.scenes.vehicles[0]
+        return {
+            agent: {
+                "speed": float(vehicles["speed"][self._place[agent]]),
+                "crashed": bool(vehicles["crashed"][self._place[agent]]),
+            }
+            for agent in self.agents
+        }
