@@ -200,7 +200,7 @@ def test_what_is_not_supported_is_rejected_by_name(config: dict[str, Any], what:
         ({"action": {"type": "DiscreteMetaAction"}}, "expected 'ContinuousAction' or"),
         ({"observation": {"type": "TimeToCollision"}}, "'TimeToCollision'"),
         ({"observation": {"type": "OccupancyGrid", "absolute": True}}, "observation.absolute"),
-        ({"observation": {"type": "OccupancyGrid", "features": ["ang_off"]}}, "'ang_off'"),
+        ({"observation": {"type": "OccupancyGrid", "features": ["lane"]}}, "'lane'"),
         ({"length": 0}, "config.length: 0"),
     ],
 )
