@@ -20,7 +20,7 @@ from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations, Vehicles
 
 try:
-    from pettingzoo import ParallelEnv
+    from pettingzoo import ParallelEnv as ParallelEnv
 except ImportError as error:
     needed = f"a ParallelEnv needs PettingZoo ({error}); pip install 'charms-bench[pettingzoo]'"
     raise ImportError(needed, name="pettingzoo") from error

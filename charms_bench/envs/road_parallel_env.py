@@ -62,6 +62,8 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
         self.possible_agents = [f"vehicle_{k}" for k in range(self._episodes.agents)]
         self.agents: list[str] = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
+        seen: Any
+        chosen: Any
         seen, chosen = spaces_of(self._episodes)
         # Each agent has spaces of its own, because a space holds the seed of its samples.
         self.observation_spaces = dict(zip(self._place, deepcopy([*seen]), strict=True))

@@ -190,12 +190,12 @@ def _apart(
     stock: Any, ours: Episodes, names: list[Any], expected: list[Any], decision: Decision | None
 ) -> tuple[float, str]:
     """The largest difference now, and of what; infinity for what is no number."""
-    seen = ours.observe() if decision is None else decision.observations
-    found, their = seen, expected[0]
-    if isinstance(seen, tuple):
-        found, their = dict(enumerate(seen)), dict(enumerate(their))
-    elif not isinstance(seen, dict):
-        found, their = {"observation": seen}, {"observation": their}
+    found: Any = ours.observe() if decision is None else decision.observations
+    their = expected[0]
+    if isinstance(found, tuple):
+        found, their = dict(enumerate(found)), dict(enumerate(their))
+    elif not isinstance(found, dict):
+        found, their = {"observation": found}, {"observation": their}
     pairs: dict[str, tuple[Any, Any]] = {f"{what}": (found[what][0], their[what]) for what in found}
     road, table = stock.unwrapped.road, ours.scenes.vehicles[0, ours.scenes.order["place"][0]]
     vehicles = [each for each in table if each["kind"] > OBSTACLE]
