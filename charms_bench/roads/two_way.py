@@ -3,11 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from charms_bench.foundation.arrays import Floats, Ints
+import numpy as np
+
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import Task, weighted
+from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import heading_at
 
 
@@ -26,6 +29,11 @@ class TwoWay(Task):
 
     def judge(self, scenes: Scenes, rows: Ints, actions: Ints, rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, rewards)
+
+    def has_reached_goal(self, scenes: Scenes) -> Bools:
+        """Whether each ego (B,) is at the end of the road."""
+        end = float(scenes.road.lanes["length"][self._own]) - END_MARGIN_M
+        return np.greater(scenes.vehicles["x"][:, 0], end)
 
 
 @compiled_of_scenes
