@@ -1,13 +1,13 @@
 """An agent of the straight road drives the ego of one of highway-env's environments.
 
 The agent sees each scene straightened along the ego's way (`straightened`); what it answers is
-carried out on the network. The profile's controllers and target speeds are the ego's; the other
-vehicles are highway-env's, as in the environment, and so are the limits of all speeds.
+carried out on the network. All vehicles have highway-env's controllers and limits, and the others
+drive as in the environment. The profile decides between which target speeds the ego chooses, and
+the constants of its driver model.
 """
 
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +20,12 @@ from charms_bench.foundation.compiled import Unpacked, compiled, compiled_of_sce
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import (
     act,
-    free_acceleration,
-    gap_is_taken,
-    interaction,
     is_reachable,
-    mobil,
     neighbours,
-    steering,
 )
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.locating import forget, locate
+from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.scenes import (
-    CONSTANTS,
     CONTINUOUS,
     Here,
     Scenes,
@@ -42,9 +36,12 @@ from charms_bench.roads.scenes import (
 from charms_bench.roads.stepping import collide, move
 from charms_bench.roads.straightened import Ways, straighten
 from charms_bench.world.actions import Actions, controls_of
-from charms_bench.world.road import Straight
+from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
+from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
+HEADWAY_S = 0.3
+"""The least time headway after a lane change towards the route."""
 BY_TARGETS, BY_MODEL, BY_CONTROLS = range(3)
 """What drives the egos: target speeds and lanes, a driver model, or continuous actions."""
 
@@ -74,8 +71,6 @@ class RoadEngine:
         self._models, self._continuous = models, continuous
         self._rule = command_rule(settings.profile)
         self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
-        constants = settings.constants
-        self._profile = np.array([(*constants[:-1], *constants.idm_mobil)], CONSTANTS)
         self._shown = self.scene.read_only()
         self._roads: dict[tuple[int, float], Scene] = {}
 
@@ -95,7 +90,10 @@ class RoadEngine:
         scene.target_speed[rows, 0] = vehicles["speed"][rows, 0]
         scene.timer_s[rows, 0] = vehicles["timer_s"][rows, 0]
         scene.temperament[rows] = 0.5
-        if self._rule.speeds.size and self._kind == BY_TARGETS and not self._own_rules:
+        if self._kind == BY_CONTROLS:
+            vehicles["kind"][rows, 0], vehicles["target_speed"][rows, 0] = CONTINUOUS, 0.0
+            scene.target_speed[rows, 0] = 0.0
+        elif self._rule.speeds.size and self._kind == BY_TARGETS and not self._own_rules:
             free = np.zeros(scene.x.shape, dtype=np.bool_)
             choose_target_speeds(scene, rows, free, self._rule.speeds)
         show(episodes.scenes, scene.unpacked, self._ways, rows)
@@ -122,9 +120,7 @@ class RoadEngine:
                 egos = some, scene.ego[some]
                 answers = model.drive(self._on_road(int(lanes), limit), egos)
                 obey(scene, *egos, *answers)
-        kind = BY_CONTROLS if hold_egos else self._kind
-        args = (scene.unpacked, ways, rows, kind, self._kind == BY_CONTROLS, self._profile)
-        advance(self.episodes.scenes, *args)
+        advance(self.episodes.scenes, scene.unpacked, ways, rows, self._kind)
         self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
 
     def _on_road(self, lanes: int, speed_limit: float) -> Scene:
@@ -163,8 +159,6 @@ def advance(
     ways: Ways,
     rows: Ints,
     kind: int,
-    is_free: bool,
-    profile: NDArray[np.void],
 ) -> None:
     """One simulation step of the scenes `rows`, after the egos' agents have answered.
 
@@ -173,23 +167,11 @@ def advance(
         shown: The same, straightened: with the answers, and afterwards as they are then.
         ways: The ways of the egos.
         rows: (R,) the scenes to advance.
-        kind: What the egos' accelerations and steering angles come from.
-        is_free: Whether the egos follow no lane.
-        profile: [1] the constants of the egos.
+        kind: What drives the egos.
     """
     corners = np.empty((2, 4, 2))
     for b in rows:
         scene, here = shown.scene, here_of(scenes, b)
-        own = Here(
-            here.vehicles,
-            here.places,
-            here.coordinates,
-            here.lanes,
-            here.lane_count,
-            here.connected,
-            here.searches,
-            profile[0],
-        )
         for i in range(here.places):
             forget(here, i)
         ego = vehicle_of(here, 0)
@@ -202,15 +184,11 @@ def advance(
                 here, 0, lane
             ):
                 ego.target_lane = lane
-        if is_free:
-            ego.target_lane = ego.lane
         act(scenes.road, here)
-        if kind == BY_TARGETS:
-            gain = 1 / own.constants.tau_acceleration
-            ego.acceleration = gain * (ego.target_speed - ego.speed)
-        else:
+        if kind != BY_TARGETS:
             ego.acceleration = scene.acceleration[b, 0]
-        ego.steering = scene.steering[b, 0] if kind == BY_CONTROLS else steering(own, 0)
+        if kind == BY_CONTROLS:
+            ego.steering, ego.target_lane = scene.steering[b, 0], ego.lane
         for i in range(here.places):
             if vehicle_of(here, i).kind >= CONTINUOUS:
                 move(here, i)
@@ -222,22 +200,37 @@ def advance(
 
 @compiled
 def change_to_route(here: Here) -> None:
-    """Has the ego change lanes towards its route as soon as it is safe.
-
-    [`IDMVehicle.change_lane_policy`, the part for vehicles with a lane on their route]
-    """
+    """Has the ego change to the lane of its route, lane by lane, where `is_safe` says so."""
     ego = vehicle_of(here, 0)
+    row = lane_of(here, ego.lane)
     if ego.crashed:
         return
-    row = lane_of(here, ego.lane)
     if ego.lane != ego.target_lane:
-        if row.first == lane_of(here, ego.target_lane).first and gap_is_taken(here, 0):
+        if row.first == lane_of(here, ego.target_lane).first and not is_safe(here, ego.target_lane):
             ego.target_lane = ego.lane
         return
-    front, rear = neighbours(here, 0, ego.lane)
-    free = free_acceleration(here, 0, ego.exponent)
-    own = free - interaction(here, 0, front)
-    for side in (row.left, row.right):
-        if side >= 0 and is_reachable(here, 0, side):
-            if mobil(here, 0, side, free, own, front, rear):
-                ego.target_lane = side
+    wanted = row.first + ego.route_numbers[ego.route_step]
+    side = row.right if wanted > ego.lane else row.left if wanted < ego.lane else -1
+    if side >= 0 and is_reachable(here, 0, side) and is_safe(here, side):
+        ego.target_lane = side
+
+
+@compiled
+def is_safe(here: Here, lane: int) -> bool:
+    """Whether on a lane, neither the ego nor its follower has to brake hard to avoid a collision.
+
+    The deceleration that just avoids one is at most `DRAC_LIMIT_MPS2`, and the time headway at
+    least `HEADWAY_S`.
+    """
+    front, rear = neighbours(here, 0, lane)
+    for behind, ahead in ((0, front), (rear, 0)):
+        if behind < 0 or ahead < 0:
+            continue
+        own, other = vehicle_of(here, behind), vehicle_of(here, ahead)
+        distance = coordinates_of(here, ahead, lane).s - coordinates_of(here, behind, lane).s
+        gap, closing = gap_to(distance, own.length, other.length), own.speed - other.speed
+        if gap < HEADWAY_S * own.speed:
+            return False
+        if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
+            return False
+    return True

@@ -1,9 +1,9 @@
 """Scenes on a network of lanes, straightened along the way of the ego.
 
-An agent of the straight road drives on a network through this view: x runs along the lanes that the
-ego follows, and y across the lanes of its road, of which lane 0 is the leftmost. A vehicle is in the
-view while it is beside these lanes, at most one lane from the ego's road, or at most `END_MARGIN_M`
-before or after them.
+An agent of the straight road drives on a network through this view: x runs along the lanes that
+the ego follows, and y across the lanes of its road, of which lane 0 is the leftmost. A vehicle is
+in the view while it is beside these lanes, or at most `END_MARGIN_M` before or after them, and at
+most one lane from the ego's road.
 """
 
 import math

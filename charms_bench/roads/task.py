@@ -52,7 +52,8 @@ class Task(ABC):
         return np.greater_equal(scenes.time, self.duration)
 
     def navigate(self, scenes: Scenes, rows: Ints) -> None:
-        """Gives the egos of new episodes the routes to their goals, if `start` has not done it."""
+        """Gives the egos of new episodes a route to the goal; by default, they keep their own."""
+        return
 
     def has_reached_goal(self, scenes: Scenes) -> Bools:
         """Whether each ego (B,) is where it should go; by default, on the last road of its route.

@@ -10,7 +10,6 @@ from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import Task, weighted
-from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import heading_at
 
 
@@ -31,9 +30,9 @@ class TwoWay(Task):
         _judge(scenes, rows, self.weights, rewards)
 
     def has_reached_goal(self, scenes: Scenes) -> Bools:
-        """Whether each ego (B,) is at the end of the road."""
-        end = float(scenes.road.lanes["length"][self._own]) - END_MARGIN_M
-        return np.greater(scenes.vehicles["x"][:, 0], end)
+        """Whether each ego (B,) has overtaken all that drive its way, and is in its lane."""
+        x, lane = scenes.vehicles["x"], scenes.vehicles["lane"]
+        return np.asarray((x[:, 0] > x[:, 1:4].max(axis=1)) & (lane[:, 0] == self._own))
 
 
 @compiled_of_scenes
