@@ -9,6 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.road_rendering import RoadPictures
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -28,13 +30,14 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
     Args:
         name: highway-env's name of the environment, such as `merge-v0`.
         config: highway-env's configuration; what is not given has its default.
-        render_mode: Pictures are not supported.
+        render_mode: `rgb_array`, `human`, or None.
 
     Raises:
-        InputError: The configuration has an unknown key or a value that is not supported.
+        InputError: The configuration has an unknown key or a value that is not supported, or there
+            is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's declaration
 
     def __init__(
         self,
@@ -42,10 +45,12 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._name = name
-        self._episodes = _episodes(name, 1, config, render_mode)
+        self._name, self.render_mode = name, render_mode
+        self._episodes = _episodes(name, 1, config)
         self._episodes.seed(self._episodes.everyone, _random_seeds(1))
         self.observation_space, self.action_space = _spaces(self._episodes)
+        self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
+        self._renderer = _renderer(self, name, 1)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -73,13 +78,14 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
             raise InputError(f"reset takes the option 'config', got {', '.join(unknown)}")
         if options:
             before = self._episodes.scenes.generator
-            self._episodes = _episodes(self._name, 1, {**self.config, **options["config"]}, None)
+            self._episodes = _episodes(self._name, 1, {**self.config, **options["config"]})
             self._episodes.scenes.generator[:] = before
             self.observation_space, self.action_space = _spaces(self._episodes)
         episodes = self._episodes
         if seed is not None:
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         episodes.start(episodes.everyone)
+        self._renderer.show()
         return self._observe(), {name: each[0] for name, each in _facts(episodes).items()}
 
     def step(
@@ -99,6 +105,7 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         info |= {"action": action, "rewards": dict(_terms(episodes, decision, 0))}
         info |= {name: each[0] for name, each in episodes.task.information(episodes.scenes).items()}
         ended = bool(decision.terminated[0]), bool(decision.truncated[0])
+        self._renderer.show()
         return self._observe(), float(decision.rewards[0]), *ended, info
 
     def get_available_actions(self) -> list[int]:
@@ -114,6 +121,15 @@ class RoadEnv(gymnasium.Env[Observations, Any]):
         possible += ["SLOWER"] * bool(ego["speed_index"] > 0)
         return [names.index(name) for name in possible if name in names]
 
+    def render(self) -> Any:
+        """The picture (height, width, 3) in the mode `rgb_array`; None in other modes."""
+        frames = self._renderer.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
+
     def _observe(self) -> Observations:
         return np.asarray(self._episodes.observe()[0])
 
@@ -127,7 +143,7 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
         "autoreset_mode": AutoresetMode.SAME_STEP,
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
     }
 
     def __init__(
@@ -137,8 +153,10 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._episodes = _episodes(name, num_envs, config, render_mode)
-        self.num_envs = num_envs
+        self._episodes = _episodes(name, num_envs, config)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
+        self._renderer = _renderer(self, name, num_envs)
         self.single_observation_space, self.single_action_space = _spaces(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -208,22 +226,35 @@ class RoadVectorEnv(VectorEnv[Observations, Any, NDArray[Any]]):
             infos = self._masked(facts, ~ended) | self._masked(_facts(episodes), known)
             infos |= self._masked(final, ended)
             observations[rows] = episodes.observe(rows)
+        self._renderer.show()
         return observations, decision.rewards, decision.terminated, decision.truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The pictures (height, width, 3) in the mode `rgb_array`; None in other modes."""
+        return self._renderer.render()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def _masked(self, facts: dict[str, Any], known: Bools) -> dict[str, Any]:
         """Infos with the masks (B,) beside them that Gymnasium expects."""
         return {**facts, **{f"_{name}": known for name in facts}}
 
 
-def _episodes(
-    name: str, count: int, config: Mapping[str, Any] | None, render_mode: str | None
-) -> Episodes:
-    if render_mode is not None:
-        raise InputError(f"{name}: render_mode: pictures of this road are not supported")
+def _episodes(name: str, count: int, config: Mapping[str, Any] | None) -> Episodes:
     try:
         return Episodes(name, count, config)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
+
+
+def _renderer(env: "RoadEnv | RoadVectorEnv", name: str, scenes: int) -> Renderer:
+    """What draws the scenes of an environment."""
+    pictures, hz = RoadPictures(), env.config["policy_frequency"]
+    return Renderer(
+        lambda row: pictures.frame(env._episodes, row), scenes, hz, env.render_mode, name
+    )
 
 
 def _spaces(episodes: Episodes) -> Spaces:
