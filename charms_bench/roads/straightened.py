@@ -6,7 +6,6 @@ in the view while it is beside these lanes, or at most `END_MARGIN_M` before or 
 most one lane from the ego's road.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -60,19 +59,10 @@ def straighten(scenes: Scenes, here: Here, scene: Scene, ways: Ways, b: int) -> 
     own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
     count = min(own_road.lanes, scene.road.lanes)
     for i in range(here.places):
-        vehicle = vehicle_of(here, i)
-        best, nearest = -1, math.inf
-        for k in range(lanes.size):
-            if lanes[k] < 0 or vehicle.kind == NOTHING or (i == 0 and k != BEHIND):
-                continue
-            at = coordinates_of(here, i, lanes[k])
-            beyond = max(at.s - lane_of(here, lanes[k]).length, 0.0 - at.s, 0.0)
-            if (i == 0 or beyond <= END_MARGIN_M) and abs(at.r) + beyond < nearest:
-                best, nearest = k, abs(at.r) + beyond
-        y = 0.0
-        if best >= 0:
-            y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
-        if best < 0 or (i > 0 and not -1.5 * width <= y <= (count + 0.5) * width):
+        vehicle, best = vehicle_of(here, i), BEHIND
+        if i > 0:
+            best = place_on(here, i, ways, b, -1.5 * width, (count + 0.5) * width, width)
+        if best < 0:
             scene.present[b, i] = False
             scene.x[b, i], scene.y[b, i] = VACANT_X_M - 1000.0 * i, 0.0
             scene.lane[b, i] = scene.target_lane[b, i] = 0
@@ -80,6 +70,7 @@ def straighten(scenes: Scenes, here: Here, scene: Scene, ways: Ways, b: int) -> 
             scene.direction_x[b, i], scene.direction_y[b, i] = 1.0, 0.0
             scene.crashed[b, i] = vehicle.crashed
             continue
+        y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
         at = coordinates_of(here, i, lanes[best])
         scene.present[b, i] = True
         scene.x[b, i], scene.y[b, i] = starts[best] + at.s, y
@@ -100,6 +91,33 @@ def straighten(scenes: Scenes, here: Here, scene: Scene, ways: Ways, b: int) -> 
             ways.open_lanes[b] = number + 1
     sort_by_x(scene, b, b + 1)
     find_neighbours(scene, b, b + 1)
+
+
+@compiled
+def place_on(
+    here: Here, i: int, ways: Ways, b: int, least_y: float, largest_y: float, width: float
+) -> int:
+    """The lane of a way that vehicle i is beside, as an index; -1 for none.
+
+    The ego's lane comes first, then those ahead, then those behind. A vehicle that is only just
+    before or after some lanes is on the first of them.
+    """
+    lanes, found = ways.lanes[b], -1
+    if vehicle_of(here, i).kind == NOTHING:
+        return found
+    for m in range(lanes.size):
+        k = BEHIND + m if BEHIND + m < lanes.size else lanes.size - 1 - m
+        if lanes[k] < 0:
+            continue
+        at = coordinates_of(here, i, lanes[k])
+        beyond = max(at.s - lane_of(here, lanes[k]).length, 0.0 - at.s, 0.0)
+        y = ways.numbers[b, k] * width + at.r
+        if beyond <= END_MARGIN_M and least_y <= y <= largest_y:
+            if beyond == 0.0:
+                return k
+            if found < 0:
+                found = k
+    return found
 
 
 @compiled
@@ -130,9 +148,13 @@ def find_way(scenes: Scenes, b: int, ways: Ways) -> None:
     elif before == own:
         start = starts[BEHIND]
     else:
-        along, _ = local_coordinates(road, before, ego.x, ego.y)
+        # A half circle does not say how far beyond its end the ego is; the lane after it does.
+        k = BEHIND
+        if lanes[k + 1] >= 0 and road.lanes[lanes[k + 1]].first == road.lanes[own].first:
+            k += road.lanes[before].first != road.lanes[own].first
+        along, _ = local_coordinates(road, lanes[k], ego.x, ego.y)
         s, _ = local_coordinates(road, own, ego.x, ego.y)
-        start = starts[BEHIND] + along - s
+        start = starts[k] + along - s
         if road.lanes[before].first != road.lanes[own].first:
             numbers[: BEHIND + 1] += number - numbers[BEHIND]
             for k in range(BEHIND):

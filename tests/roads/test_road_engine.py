@@ -56,11 +56,12 @@ def on_network(simulation: Simulation) -> Any:
 
 @pytest.mark.parametrize("road", ["merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"])
 def test_with_meta_actions_all_vehicles_drive_exactly_as_in_the_environment(road: str) -> None:
-    rates = {"decision_hz": 1, "duration_s": 8.0, "profile": "highway-env"}
-    ours, theirs = simulation(road, Sequence(), 6, **rates), Episodes(road, 6)
+    theirs = Episodes(road, 6, {"simulation_frequency": 15})
+    profile = {"name": "highway-env", "target_speeds_mps": theirs.actions.target_speeds.tolist()}
+    ours = simulation(road, Sequence(), 6, decision_hz=1, duration_s=8.0, profile=profile)
     theirs.seed(theirs.everyone, np.arange(6, dtype=np.uint64))
     theirs.start(theirs.everyone)
-    on_network(ours)["route_end"][:, 0] = theirs.scenes.vehicles["route_end"][:, 0]
+    on_network(ours)["route_end"][:, 0] = theirs.scenes.vehicles["route_end"][:, 0]  # no exit
     names = theirs.actions.names
     for step in range(8):
         running = ours.scene.active.copy()
