@@ -27,7 +27,9 @@ class Lines:
 
 def lines_of(road: Network) -> Lines:
     """The lines of a network."""
-    surfaces, continuous, striped = [], [], []
+    surfaces: list[Floats] = []
+    continuous: list[Floats] = []
+    striped: list[Floats] = []
     for lane, row in enumerate(road.lanes):
         s = np.linspace(0.0, row["length"], max(2, round(row["length"] / STEP_M) + 1))
 
