@@ -90,7 +90,7 @@ class AgentSpec(_Spec):
 
 
 class TrafficSpec(_Spec):
-    """A traffic model or an agent by its name, a mixture of agents, or a scenario."""
+    """A traffic model or an agent by its name, a mixture of agents, a scenario, or a road."""
 
     mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
     """The probability of each agent; each vehicle draws one. They sum to 1."""

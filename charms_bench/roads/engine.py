@@ -8,6 +8,7 @@ the constants of its driver model.
 
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from charms_bench.engine.commands import choose_target_speeds, command, command_
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
-from charms_bench.foundation.compiled import Unpacked, compiled, compiled_of_scenes
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import (
     act,
@@ -143,7 +144,7 @@ class RoadEngine:
 
 
 @compiled_of_scenes
-def show(scenes: Scenes, shown: Unpacked, ways: Ways, rows: Ints) -> None:
+def show(scenes: Scenes, shown: Any, ways: Ways, rows: Ints) -> None:
     """Straightens the scenes `rows`."""
     for b in rows:
         here = here_of(scenes, b)
@@ -155,7 +156,7 @@ def show(scenes: Scenes, shown: Unpacked, ways: Ways, rows: Ints) -> None:
 @compiled_of_scenes
 def advance(
     scenes: Scenes,
-    shown: Unpacked,
+    shown: Any,
     ways: Ways,
     rows: Ints,
     kind: int,

@@ -73,7 +73,7 @@ class Exit(Task):
 
     def has_reached_goal(self, scenes: Scenes) -> Bools:
         """Whether each ego (B,) is on the ramp."""
-        return np.equal(scenes.vehicles["lane"][:, 0], self._rule.exit_ramp)
+        return np.asarray(scenes.vehicles["lane"][:, 0] == self._rule.exit_ramp)
 
     def information(self, scenes: Scenes) -> dict[str, Any]:
         return {"is_success": self._is_success(scenes)}

@@ -72,7 +72,7 @@ class Merge(Task):
 
     def has_reached_goal(self, scenes: Scenes) -> Bools:
         """Whether each ego (B,) has passed the place where the lanes merge."""
-        return np.greater(scenes.vehicles["x"][:, 0], self._end_x)
+        return np.asarray(scenes.vehicles["x"][:, 0] > self._end_x)
 
 
 class GenericMerge(Merge):
