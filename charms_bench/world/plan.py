@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from charms_bench.world.lane_geometry import STRAIGHT
 from charms_bench.world.road import position, width_at
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Bools, Floats
@@ -31,22 +32,26 @@ def lines_of(road: Network) -> Lines:
     continuous: list[Floats] = []
     striped: list[Floats] = []
     for lane, row in enumerate(road.lanes):
-        s = np.linspace(0.0, row["length"], max(2, round(row["length"] / STEP_M) + 1))
+        steps = max(1, round(row["length"] / STEP_M))
+        ends, points = (np.linspace(0.0, row["length"], 1 + k) for k in (1, steps))
+        s = ends if row["kind"] == STRAIGHT else points
 
-        def beside(side: float, lane: int = lane, s: Floats = s) -> Floats:
-            """The points at a number of half widths and shoulders beside the lane."""
+        def beside(side: float, s: Floats, lane: int = lane) -> Floats:
+            """Points beside the lane, on its left or right edge or, beyond 1, on its shoulder."""
             half = [float(width_at(road, lane, each)) / 2 for each in s]
             more = SHOULDER_M * (abs(side) > 1) * np.sign(side)
-            points = [
+            found = [
                 position(road, lane, float(each), np.sign(side) * wide + more)
                 for each, wide in zip(s, half, strict=True)
             ]
-            return np.array(points)
+            return np.array(found)
 
-        surfaces.append(np.concatenate((beside(-2.0), beside(2.0)[::-1])))
+        surfaces.append(np.concatenate((beside(-2.0, s), beside(2.0, s)[::-1])))
         for side, kind in ((-1.0, row["line_left"]), (1.0, row["line_right"])):
-            if kind != NO_LINE:
-                (striped if kind == STRIPED else continuous).append(beside(side))
+            if kind == STRIPED:
+                striped.append(beside(side, points))
+            elif kind != NO_LINE:
+                continuous.append(beside(side, s))
     return Lines(tuple(surfaces), tuple(continuous), tuple(striped))
 
 
