@@ -238,7 +238,9 @@ def suite_of(document: Document) -> Suite:
         try:
             suite._scene_of(entry.traffic)
         except InputError as error:
-            raise document.error(("traffics", index, "traffic", "road"), str(error)) from error
+            raise document.error(
+                ("traffic_models", index, "traffic", "road"), str(error)
+            ) from error
     check_scenarios(document, suite)
     _check_types(document, suite)
     if suite.scene.recording is not None and suite.episodes > (

@@ -154,7 +154,7 @@ def suite(agent: str, road: str, **profile: object) -> Suite:
             "episodes": 2,
             "scene": {"profile": {"name": "charms", **profile}},
             "egos": [{"agent": agent}],
-            "traffics": [{"traffic": {"road": road}}],
+            "traffic_models": [{"traffic": {"road": road}}],
         }
     )
 

@@ -19,7 +19,7 @@ episodes: 3
 scene:
   profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}
 egos: [{agent: idm_mobil}, {agent: charms}]
-traffics: [{traffic: {road: merge-v0}}, {traffic: {road: u-turn-v1}, label: Bend}]
+traffic_models: [{traffic: {road: merge-v0}}, {traffic: {road: u-turn-v1}, label: Bend}]
 columns: [goal_reached, time_to_goal]
 """
 
@@ -94,7 +94,7 @@ def test_suites_without_roads_keep_their_fingerprint() -> None:
             "suite": "s",
             "episodes": 1,
             "egos": [{"agent": "idm_mobil"}],
-            "traffics": [{"traffic": "idm_mobil"}],
+            "traffic_models": [{"traffic": "idm_mobil"}],
         }
     )
     assert "road" not in suite.model_dump(mode="json")["traffics"][0]["traffic"]
