@@ -1,6 +1,6 @@
 """Suites on highway-env's other roads: rows, tables, resumed runs and replays."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
 def test_a_finished_run_simulates_nothing_again(made: Any) -> None:
     told: list[str] = []
 
-    def simulate_nothing(tasks: Any, *_: Any) -> Iterator[Any]:
+    def simulate_nothing(tasks: Any, *_: Any) -> Generator[Any, None, None]:
         told.extend(task.title for task in tasks)
         yield from ()
 
