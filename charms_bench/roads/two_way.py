@@ -30,9 +30,14 @@ class TwoWay(Task):
         _judge(scenes, rows, self.weights, rewards)
 
     def has_reached_goal(self, scenes: Scenes) -> Bools:
-        """Whether each ego (B,) has overtaken all that drive its way, and is in its lane."""
-        x, lane = scenes.vehicles["x"], scenes.vehicles["lane"]
-        return np.asarray((x[:, 0] > x[:, 1:4].max(axis=1)) & (lane[:, 0] == self._own))
+        """Whether each ego (B,) has overtaken all that drive its way, and is in its lane.
+
+        At the end of the road, vehicles turn round, which does not count.
+        """
+        vehicles = scenes.vehicles
+        x, others, is_back = vehicles["x"], vehicles[:, 1:4], vehicles["lane"][:, 0] == self._own
+        go_its_way = (others["direction_x"] > 0).all(axis=1)
+        return np.asarray((x[:, 0] > others["x"].max(axis=1)) & is_back & go_its_way)
 
 
 @compiled_of_scenes
