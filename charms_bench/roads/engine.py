@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.commands import choose_target_speeds, command, command_rule, obey
+from charms_bench.engine.meta_actions import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
