@@ -201,6 +201,22 @@ def made_at(run: Path) -> str:
     )
 
 
+def roads(run: Path) -> str:
+    """What the egos reach on each road: roads down, egos across."""
+    table, parts = tables_of(run).metrics, []
+    shown = {"goal_reached": 100.0, "crashed_episodes": 100.0, "time_to_goal": 1.0}
+    titles = "Episodes with the goal reached, %", "Crashed episodes, %", "Time to the goal, s"
+    for (metric, factor), title in zip(shown.items(), titles, strict=True):
+        places = [k for k, each in enumerate(table.columns) if each.name == metric]
+        numbers = {row.labels: row.numbers[places[-1]].scaled(factor) for row in table.rows}
+        egos, names = (tuple(dict.fromkeys(label[k] for label in numbers)) for k in (0, 1))
+        rows = [Row((name,), tuple(numbers[ego, name] for ego in egos)) for name in names]
+        columns = tuple(Column(ego, form=".0f", label=ego) for ego in egos)
+        whole = Table("roads", title, ("road",), columns, tuple(rows))
+        parts.append(f"**{title}**\n\n{markdown(whole)}")
+    return "\n".join(parts)
+
+
 def edges(run: Path) -> str:
     """The first of the most critical episodes of the suite `ego`, and how to see one."""
     found = open_run(run, ROOT / "suites").edge_cases(2)
@@ -302,6 +318,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "realism": ("realism", realism),
     "pch": ("pch", partial(of_suite, PCH)),
     "crossplay": ("crossplay", crossplay),
+    "roads": ("roads", roads),
     "preventable": ("r157", preventable),
     "avoidability": ("ego", avoidability),
     "fine-tuning": ("train", fine_tuning),

@@ -109,6 +109,8 @@ class Run:
 
         cells, first = self.suite.cells, dict[str, int]()
         for index, cell in enumerate(cells):
+            if cell.scene.network is not None:
+                continue  # whose lanes differ from place to place
             if ego in (None, cell.ego.title) and traffic in (None, cell.traffic.title):
                 first.setdefault(cell.ego.title, index)
         found = []
@@ -151,7 +153,8 @@ class Run:
         from charms_bench.runs.pairing import pairs_of
 
         pairs = pairs_of(self._finished, None if other is None else other._finished, egos)
-        return compare(pairs, metric_sets(sets), self.suite.scene, self.suite.seed, metrics)
+        chosen = metric_sets(sets, self.suite.metric_sets)
+        return compare(pairs, chosen, self.suite.scene, self.suite.seed, metrics)
 
     def rescore(self, *sets: str) -> "Table":
         """Computes metrics again from the stored rows and writes the table into the folder.
@@ -163,7 +166,7 @@ class Run:
         from charms_bench.report.suite_table import suite_table
         from charms_bench.runs.metric_sets import metric_sets
 
-        found = metric_sets(sets)
+        found = metric_sets(sets, self.suite.metric_sets)
         with locked(self.path):
             table = suite_table(self.suite, self.cells, found)
             write_table(self.path, table)

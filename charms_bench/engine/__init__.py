@@ -14,7 +14,7 @@ that `exact_maths` has prepared. In any other process, the bits of `highway-env`
 processor, NumPy, OpenBLAS and the C library.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import Literal, Protocol
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.stepping import Put
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions
-from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 EngineName = Literal["batched", "highway-env"]
 ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")
@@ -36,6 +36,8 @@ class Engine(Protocol):
     scene: Scene
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
+    goals: Bools
+    """[B] whether the ego has reached the goal of its road; the straight road has none."""
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
@@ -68,8 +70,12 @@ class Engine(Protocol):
         """
 
 
+MakeEngine = Callable[..., Engine]
+"""Makes an engine from the other arguments of `make_engine`."""
+
+
 def make_engine(
-    name: EngineName,
+    name: EngineName | MakeEngine,
     settings: SceneSettings,
     scenes: int,
     models: Mapping[int, DriverModel],
@@ -78,7 +84,7 @@ def make_engine(
     prescribed: Collection[int] = (),
     own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
 ) -> Engine:
-    """An engine of B scenes by name; nothing is spawned yet.
+    """An engine of B scenes, by its name or by what makes it; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
@@ -86,6 +92,8 @@ def make_engine(
     scene's memory. `own_steps` are the steps of FASTER and SLOWER of the agents that have their
     own, m/s.
     """
+    if callable(name):
+        return name(settings, scenes, models, continuous, memory, prescribed, own_steps)
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 

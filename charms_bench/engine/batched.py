@@ -37,6 +37,7 @@ class BatchedEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.goals = np.zeros(scenes, dtype=np.bool_)
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)
         self._command_rule = command_rule(settings.profile)

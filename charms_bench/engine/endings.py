@@ -6,24 +6,26 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.world.road import is_on_lane
 from charms_bench.world.scene import Bools, Ints, Scene
 
-ENDINGS = ("running", "time", "rear_end", "side", "off_road")
+ENDINGS = ("running", "time", "rear_end", "side", "off_road", "goal")
 """The states of an episode; `Simulation.ending` holds indices."""
-RUNNING, TIME, REAR_END, SIDE, OFF_ROAD = range(len(ENDINGS))
+RUNNING, TIME, REAR_END, SIDE, OFF_ROAD, GOAL = range(len(ENDINGS))
 
 
 @compiled_of_scenes
 def end_episodes(
-    scene: Scene, decisions: int, ends_off_road: bool, steps: Ints, ending: Ints
+    scene: Scene, decisions: int, ends_off_road: bool, goals: Bools, steps: Ints, ending: Ints
 ) -> None:
     """Counts a decision interval of the active scenes (B,), and ends those that are over."""
     for b in range(steps.size):
         if not scene.active[b]:
             continue
         steps[b] += 1
+        if ending[b] == RUNNING and goals[b]:
+            ending[b] = GOAL
         if ending[b] == RUNNING and steps[b] >= decisions:
             ending[b] = TIME
         is_off_road = not is_on_own_lane(b, scene.ego[b], scene)
-        if ends_off_road and is_off_road and ending[b] in (RUNNING, TIME):
+        if ends_off_road and is_off_road and ending[b] in (RUNNING, TIME, GOAL):
             ending[b] = OFF_ROAD
         scene.active[b] = ending[b] == RUNNING
 

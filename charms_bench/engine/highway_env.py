@@ -52,6 +52,7 @@ class HighwayEnvEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.goals = np.zeros(scenes, dtype=np.bool_)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
         self._vehicles: list[list[Any]] = [[] for _ in range(scenes)]

@@ -7,14 +7,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine import EngineName, make_engine
+from charms_bench.engine import EngineName, MakeEngine, make_engine
 from charms_bench.engine.collision_kinds import (
     NO_COLLISION,
     SIDE_COLLISION,
     are_noted,
     note_collisions,
 )
-from charms_bench.engine.endings import REAR_END, RUNNING, SIDE, TIME, are_off_road, end_episodes
+from charms_bench.engine.endings import (
+    GOAL,
+    REAR_END,
+    RUNNING,
+    SIDE,
+    TIME,
+    are_off_road,
+    end_episodes,
+)
 from charms_bench.engine.open_road import OpenRoad
 from charms_bench.engine.parameters import Ranges, set_parameters
 from charms_bench.engine.playback import Playback
@@ -51,7 +59,7 @@ class Simulation:
         traffic: Assigns a driver to each of the other vehicles. A vehicle with an empty name is
             driven by `command`. If there are such vehicles, only time ends an episode.
         agents: All agents that `ego` and `traffic` name, by name.
-        engine: `batched` or `highway-env`.
+        engine: `batched` or `highway-env`, or what makes the engine.
         actions: The kind of the actions given to `step`.
         outside_steps_mps: The speed steps of vehicles that are driven from outside, as
             `Policy.target_speed_steps_mps`; by default, the profile's.
@@ -68,7 +76,7 @@ class Simulation:
         ego: str | None,
         traffic: Traffic,
         agents: Mapping[str, Agent],
-        engine: EngineName = "batched",
+        engine: EngineName | MakeEngine = "batched",
         actions: ActionKind = "meta",
         outside_steps_mps: tuple[float, ...] = (),
     ) -> None:
@@ -162,7 +170,8 @@ class Simulation:
     @property
     def failed(self) -> Bools:
         """[B] whether the ego has collided or left the road, which terminates the episode."""
-        return np.asarray((self.ending != RUNNING) & (self.ending != TIME))
+        ending = self.ending
+        return np.asarray((ending != RUNNING) & (ending != TIME) & (ending != GOAL))
 
     @property
     def truncated(self) -> Bools:
@@ -303,7 +312,8 @@ class Simulation:
         if self._open_road is not None:
             self._open_road.end_at_the_end()
         ends_off_road = self.settings.profile.offroad_terminal and self._egos_end_episodes
-        end_episodes(self.scene, self.settings.decisions, ends_off_road, self.steps, self.ending)
+        decisions, goals = self.settings.decisions, self.engine.goals
+        end_episodes(self.scene, decisions, ends_off_road, goals, self.steps, self.ending)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives M vehicles their meta-actions (M,), or their continuous actions (M, 2)."""

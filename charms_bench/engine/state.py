@@ -214,7 +214,14 @@ def _holder(simulation: "Simulation", name: str) -> Any:
 
 
 def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
-    """Saves the scenes `rows` (S,) of a simulation."""
+    """Saves the scenes `rows` (S,) of a simulation.
+
+    Raises:
+        InputError: They are on one of highway-env's roads.
+    """
+    if simulation.settings.network is not None:
+        what = "episodes on this road start at their seeds only, and are not continued or branched"
+        raise InputError(f"{simulation.settings.network}: {what}")
     arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in ARRAYS}
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0

@@ -12,7 +12,7 @@ from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME,
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
-from charms_bench.envs.rendering import Renderer
+from charms_bench.envs.rendering import Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
@@ -109,7 +109,13 @@ class Learners:
         """(B L,) whether the learner drives, so that its next action counts."""
         self.spaces = spaces_of(settings, observation, actions)
         """Of a learner's observations and of its actions."""
-        self.renderer = Renderer(self.simulation, render_mode, title)
+        self.renderer = Renderer(
+            lambda row: frame_of(moment_of(self.simulation, row, title)),
+            scenes,
+            settings.decision_hz,
+            render_mode,
+            title,
+        )
         self.kind, self.observation = actions, observation
         self._reward: Any = reward
 

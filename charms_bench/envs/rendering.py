@@ -1,5 +1,6 @@
 """What `render` of the environments returns and shows."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import gymnasium
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from charms_bench.envs.window import Window
     from charms_bench.world.picture import Moment
 
+Frame = NDArray[np.uint8]
 RENDER_MODES = ["rgb_array", "human"]
 LEARNER = "learner"
 """What pictures call the driver of a vehicle other than the ego that the caller drives."""
@@ -25,19 +27,32 @@ STATE = ("x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "c
 
 
 class Renderer:
-    """Draws the scenes of a simulation as animations of replays do; without a mode, nothing.
+    """Draws scenes as animations of replays do; without a mode, nothing.
 
-    The title is the environment's name, for messages and pictures.
+    Args:
+        frame: Draws the scene with a number.
+        scenes: How many there are.
+        hz: Their decisions per second.
+        mode: The mode.
+        title: The environment's name, for messages.
 
     Raises:
         InputError: There is no such mode.
     """
 
-    def __init__(self, simulation: Simulation, mode: str | None, title: str = ID) -> None:
+    def __init__(
+        self,
+        frame: Callable[[int], Frame],
+        scenes: int,
+        hz: float,
+        mode: str | None,
+        title: str = ID,
+    ) -> None:
         if mode not in (None, *RENDER_MODES):
             known = " or ".join(map(repr, RENDER_MODES))
             raise InputError(f"{title}: no render_mode {mode!r}; expected {known}")
-        self._simulation, self.mode, self._title = simulation, mode, title
+        self._frame, self._scenes, self._hz = frame, scenes, hz
+        self.mode, self._title = mode, title
         self._window: Window | None = None
 
     def show(self) -> None:
@@ -48,21 +63,18 @@ class Renderer:
             from charms_bench.envs.window import Window
 
             self._window = Window(self._title)
-        frames = [*map(self._frame, range(min(SHOWN, self._simulation.seeds.size)))]
-        self._window.show(np.concatenate(frames), self._simulation.settings.decision_hz)
+        frames = [*map(self._frame, range(min(SHOWN, self._scenes)))]
+        self._window.show(np.concatenate(frames), self._hz)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+    def render(self) -> tuple[Frame, ...] | None:
         """The frames (height, width, 3) of all scenes in the mode `rgb_array`."""
         if self.mode == "rgb_array":
-            return tuple(map(self._frame, range(self._simulation.seeds.size)))
+            return tuple(map(self._frame, range(self._scenes)))
         if self.mode is None:
             modes = " or ".join(RENDER_MODES)
             gymnasium.logger.warn(f"{self._title}: render needs a render_mode: {modes}")
         self.show()
         return None
-
-    def _frame(self, row: int) -> NDArray[np.uint8]:
-        return frame_of(self._simulation, row, self._title)
 
     def close(self) -> None:
         """Closes the window."""
@@ -71,11 +83,11 @@ class Renderer:
             self._window = None
 
 
-def frame_of(simulation: Simulation, row: int, title: str = ID) -> NDArray[np.uint8]:
-    """The picture (height, width, 3) of a scene; its height is even, as most videos demand."""
+def frame_of(moment: "Moment") -> Frame:
+    """The picture (height, width, 3) of a moment; its height is even, as most videos demand."""
     from charms_bench.world.picture import picture  # Pillow and matplotlib
 
-    frame = np.asarray(picture(moment_of(simulation, row, title)))
+    frame = np.asarray(picture(moment))
     return frame[: frame.shape[0] // 2 * 2]
 
 

@@ -1,6 +1,7 @@
 """highway-env's other environments, such as `charms_bench/merge-v0`, alone and as vectors."""
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from itertools import product
 from typing import Any
 
@@ -10,6 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.road_rendering import RoadPictures
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -30,13 +33,14 @@ class RoadEnv(gymnasium.Env[Any, Any]):
     Args:
         name: highway-env's name of the environment, such as `merge-v0`.
         config: highway-env's configuration; what is not given has its default.
-        render_mode: Pictures are not supported.
+        render_mode: `rgb_array`, `human`, or None.
 
     Raises:
-        InputError: The configuration has an unknown key or a value that is not supported.
+        InputError: The configuration has an unknown key or a value that is not supported, or there
+            is no such mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's declaration
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012  # gymnasium's declaration
 
     def __init__(
         self,
@@ -44,15 +48,14 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._name = name
-        self._episodes = episodes_of(name, 1, config, render_mode)
+        self._name, self.render_mode = name, render_mode
+        self._episodes = episodes_of(name, 1, config)
+        self.config = deepcopy(self._episodes.config)
+        """highway-env's configuration, with the defaults; changes count from the next reset on."""
         self._episodes.seed(self._episodes.everyone, random_seeds(1))
         self.observation_space, self.action_space = spaces_of(self._episodes)
-
-    @property
-    def config(self) -> dict[str, Any]:
-        """highway-env's configuration, with the defaults."""
-        return self._episodes.config
+        self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
+        self._renderer = _renderer(self, name, 1)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -73,15 +76,17 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         if unknown := sorted((options or {}).keys() - {"config"}):
             raise InputError(f"reset takes the option 'config', got {', '.join(unknown)}")
-        if options:
+        self.configure((options or {}).get("config"))
+        if self.config != self._episodes.config:
             before = self._episodes.scenes.generator
-            self._episodes = episodes_of(self._name, 1, {**self.config, **options["config"]}, None)
+            self._episodes = episodes_of(self._name, 1, self.config)
             self._episodes.scenes.generator[:] = before
             self.observation_space, self.action_space = spaces_of(self._episodes)
         episodes = self._episodes
         if seed is not None:
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         episodes.start(episodes.everyone)
+        self._renderer.show()
         info = {name: each[0] for name, each in _facts(episodes).items()}
         return _row(episodes.observe(), 0), info
 
@@ -110,10 +115,18 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             info["rewards"] = dict(_terms(episodes, decision, 0))
         for name, each in episodes.task.information(episodes.scenes).items():
             info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0]
+        self._renderer.show()
         seen, truncated = _row(decision.observations, 0), bool(decision.truncated[0])
         if episodes.is_split:
             return seen, info["agents_rewards"], info["agents_terminated"], truncated, info
         return seen, float(decision.rewards[0]), bool(decision.terminated[0]), truncated, info
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Changes the configuration from the next reset on [`AbstractEnv.configure`]."""
+        self.config |= deepcopy(dict(config or {}))
+
+    def set_record_video_wrapper(self, wrapper: Any) -> None:
+        """Does nothing, since each decision has one picture [`set_record_video_wrapper`]."""
 
     def get_available_actions(self) -> Any:
         """The actions that have an effect now [`DiscreteMetaAction.get_available_actions`].
@@ -136,6 +149,15 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         possible += ["FASTER"] * bool(ego["speed_index"] < scenes.target_speeds.size - 1)
         possible += ["SLOWER"] * bool(ego["speed_index"] > 0)
         return [names.index(name) for name in possible if name in names]
+
+    def render(self) -> Any:
+        """The picture (height, width, 3) in the mode `rgb_array`; None in other modes."""
+        frames = self._renderer.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def _observe(self) -> Any:
         return _row(self._episodes.observe(), 0)
@@ -171,7 +193,7 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium's declaration
         "autoreset_mode": AutoresetMode.SAME_STEP,
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
     }
 
     def __init__(
@@ -182,8 +204,10 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         render_mode: str | None = None,
     ) -> None:
         self._name = name
-        self._episodes = episodes_of(name, num_envs, config, render_mode)
-        self.num_envs = num_envs
+        self._episodes = episodes_of(name, num_envs, config)
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
+        self._renderer = _renderer(self, name, num_envs)
         self.single_observation_space, self.single_action_space = spaces_of(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -255,7 +279,16 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             infos = self._masked(facts, ~ended) | first
             infos |= self._masked(final, ended)
             _put(observations, rows, episodes.observe(rows))
+        self._renderer.show()
         return observations, decision.rewards, decision.terminated, decision.truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The pictures (height, width, 3) in the mode `rgb_array`; None in other modes."""
+        return self._renderer.render()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Closes the window."""
+        self._renderer.close()
 
     def compute_reward(
         self, achieved_goal: Floats, desired_goal: Floats, info: Any = None, p: float = 0.5
@@ -268,16 +301,20 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         return {**facts, **{f"_{name}": known for name in facts}}
 
 
-def episodes_of(
-    name: str, count: int, config: Mapping[str, Any] | None, render_mode: str | None
-) -> Episodes:
+def episodes_of(name: str, count: int, config: Mapping[str, Any] | None) -> Episodes:
     """The scenes of environments; errors name them."""
-    if render_mode is not None:
-        raise InputError(f"{name}: render_mode: pictures of this road are not supported")
     try:
         return Episodes(name, count, config)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
+
+
+def _renderer(env: "RoadEnv | RoadVectorEnv", name: str, scenes: int) -> Renderer:
+    """What draws the scenes of an environment."""
+    pictures, hz = RoadPictures(), env.config["policy_frequency"]
+    return Renderer(
+        lambda row: pictures.frame(env._episodes, row), scenes, hz, env.render_mode, name
+    )
 
 
 def spaces_of(episodes: Episodes) -> Spaces:

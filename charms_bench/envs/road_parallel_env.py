@@ -49,7 +49,9 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._episodes = episodes_of(name, 1, config, render_mode)
+        if render_mode is not None:
+            raise InputError(f"{name}: render_mode: pictures of several agents are not supported")
+        self._episodes = episodes_of(name, 1, config)
         if not (self._episodes.has_agents and self._episodes.sees_agents):
             raise InputError(
                 f"{name}: expected actions of type 'MultiAgentAction' and observations of type "

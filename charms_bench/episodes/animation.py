@@ -57,6 +57,7 @@ def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:
         traffic=sorted({name for k, name in enumerate(replay.agents) if k != replay.ego}),
         gap_ahead=view.gap_ahead[frame],
         ttc=view.ttc[frame],
+        plan=replay.plan and replay.plan.at(frame),
         **{field.name: getattr(replay, field.name)[frame] for field in fields(Motion)},
     )
 

@@ -18,7 +18,7 @@ from charms_bench.recording.columns import with_lengths
 from charms_bench.runs.audit_software import names_installed_code
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import EPISODES_AND_STEPS, FinishedRun, read_rows
-from charms_bench.runs.shard import identify_agents
+from charms_bench.runs.shard import engine_on, identify_agents
 from charms_bench.runs.suite import Cell
 from charms_bench.world.scene import SceneSettings
 
@@ -85,6 +85,7 @@ class RecordedCell:
             None if is_ego_outside else key,
             traffic,
             {**guests, **agents},
+            engine_on(settings or cell.scene, "batched"),
             outside_steps_mps=steps,
         )
 

@@ -16,6 +16,8 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
+from charms_bench.world.plan import Plan, lines_of
+from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Floats, SceneSettings
 from charms_bench.world.tracks import Motion
 
@@ -61,6 +63,9 @@ class Replay(Motion):
     """The episode row (`recording.columns.EPISODE`)."""
     steps: pl.DataFrame
     """The step rows (`recording.columns.STEP`)."""
+    plan: Plan | None = None
+    """Where the vehicles are on one of highway-env's roads. The other arrays show that road
+    straightened along the ego's way; a vehicle is present while it is beside it."""
 
     def __repr__(self) -> str:
         what = f"{self.cell.title}, {self.x.shape[1]} vehicles, {self.t_s[-1]:.1f} s"
@@ -153,6 +158,8 @@ def simulate(
     simulation.reset(np.array(together, dtype=np.uint64))
     recording = Recording(simulation)
     frames = [_frame(simulation, kept)]
+    plans = _Plans(simulation, kept)
+    plans.note()
     interval = simulation.settings.steps_per_decision
     decisions = 0
     while simulation.scene.active.any():
@@ -164,6 +171,7 @@ def simulate(
         for _ in range(interval):
             simulation.advance()
             frames.append(_frame(simulation, kept))
+            plans.note()
         simulation.finish_step()
         recording.note()
     ended, steps = recording.episodes(), recording.steps()
@@ -177,14 +185,52 @@ def simulate(
                 settings=settings,
                 episode=episode,
                 ego=int(simulation.scene.ego[b]),
-                agents=tuple(map(str, simulation.drivers[b])),
+                agents=_agents(simulation, b),
                 t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
+                plan=plans.of(place, length),
                 **{k: np.stack([frame[k][place] for frame in frames[:length]]) for k in frames[0]},
             )
         )
     return replays
+
+
+def _agents(simulation: Simulation, b: int) -> tuple[str, ...]:
+    """Returns the names of the agents of a scene."""
+    names = list(map(str, simulation.drivers[b]))
+    is_road = simulation.settings.network is not None
+    return tuple("IDM of highway-env" if is_road and name == PRESCRIBED else name for name in names)
+
+
+class _Plans:
+    """The plans of some scenes of a simulation; none of a straight road."""
+
+    def __init__(self, simulation: Simulation, scenes: Sequence[int]) -> None:
+        self._scenes, self._of_scenes = scenes, [list[Plan]() for _ in scenes]
+        self._on_road, self._lines = None, None
+        if simulation.settings.network is not None:
+            from charms_bench.roads.engine import RoadEngine
+
+            assert isinstance(simulation.engine, RoadEngine)
+            self._on_road = simulation.engine.episodes.scenes
+            self._lines = lines_of(self._on_road.road)
+
+    def note(self) -> None:
+        """Keeps the present moment."""
+        if self._on_road is not None and self._lines is not None:
+            from charms_bench.roads.plan import plan_of
+
+            for plans, b in zip(self._of_scenes, self._scenes, strict=True):
+                plans.append(plan_of(self._lines, self._on_road, b))
+
+    def of(self, place: int, length: int) -> Plan | None:
+        """The plan of the first moments of one of the scenes."""
+        if self._lines is None:
+            return None
+        from charms_bench.roads.plan import plan_over_time
+
+        return plan_over_time(self._of_scenes[place][:length])
 
 
 def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:

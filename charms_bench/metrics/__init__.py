@@ -2,7 +2,17 @@
 
 from charms_bench.metrics.metric import Metric, MetricSet
 from charms_bench.metrics.paper import PAPER
+from charms_bench.metrics.roads import ROADS
 from charms_bench.metrics.rows import sums_by_episode
 from charms_bench.metrics.sets import METRIC_SETS, STANDARD, standard
 
-__all__ = ["METRIC_SETS", "PAPER", "STANDARD", "Metric", "MetricSet", "standard", "sums_by_episode"]
+__all__ = [
+    "METRIC_SETS",
+    "PAPER",
+    "ROADS",
+    "STANDARD",
+    "Metric",
+    "MetricSet",
+    "standard",
+    "sums_by_episode",
+]

@@ -18,6 +18,8 @@ LABELS = {
     "rear_end_striking": "Rear-end collisions in which the ego strikes",
     "side_per_1000km": "Side collisions per 1,000 km",
     "off_road_per_1000km": "Departures from the road per 1,000 km",
+    "goal_reached": "Goal reached",
+    "time_to_goal": "Time to the goal",
     "traffic_crashed": "Crashed vehicles in traffic",
     "traffic_crashes_per_1000km": "Crashes in traffic per 1,000 km",
     "conflict_episodes": "Episodes with a conflict",
@@ -85,7 +87,11 @@ NEAR_LEADER = {
     "harsh_acc_rate": "Harsh acceleration near a leader",
 }
 """Metrics that the set `paper` measures only with a leader within 50 m, and `standard` always."""
-SETS = {"paper": "Metrics of the paper", "standard": "Standard metrics"}
+SETS = {
+    "paper": "Metrics of the paper",
+    "standard": "Standard metrics",
+    "roads": "Metrics of roads",
+}
 KEYS = {
     "traffic": "traffic model",
     "ego \\ traffic": "ego \\ traffic model",

@@ -85,3 +85,4 @@ def standard(
 
 STANDARD = standard()
 METRIC_SETS = (PAPER, STANDARD)
+"""Those of every suite; suites on highway-env's roads have `roads.ROADS`, too."""

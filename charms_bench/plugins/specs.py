@@ -5,13 +5,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
-from charms_bench.foundation.fields import FrozenModel, Line
+from charms_bench.foundation.fields import FrozenModel, Line, Name
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import is_network, make_agent, make_traffic
-from charms_bench.plugins.traffic import Mixture, Placed, Traffic
+from charms_bench.plugins.traffic import Mixture, OneAgent, Placed, Traffic
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 
 
@@ -84,20 +90,30 @@ class AgentSpec(_Spec):
 
 
 class TrafficSpec(_Spec):
-    """A traffic model or an agent by its name, a mixture of agents, or a scenario."""
+    """A traffic model or an agent by its name, a mixture of agents, a scenario, or a road."""
 
     mixture: dict[AgentName, Annotated[float, Field(ge=0, le=1)]] = Field(default={})
     """The probability of each agent; each vehicle draws one. They sum to 1."""
     scenario: Scenario | None = None
     """Vehicles that are placed and prescribed, instead of a traffic model."""
+    road: Name | None = None
+    """highway-env's name of an environment, such as `merge-v0`: its road and its vehicles."""
 
     @model_validator(mode="after")
-    def _one_of_three(self) -> "TrafficSpec":
-        if (self.name is not None) + bool(self.mixture) + (self.scenario is not None) != 1:
+    def _one_of_four(self) -> "TrafficSpec":
+        given = self.name, self.mixture or None, self.scenario, self.road
+        if sum(each is not None for each in given) != 1:
             raise ValueError(
-                "give a name, probabilities as {mixture: {agent: probability}}, or a scenario"
+                "give a name, probabilities as {mixture: {agent: probability}}, a scenario, or a "
+                "road"
             )
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_road(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """As before there were roads, if there is none: a suite keeps its fingerprint."""
+        fields: dict[str, Any] = dump(self)
+        return {name: value for name, value in fields.items() if value or name != "road"}
 
     def make(self) -> Traffic:
         """The traffic."""
@@ -105,6 +121,8 @@ class TrafficSpec(_Spec):
             return make_traffic(self.name, self.options)
         if self.scenario is not None:
             return Placed(self.scenario.agents)
+        if self.road is not None:
+            return OneAgent(PRESCRIBED)
         return Mixture(self.mixture)
 
 

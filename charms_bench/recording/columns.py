@@ -85,7 +85,9 @@ STEP: Mapping[str, Column] = {
 EPISODE: Mapping[str, Column] = {
     "episode": _SEED,
     "ending": Column(
-        "How the episode ended: `time`, `rear_end`, `side` or `off_road`.", dtype=pl.String()
+        "How the episode ended: `time`, `rear_end`, `side`, `off_road` or, on one of highway-env's "
+        "roads, `goal`.",
+        dtype=pl.String(),
     ),
     "struck": Column(
         "In a rear-end collision, whether the follower struck the ego; false if the ego struck "
@@ -99,13 +101,14 @@ EPISODE: Mapping[str, Column] = {
     "steps": Column("Decisions of the ego."),
     "duration_s": Column("Simulated time.", "s", pl.Float64()),
     "distance_m": Column("Distance driven by the ego along the road.", "m", pl.Float64()),
-    "traffic_vehicles": Column("Vehicles in the traffic."),
-    "traffic_crashed": Column("Vehicles of the traffic that collided or left the road."),
+    "traffic_vehicles": Column("Vehicles in the traffic; null on one of highway-env's roads."),
+    "traffic_crashed": Column("Vehicles of the traffic that collided or left the road; the same."),
     "traffic_distance_m": Column(
-        "Distance driven by all vehicles of the traffic together.", "m", pl.Float64()
+        "Distance driven by all vehicles of the traffic together; the same.", "m", pl.Float64()
     ),
 }
 """One row per episode."""
+OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 
 COUNT: Mapping[str, Column] = {
     "episode": _SEED,
@@ -171,6 +174,8 @@ DRIVER: Mapping[str, Column] = {
     "rss_to_s": Column("Time in which a vehicle behind was too close by RSS.", "s", pl.Float64()),
 }
 """One row per episode and agent, and one more for the ego: sums over the agent's vehicles.
+
+On one of highway-env's roads, there is only the ego's.
 
 A vehicle counts until it collides or leaves the road. Its thresholds were applied during the
 simulation, so other thresholds need a new simulation.

@@ -75,8 +75,9 @@ class Primitives:
         self._collided = simulation.scene.crashed.copy()
         self._present = simulation.scene.present.copy()
         self._entry = simulation.scene.entry.copy()
-        is_open = simulation.playback is not None or simulation.settings.inflow is not None
-        self.changes = is_open or not self._present.all()
+        settings = simulation.settings
+        is_open = simulation.playback is not None or settings.inflow is not None
+        self.changes = is_open or settings.network is not None or not self._present.all()
         """Whether vehicles can appear and leave."""
         self.left = np.zeros_like(self._present)
         """[B, N] the places whose vehicle has left in the last decision interval."""

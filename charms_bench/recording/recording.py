@@ -10,7 +10,7 @@ import polars as pl
 from charms_bench.engine.collision_kinds import STRUCK
 from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
-from charms_bench.recording.columns import EPISODE_SCHEMA, table
+from charms_bench.recording.columns import EPISODE_SCHEMA, OF_TRAFFIC, table
 from charms_bench.recording.driver_sums import DriverSums
 from charms_bench.recording.fault import Fault
 from charms_bench.recording.following_counts import FollowingCounts
@@ -23,6 +23,8 @@ class Recording:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
+        self._on_network = simulation.settings.network is not None
+        """On one of highway-env's roads, vehicles are seen only beside the ego's way."""
         self._was_running = simulation.scene.active.copy()
         self._kept = Primitives(simulation)
         self._start_x = self._kept.last("x")
@@ -94,6 +96,8 @@ class Recording:
             "traffic_crashed": (is_lost & is_traffic).sum(axis=1) + self._left_lost,
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
+        if self._on_network:
+            columns |= dict.fromkeys(OF_TRAFFIC)
         return table(columns, EPISODE_SCHEMA).sort("episode")
 
     def counts(self) -> pl.DataFrame:
@@ -102,4 +106,5 @@ class Recording:
 
     def drivers(self) -> pl.DataFrame:
         """Returns what each driver causes and undergoes (`columns.DRIVER`), sorted by its keys."""
-        return self._drivers.table()
+        rows = self._drivers.table()
+        return rows.filter("is_ego") if self._on_network else rows

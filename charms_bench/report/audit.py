@@ -10,7 +10,7 @@ import polars as pl
 
 from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.foundation.files import is_compressed, read_file
-from charms_bench.metrics import METRIC_SETS, MetricSet
+from charms_bench.metrics import MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
 from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_table
@@ -52,10 +52,10 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
         try:
             sets, unknown = _stored_sets(folder / "tables" / f"{suite.suite}.csv"), set[str]()
         except RegistryError as error:  # metrics of a plugin that is not installed
-            sets, unknown = METRIC_SETS, {f"{suite.suite}.csv", f"{suite.suite}.md"}
+            sets, unknown = suite.metric_sets, {f"{suite.suite}.csv", f"{suite.suite}.md"}
             yield Finding("tables", f"tables/{suite.suite}.csv", "unknown", str(error))
         except RunFolderError:  # it is compared as a file
-            sets, unknown = METRIC_SETS, set()
+            sets, unknown = suite.metric_sets, set()
         following = run.following() if references else []
         cells = [run_files.measure(suite, rows, sets) for rows in run.cells()]
         made = run_files.run_tables(suite, cells, following, references, sets)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 from charms_bench.errors import CharmsBenchError
-from charms_bench.metrics import METRIC_SETS, MetricSet
+from charms_bench.metrics import METRIC_SETS, ROADS, MetricSet
 from charms_bench.metrics.labels import label_of
 from charms_bench.metrics.metric import Interval
 from charms_bench.report.table import Column
@@ -64,5 +64,5 @@ def _installed(label: str) -> dict[str, Column]:
 
 def first_column(metric: str) -> Column:
     """The column of a metric, from the first metric set of the harness that has it."""
-    found = filter(None, (columns_of(each).get(metric) for each in METRIC_SETS))
+    found = filter(None, (columns_of(each).get(metric) for each in (*METRIC_SETS, ROADS)))
     return next(found, None) or installed_column("unknown", metric)

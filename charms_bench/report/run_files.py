@@ -8,7 +8,7 @@ import polars as pl
 
 from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.spreadsheets import in_csv
-from charms_bench.metrics import METRIC_SETS, MetricSet
+from charms_bench.metrics import MetricSet
 from charms_bench.people.reference import Reference
 from charms_bench.report import drivers_table, suite_table
 from charms_bench.report.figures.drawing import save
@@ -37,12 +37,13 @@ class MeasuredCell:
     """Its part of `drivers_table`."""
 
 
-def measure(
-    suite: Suite, rows: CellRows, metric_sets: Sequence[MetricSet] = METRIC_SETS
-) -> MeasuredCell:
-    """Computes what can be computed of one cell before the others are finished."""
+def measure(suite: Suite, rows: CellRows, metric_sets: Sequence[MetricSet] = ()) -> MeasuredCell:
+    """Computes what can be computed of one cell before the others are finished.
+
+    By default, the metric sets are the suite's.
+    """
     read = replace(rows, drivers=tuple(rows.drivers))  # once for both tables
-    metrics = suite_table.part_of(suite, read, metric_sets)
+    metrics = suite_table.part_of(suite, read, metric_sets or suite.metric_sets)
     return MeasuredCell(rows, metrics, drivers_table.part_of(suite, read))
 
 
@@ -82,12 +83,13 @@ def run_tables(
     cells: Sequence[MeasuredCell],
     following: Sequence[TrafficCounts],
     references: Sequence[Reference],
-    metric_sets: Sequence[MetricSet] = METRIC_SETS,
+    metric_sets: Sequence[MetricSet] = (),
 ) -> list[tuple[Table, Sequence[str]]]:
     """The tables that a suite calls for, the one of metrics first, each with its introduction.
 
-    `metric_sets` are those that the cells were measured with.
+    `metric_sets` are those that the cells were measured with; by default, the suite's.
     """
+    metric_sets = metric_sets or suite.metric_sets
     metrics = pl.concat(cell.metrics for cell in cells)
     drivers = pl.concat(cell.drivers for cell in cells)
     made: list[tuple[Table, Sequence[str]]] = [

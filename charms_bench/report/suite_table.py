@@ -18,6 +18,8 @@ KEYS = ("agent", "traffic")
 LONG = {"metric_set": "group", "metric": "name", **ESTIMATE, "paper": "reference"}
 """A metric set is named with its version, such as `paper-2`."""
 MATRICES = {
+    "goal_reached": ("Egos that reach the goal of their road, % of episodes", 100.0),
+    "time_to_goal": ("Time of egos to the goal of their road, s", 1.0),
     "crashed_episodes": ("Egos crashed, % of episodes", 100.0),
     "crashed_at_fault": ("Egos crashed at fault, % of episodes", 100.0),
     "speed_mean": ("Mean speed of egos, m/s", 1.0),
@@ -27,7 +29,8 @@ MATRICES = {
     "lane_changes_per_km": ("Lane changes of egos per km", 1.0),
     "traffic_crashed": ("Traffic crashed, % of vehicles per episode", 100.0),
 }
-"""Metrics of the set `standard` that are shown as a matrix: title, and factor for its unit."""
+"""Metrics of the sets `roads` and `standard` that are shown as a matrix: title, and factor for its
+unit."""
 
 
 def suite_table(
@@ -111,7 +114,7 @@ def matrices(table: Table) -> list[Table]:
     places = {
         column.name: i
         for i, column in enumerate(table.columns)
-        if column.group.startswith("standard-")
+        if column.group.startswith(("roads-", "standard-"))
     }
     if any(len({row.labels[i] for row in table.rows}) < 2 for i in (0, 1)):
         return []

@@ -56,6 +56,7 @@ class Episodes:
     def __init__(self, name: str, count: int, config: Mapping[str, Any] | None = None) -> None:
         import highway_env  # noqa: F401  # registers its environments
 
+        self.name = name
         spec = gymnasium.spec(name)
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
         with exact_roads(), unchanged_idm():

@@ -65,6 +65,17 @@ class Exit(Task):
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, self._rule, rewards)
 
+    def navigate(self, scenes: Scenes, rows: Ints) -> None:
+        """Has the egos change to the right lane, and to the lane of the exit where it begins."""
+        ego, rule = scenes.vehicles[:, 0], self._rule
+        ego["route_roads"][rows, :2] = rule.main, scenes.road.lanes["first"][rule.exit_lane]
+        ego["route_numbers"][rows, :2] = rule.lanes - 1, rule.lanes
+        ego["route_step"][rows], ego["route_end"][rows] = 0, 2
+
+    def has_reached_goal(self, scenes: Scenes) -> Bools:
+        """Whether each ego (B,) is on the ramp."""
+        return np.asarray(scenes.vehicles["lane"][:, 0] == self._rule.exit_ramp)
+
     def information(self, scenes: Scenes) -> dict[str, Any]:
         return {"is_success": self._is_success(scenes)}
 

@@ -69,8 +69,11 @@ class Merge(Task):
         _judge(scenes, rows, actions, self.weights, self._rule, rewards)
 
     def is_terminated(self, scenes: Scenes) -> Bools:
-        ego = scenes.vehicles[:, 0]
-        return np.asarray(ego["crashed"] | (ego["x"] > self._end_x))
+        return np.asarray(scenes.vehicles["crashed"][:, 0] | self.has_reached_goal(scenes))
+
+    def has_reached_goal(self, scenes: Scenes) -> Bools:
+        """Whether each ego (B,) has passed the place where the lanes merge."""
+        return np.asarray(scenes.vehicles["x"][:, 0] > self._end_x)
 
 
 class GenericMerge(Merge):

@@ -77,6 +77,20 @@ class Task(ABC):
         """Whether the time of each scene (B,) is over."""
         return np.greater_equal(scenes.time, self.duration)
 
+    def navigate(self, scenes: Scenes, rows: Ints) -> None:
+        """Gives the egos of new episodes a route to the goal; by default, they keep their own."""
+        return
+
+    def has_reached_goal(self, scenes: Scenes) -> Bools:
+        """Whether each ego (B,) is where it should go; by default, on the last road of its route.
+
+        highway-env rewards some of these goals; it does not end an episode there.
+        """
+        ego = scenes.vehicles[:, 0]
+        each, last = np.arange(ego.size), ego["route_end"] - 1
+        road = scenes.road.lanes["first"][ego["lane"]]
+        return np.asarray((last >= 0) & (ego["route_roads"][each, last] == road))
+
     def information(self, scenes: Scenes) -> dict[str, Any]:
         """What the info has in addition, (B,) or (B, A) by name."""
         return {}

@@ -20,16 +20,18 @@ from charms_bench.runs.document import name_and_options
 from charms_bench.world.scene import SceneSettings
 
 
-def metric_sets(texts: Sequence[str]) -> tuple[MetricSet, ...]:
+def metric_sets(
+    texts: Sequence[str], default: tuple[MetricSet, ...] = METRIC_SETS
+) -> tuple[MetricSet, ...]:
     """Returns the metric sets that texts like `NAME` or `NAME:OPTION=VALUE,...` ask for.
 
-    Without any text these are `paper` and `standard`.
+    Without any text these are those of the `default`.
 
     Raises:
         InputError: A text is not of that form, or two ask for the same set.
         RegistryError: A set is not installed, does not take the options, or cannot be computed.
     """
-    found = tuple(map(_metric_set, texts)) or METRIC_SETS
+    found = tuple(map(_metric_set, texts)) or default
     labels = [each.label for each in found]
     for label in labels:
         if labels.count(label) > 1:

@@ -21,7 +21,6 @@ from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
-from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
@@ -98,7 +97,7 @@ class RunFolder:
             "suite_sha256": suite.fingerprint(),
             "engine": engine,
             "agents": agents,
-            "metric_sets": {each.name: each.version for each in METRIC_SETS},
+            "metric_sets": {each.name: each.version for each in suite.metric_sets},
             "versions": library_versions(),
             "commit": commit(),
             "modules": module_blobs(),

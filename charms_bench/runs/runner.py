@@ -12,6 +12,7 @@ from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
 from charms_bench.foundation.workers import in_processes
+from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
@@ -190,6 +191,8 @@ def plan_cell(
                 f"suite '{suite.suite}': {cell.title}: agent '{each.key}' drives as recorded; "
                 "give the suite recordings with scene.recording"
             )
+    if cell.scene.network is not None:
+        _check_road(suite, cell, engine, agent_of(ego, networks))
     driver = ego.key
     if is_network(ego.name):
         driver = f"{software.agents[ego.name]['weights_sha256']}.onnx"
@@ -208,6 +211,20 @@ def plan_cell(
         )
         tasks[Shard(index, first, episodes, task.key, driver)] = task
     return tasks
+
+
+def _check_road(suite: Suite, cell: Cell, engine: EngineName, agent: Agent) -> None:
+    """Raises a `SuiteError` if a cell's ego or the engine cannot drive on its road."""
+    from charms_bench.roads.settings import problem_of_driver
+
+    what = problem_of_driver(agent, cell.scene)
+    if engine != "batched":
+        what = f"the engine '{engine}' has straight roads only; `verify --road` compares the others"
+    if what:
+        raise SuiteError(
+            f"suite '{suite.suite}': agent '{cell.ego.agent.key}' cannot drive on the road "
+            f"'{cell.scene.network}': {what}"
+        )
 
 
 def on_this_machine(

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 from pydantic import BaseModel
 
-from charms_bench.engine import EngineName
+from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.exact_maths import use_exact_maths
 from charms_bench.engine.rollouts import others_of
 from charms_bench.engine.simulation import Simulation
@@ -130,7 +130,8 @@ def simulate(task: ShardTask) -> ShardFiles:
     ego, count, first = task.ego.key, task.episodes, task.first_seed
     held = HeldDrivers(task.ego, task.traffic, task.networks, task.scene, first)
     with np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"):
-        simulation = Simulation(task.scene, count, ego, held.traffic, held.agents, task.engine)
+        engine = engine_on(task.scene, task.engine)
+        simulation = Simulation(task.scene, count, ego, held.traffic, held.agents, engine)
         simulation.reset(np.arange(first, first + count, dtype=np.uint64))
         recording = Recording(simulation)
         while simulation.scene.active.any():
@@ -152,6 +153,15 @@ def simulate(task: ShardTask) -> ShardFiles:
         "drivers": in_parquet(conduct),
         "episodes": in_parquet(recording.episodes()),
     }
+
+
+def engine_on(scene: SceneSettings, engine: EngineName) -> EngineName | MakeEngine:
+    """The engine of some scenes: those on highway-env's roads have their own."""
+    if scene.network is None:
+        return engine
+    from charms_bench.roads.engine import RoadEngine  # imports highway-env
+
+    return RoadEngine
 
 
 class HeldDrivers:

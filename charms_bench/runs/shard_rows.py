@@ -22,7 +22,7 @@ from charms_bench.world.scene import DECISIONS_LIMIT
 
 ROWS_LIMIT = 150 * DECISIONS_LIMIT
 """Most rows of a shard; a Parquet file of a few bytes can repeat a row without end."""
-ENDINGS = ("time", "rear_end", "side", "off_road")
+ENDINGS = ("time", "rear_end", "side", "off_road", "goal")
 _KEYS = {
     "steps": ("episode", "step"),
     "counts": ("episode", "quantity", "bin"),

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, mo
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name
-from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
+from charms_bench.metrics import METRIC_SETS, PAPER, ROADS, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -69,7 +69,9 @@ class TrafficEntry(FrozenModel):
     @property
     def title(self) -> str:
         """Its name in tables."""
-        return self.label or self.traffic.name or " + ".join(self.traffic.mixture) or "scenario"
+        spec = self.traffic
+        named = self.label or spec.name or spec.road
+        return named or " + ".join(spec.mixture) or "scenario"
 
 
 class Cell(FrozenModel):
@@ -78,7 +80,7 @@ class Cell(FrozenModel):
     ego: EgoEntry
     traffic: TrafficEntry
     scene: SceneSettings
-    """The suite's, with the vehicles of the traffic's scenario."""
+    """The suite's, with the vehicles of the traffic's scenario, or on its road."""
 
     @property
     def title(self) -> str:
@@ -181,12 +183,25 @@ class Suite(FrozenModel):
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
         """Every ego in every traffic; made once, because a suite can have 10,000 of them."""
-        scenes = [self.scene.of_scenario(each.traffic.scenario) for each in self.traffics]
+        scenes = [self._scene_of(each.traffic) for each in self.traffics]
         return tuple(
             Cell(ego=ego, traffic=traffic, scene=scene)
             for ego in self.egos
             for traffic, scene in zip(self.traffics, scenes, strict=True)
         )
+
+    def _scene_of(self, traffic: TrafficSpec) -> SceneSettings:
+        if traffic.road is None:
+            return self.scene.of_scenario(traffic.scenario)
+        from charms_bench.roads.settings import on_road  # imports highway-env
+
+        return on_road(self.scene, traffic.road)
+
+    @property
+    def metric_sets(self) -> tuple[MetricSet, ...]:
+        """The metrics of its tables."""
+        has_roads = any(each.traffic.road for each in self.traffics)
+        return (*METRIC_SETS, ROADS) if has_roads else METRIC_SETS
 
     def fingerprint(self) -> str:
         """Returns the hash of everything that decides its rows, except the number of episodes."""
@@ -219,6 +234,13 @@ def suite_of(document: Document) -> Suite:
         for index, entry in enumerate(entries):
             for metric in entry.paper:
                 _check_metric(document, (what, index, "paper", metric), metric, (PAPER,))
+    for index, entry in enumerate(suite.traffics):
+        try:
+            suite._scene_of(entry.traffic)
+        except InputError as error:
+            raise document.error(
+                ("traffic_models", index, "traffic", "road"), str(error)
+            ) from error
     check_scenarios(document, suite)
     _check_types(document, suite)
     if suite.scene.recording is not None and suite.episodes > (
@@ -227,7 +249,7 @@ def suite_of(document: Document) -> Suite:
         what = f"the recordings have {count:,} moments; expected at most as many episodes"
         raise document.error(("episodes",), what)
     for index, metric in enumerate(suite.columns):
-        _check_metric(document, ("columns", index), metric, METRIC_SETS)
+        _check_metric(document, ("columns", index), metric, suite.metric_sets)
     return suite
 
 

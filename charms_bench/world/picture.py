@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from charms_bench.world import palette
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.plan import Plan
 from charms_bench.world.scene import Floats, SceneSettings
 from charms_bench.world.tracks import Motion
 
@@ -21,6 +22,8 @@ BEHIND_M = 38.0
 AHEAD_M = 62.0
 SCALE = WIDTH / (BEHIND_M + AHEAD_M)
 """Pixels per metre, along and across the road; all lengths are before the reduction."""
+PLAN_M = 112.0, 60.0
+"""The length and the height of the part of a network that a picture shows."""
 HEADER, SHOULDER_M, MARKS, STATUS = 76, 1.0, 40, 92
 LINE, MARGIN, LEGEND_COLUMNS = 44, 32, 3
 BRAKE_LIGHT_MPS2 = 0.5
@@ -42,8 +45,8 @@ class Moment(Motion):
 
     settings: SceneSettings
     title: str
-    episode: int
-    """Seed of the episode."""
+    episode: int | None
+    """Seed of the episode; None if it has none of its own."""
     t_s: float
     """Time since the start."""
     ego: int
@@ -56,6 +59,8 @@ class Moment(Motion):
     """m, from the ego's front to its leader's rear; NaN if there is no leader."""
     ttc: float
     """s, to the leader at constant speeds; NaN unless the ego closes in."""
+    plan: Plan | None = None
+    """Where the vehicles are on a network; without one, the road is straight."""
 
 
 def picture(moment: Moment, caption: str = "") -> Image.Image:
@@ -65,20 +70,31 @@ def picture(moment: Moment, caption: str = "") -> Image.Image:
     its index in the order of spawning. Red lights mean braking, amber lights a lane change, and a
     cross a vehicle that has crashed.
     """
-    settings = moment.settings
+    settings, plan = moment.settings, moment.plan
     colours = {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(moment.traffic)}
     road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * SCALE)
     status = HEADER + road + MARKS
+    if plan is not None:
+        status = HEADER + round(PLAN_M[1] * _scale(moment)) + MARKS // 2
     caption_at = status + STATUS
     legend = caption_at + (LINE if caption else 0)
     height = legend + LINE * (1 + len(colours) // LEGEND_COLUMNS) + 12
     image = Image.new("RGB", (WIDTH, height), PAPER)
     draw = ImageDraw.Draw(image)
-    _draw_road(draw, moment)
+    if plan is None:
+        _draw_road(draw, moment)
+    else:
+        _draw_network(draw, moment, plan)
+    present = moment.present if plan is None else plan.present
     for vehicle, agent in enumerate(moment.agents):
         colour = EGO if vehicle == moment.ego else colours[agent]
-        if moment.present[vehicle]:
+        if plan is not None and plan.is_obstacle[vehicle]:
+            colour = INK
+        if present[vehicle]:
             _draw_vehicle(draw, moment, vehicle, colour)
+    if plan is not None:  # what lies outside the part that is shown
+        draw.rectangle([0, 0, WIDTH, HEADER], PAPER)
+        draw.rectangle([0, status - MARKS // 2, WIDTH, height], PAPER)
     _draw_header(draw, moment)
     _draw_status(draw, moment, status)
     sentence = caption[:1].upper() + caption[1:]
@@ -101,10 +117,33 @@ def _font(size: int, weight: str = "") -> ImageFont.FreeTypeFont:
 
 def _place(moment: Moment, x: Floats, y: Floats) -> list[float]:
     """Returns where points of the road (K,) are in the picture, as x, y, x, y and so on."""
-    start = moment.x[moment.ego] - BEHIND_M
-    edge = -moment.settings.profile.lane_width_m / 2 - SHOULDER_M
-    places = np.stack([(x - start) * SCALE, HEADER + (y - edge) * SCALE], axis=-1)
+    if moment.plan is None:
+        start = moment.x[moment.ego] - BEHIND_M
+        edge = -moment.settings.profile.lane_width_m / 2 - SHOULDER_M
+    else:
+        start = moment.plan.x[moment.ego] - PLAN_M[0] / 2
+        edge = moment.plan.y[moment.ego] - PLAN_M[1] / 2
+    scale = _scale(moment)
+    places = np.stack([(x - start) * scale, HEADER + (y - edge) * scale], axis=-1)
     return list(places.ravel().tolist())
+
+
+def _scale(moment: Moment) -> float:
+    """Pixels per metre, before the reduction."""
+    return SCALE if moment.plan is None else WIDTH / PLAN_M[0]
+
+
+def _draw_network(draw: ImageDraw.ImageDraw, moment: Moment, plan: Plan) -> None:
+    def placed(points: Floats) -> list[float]:
+        return _place(moment, points[:, 0], points[:, 1])
+
+    for surface in plan.lines.surfaces:
+        draw.polygon(placed(surface), ASPHALT)
+    for line in plan.lines.continuous:
+        draw.line(placed(line), PAINT, 4)
+    for line in plan.lines.striped:
+        for k in range(0, len(line) - 1, 4):
+            draw.line(placed(line[k : k + 2]), PAINT, 4)
 
 
 def _draw_road(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
@@ -129,11 +168,13 @@ def _draw_road(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
 
 
 def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colour: str) -> None:
-    x, y = moment.x[vehicle], moment.y[vehicle]
+    where: Moment | Plan = moment.plan or moment
+    x, y, heading = where.x[vehicle], where.y[vehicle], where.heading[vehicle]
     margin = max(10, moment.length[vehicle])
-    if not -margin < x - moment.x[moment.ego] + BEHIND_M < BEHIND_M + AHEAD_M + margin:
+    shown = (BEHIND_M, AHEAD_M) if moment.plan is None else (PLAN_M[0] / 2, PLAN_M[0] / 2)
+    if not -margin < x - where.x[moment.ego] + shown[0] < sum(shown) + margin:
         return
-    profile, heading = moment.settings.profile, moment.heading[vehicle]
+    profile = moment.settings.profile
     ahead = np.array([np.cos(heading), np.sin(heading)])
     aside = np.array([-ahead[1], ahead[0]])
     half_length, half_width = moment.length[vehicle] / 2, moment.width[vehicle] / 2
@@ -151,8 +192,8 @@ def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colou
         for side in (-1.0, 1.0):
             light = [(-1.0, side), (-0.8, side), (-0.8, side * 0.3), (-1.0, side * 0.3)]
             draw.polygon(shape(*light), BRAKE)
-    aim = moment.target_lane[vehicle] * profile.lane_width_m - y
-    if abs(aim) > 0.2 * profile.lane_width_m and not crashed:
+    aim = moment.target_lane[vehicle] * profile.lane_width_m - moment.y[vehicle]
+    if moment.present[vehicle] and abs(aim) > 0.2 * profile.lane_width_m and not crashed:
         side = float(np.sign(aim))
         for end in (-1.0, 0.6):
             light = [(end, side * 1.4), (end + 0.4, side * 1.4), (end + 0.4, side), (end, side)]
@@ -169,7 +210,8 @@ def _draw_header(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
     title, font = moment.title, _font(30, "-Bold")
     draw.text((MARGIN, HEADER / 2), title, INK, font, "lm")
     end = MARGIN + font.getlength(title)
-    draw.text((end + 24, HEADER / 2 + 2), f"episode {moment.episode}", PALE, _font(26), "lm")
+    if moment.episode is not None:
+        draw.text((end + 24, HEADER / 2 + 2), f"episode {moment.episode}", PALE, _font(26), "lm")
     time = f"{moment.t_s:.1f} s"
     draw.text((WIDTH - MARGIN, HEADER / 2), time, INK, _font(34, "-Bold"), "rm")
 

@@ -117,6 +117,9 @@ class SceneSettings(FrozenModel):
     recording: RecordedMoments | None = None
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
     vehicles, and of lanes if it is not given: that of most vehicles."""
+    network: Annotated[str | None, Field(exclude=True)] = None
+    """highway-env's name of an environment whose road the scene has; a suite gives it as the
+    traffic model."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; a suite gives it as the traffic model."""
 

@@ -186,7 +186,7 @@ def test_an_environment_that_draws_nothing_loads_nothing_to_draw_with() -> None:
 def test_a_picture_has_an_even_height_on_every_road() -> None:
     env = made(profile={"name": "charms", "lane_width_m": 3.7})
     env.reset(seed=1)
-    assert frame_of(env.unwrapped.simulation, 0).shape[0] % 2 == 0
+    assert frame_of(present(env.unwrapped.simulation, 0, "")).shape[0] % 2 == 0
 
 
 @pytest.mark.filterwarnings("ignore:.*autoreset mode is same-step")

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from PIL import ImageColor
 
 import charms_bench.envs  # noqa: F401  # registers the environments
+from charms_bench.envs.road_env import RoadEnv
 from charms_bench.errors import InputError
 from charms_bench.roads import TASKS
 from charms_bench.roads.episodes import unchanged_idm
+from charms_bench.world.picture import ASPHALT, EGO, FINE, HEADER, PLAN_M, WIDTH
 
 
 @pytest.fixture(autouse=True)
@@ -338,3 +341,29 @@ def test_a_wrong_action_is_rejected() -> None:
         env.step(np.array([[0.0], [np.nan]]))
     with pytest.raises(InputError, match="expected meta-actions"):
         ours("racetrack-v0").unwrapped.get_available_actions()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_ego_is_in_the_middle_of_the_picture_of_its_road(name: str) -> None:
+    env = ours(name, render_mode="rgb_array")
+    env.reset(seed=0)
+    frame = env.render()
+    ego = np.argwhere((np.abs(frame.astype(int) - ImageColor.getrgb(EGO)) < 40).all(axis=2))
+    road = (frame == ImageColor.getrgb(ASPHALT)).all(axis=2)
+    in_view = ego[ego[:, 0] < 450]  # the legend has the colour, too
+    middle = HEADER / FINE + PLAN_M[1] * WIDTH / FINE / PLAN_M[0] / 2, WIDTH / FINE / 2
+    np.testing.assert_allclose(in_view.mean(axis=0), middle, atol=8)
+    assert road.any()
+
+
+def test_a_vector_environment_draws_every_scene() -> None:
+    env = vector("roundabout-v0", 2, render_mode="rgb_array")
+    env.reset(seed=0)
+    first, second = env.render()
+    assert first.shape == second.shape
+    assert (first != second).any()
+
+
+def test_an_unknown_render_mode_is_rejected_by_name() -> None:
+    with pytest.raises(InputError, match="merge-v0: no render_mode 'ansi'; expected 'rgb_array'"):
+        RoadEnv("merge-v0", render_mode="ansi")

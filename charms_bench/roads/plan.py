@@ -1,0 +1,26 @@
+"""Where the vehicles of an episode are on the network, for pictures."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes
+from charms_bench.world.plan import Lines, Plan
+
+
+def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
+    """The plan of scene b, whose network has these lines."""
+    vehicles = scenes.vehicles[b]
+    return Plan(
+        lines,
+        present=vehicles["kind"] != NOTHING,
+        is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),
+        **{name: vehicles[name].copy() for name in ("x", "y", "heading")},
+    )
+
+
+def plan_over_time(plans: Sequence[Plan]) -> Plan:
+    """The plan of all moments, from the plan of each."""
+    names = ("present", "is_obstacle", "x", "y", "heading")
+    stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
+    return Plan(plans[0].lines, **stacked)

@@ -1,0 +1,181 @@
+"""Agents of the straight road drive the egos of highway-env's other roads."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from charms_bench import Policy
+from charms_bench.engine.endings import ENDINGS, GOAL
+from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import InputError, SuiteError
+from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.traffic import OneAgent
+from charms_bench.roads import OF_SUITES
+from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.settings import on_road
+from charms_bench.runs.runner import plan
+from charms_bench.runs.suite import Suite
+from charms_bench.world.actions import FASTER, IDLE, SLOWER
+from charms_bench.world.scenario import PRESCRIBED
+from charms_bench.world.scene import SceneSettings
+
+FREE = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
+FREE |= {"ego_control_rate": "simulation"}
+
+
+class Sequence(Policy):
+    """Repeats three meta-actions, by the number of its decisions."""
+
+    decision_hz = 1.0
+    memory_width = 1
+
+    def decide(self, observations: Any, *given: Any) -> Any:
+        memory = given[0]
+        actions = np.array((IDLE, FASTER, SLOWER))[memory[:, 0].astype(int) % 3]
+        return actions, memory + 1
+
+
+def simulation(road: str, agent: str | Agent, scenes: int, **scene: Any) -> Simulation:
+    """Scenes that have been started with the seeds 0, 1, ..."""
+    settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), road)
+    made = make_agent(agent) if isinstance(agent, str) else agent
+    traffic = OneAgent(PRESCRIBED)
+    simulation = Simulation(settings, scenes, "ego", traffic, {"ego": made}, RoadEngine)
+    simulation.reset(np.arange(scenes, dtype=np.uint64))
+    return simulation
+
+
+def on_network(simulation: Simulation) -> Any:
+    """The vehicles (B, N) on the network."""
+    assert isinstance(simulation.engine, RoadEngine)
+    return simulation.engine.episodes.scenes.vehicles
+
+
+@pytest.mark.parametrize("road", ["merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"])
+def test_with_meta_actions_all_vehicles_drive_exactly_as_in_the_environment(road: str) -> None:
+    theirs = Episodes(road, 6, {"simulation_frequency": 15})
+    profile = {"name": "highway-env", "target_speeds_mps": theirs.actions.target_speeds.tolist()}
+    ours = simulation(road, Sequence(), 6, decision_hz=1, duration_s=8.0, profile=profile)
+    theirs.seed(theirs.everyone, np.arange(6, dtype=np.uint64))
+    theirs.start(theirs.everyone)
+    on_network(ours)["route_end"][:, 0] = theirs.scenes.vehicles["route_end"][:, 0]  # no exit
+    names = theirs.actions.names
+    for step in range(8):
+        running = ours.scene.active.copy()
+        ours.step()
+        action = names.index(("IDLE", "FASTER", "SLOWER")[step % 3])
+        theirs.step(np.full(6, action))
+        for name in ("x", "y", "heading", "speed", "lane", "crashed"):
+            np.testing.assert_array_equal(
+                on_network(ours)[name][running], theirs.scenes.vehicles[name][running], name
+            )
+    assert ours.steps.sum() > 20
+
+
+def test_on_a_motorway_x_and_y_are_those_of_the_road() -> None:
+    made = simulation("merge-v0", "idm_mobil", 5)
+    while made.scene.active.any():
+        made.step()
+        scene, vehicles = made.scene, on_network(made)
+        seen = scene.present & (vehicles["y"] < 6.0)  # those on the ramp swing about its line
+        assert seen[:, 0].all()
+        assert scene.x[seen] - scene.x[0, 0] == pytest.approx(
+            vehicles["x"][seen] - scene.x[0, 0], abs=1e-9
+        )
+        assert scene.y[seen] == pytest.approx(vehicles["y"][seen], abs=1e-9)
+
+
+@pytest.mark.parametrize("road", ["u-turn-v0", "roundabout-v0"])
+def test_in_bends_x_grows_by_the_distance_that_the_ego_drives(road: str) -> None:
+    made = simulation(road, "idm_mobil", 10, duration_s=20.0)
+    start, driven = made.scene.x[:, 0].copy(), np.zeros(10)
+    while made.scene.active.any():
+        before = on_network(made)[["x", "y"]][:, 0].copy()
+        made.advance()
+        if made.phase == made.settings.steps_per_decision:
+            made.finish_step()
+        after = on_network(made)[:, 0]
+        driven += np.hypot(after["x"] - before["x"], after["y"] - before["y"])
+    # Beside the centre of a lane, arcs have other lengths.
+    assert made.scene.x[:, 0] - start == pytest.approx(driven, rel=0.1)
+
+
+def test_oncoming_vehicles_drive_towards_the_ego() -> None:
+    scene = simulation("two-way-v0", "idm_mobil", 5).scene
+    assert scene.direction_x[:, 4:] == pytest.approx(-1.0)
+    assert (scene.x[:, 4:] > 100).all()
+    assert scene.direction_x[:, 1:4] == pytest.approx(1.0)
+    assert (scene.lane[:, 1:4] == 1).all()
+    assert (scene.lane[:, 4:] == 0).all()
+
+
+def test_the_leader_is_the_vehicle_ahead_along_the_ring() -> None:
+    made = simulation("roundabout-v0", "idm_mobil", 20, duration_s=20.0)
+    found = 0
+    for _ in range(20):
+        made.step()
+        scene, vehicles = made.scene, on_network(made)
+        for b in np.nonzero(scene.active & (scene.leaders[:, 0, 0] >= 0))[0]:
+            ego, leader = vehicles[b, 0], vehicles[b, scene.leaders[b, 0, 0]]
+            if ego["lane"] != leader["lane"]:
+                continue
+            found += 1
+            gap = scene.x[b, scene.leaders[b, 0, 0]] - scene.x[b, 0]
+            chord = np.hypot(leader["x"] - ego["x"], leader["y"] - ego["y"])
+            assert 0 < chord <= gap + 1.0 < 1.6 * chord + 2.0
+    assert found > 5
+
+
+@pytest.mark.parametrize("road", OF_SUITES)
+def test_idm_mobil_reaches_the_goal_of_every_road(road: str) -> None:
+    made = simulation(road, "idm_mobil", 40, duration_s=60.0)
+    while made.scene.active.any():
+        made.step()
+    assert (made.ending == GOAL).any(), np.array(ENDINGS)[made.ending]
+    assert not made.failed[made.ending == GOAL].any()
+
+
+def test_an_ego_that_takes_the_exit_is_on_the_ramp() -> None:
+    made = simulation("exit-v0", "idm_mobil", 40, duration_s=60.0)
+    while made.scene.active.any():
+        made.step()
+    ego = on_network(made)[made.ending == GOAL, 0]
+    assert ego["x"].min() > 495.0  # the ramp begins at 500 m, beside the sixth lane
+    assert ego["y"].min() > 22.0
+
+
+def suite(agent: str, road: str, **profile: object) -> Suite:
+    return Suite.model_validate(
+        {
+            "suite": "roads",
+            "episodes": 2,
+            "scene": {"profile": {"name": "charms", **profile}},
+            "egos": [{"agent": agent}],
+            "traffic_models": [{"traffic": {"road": road}}],
+        }
+    )
+
+
+def test_an_agent_that_is_too_fast_for_a_road_is_rejected_by_name() -> None:
+    what = "agent 'charms' cannot drive on the road 'roundabout-v0': .* from 22 m/s, .* at 8 m/s"
+    with pytest.raises(SuiteError, match=what):
+        plan(suite("charms", "roundabout-v0"), "batched")
+    assert plan(suite("charms", "roundabout-v0", target_speed_min_mps=0.0), "batched")
+
+
+def test_a_planner_is_rejected_by_name() -> None:
+    with pytest.raises(SuiteError, match="agent 'mpc' cannot drive on the road 'merge-v0': it pla"):
+        plan(suite("mpc", "merge-v0"), "batched")
+
+
+def test_an_unknown_road_is_rejected_by_name() -> None:
+    with pytest.raises(InputError, match=r"no road named 'merge-v9'.*merge-v0"):
+        plan(suite("idm_mobil", "merge-v9"), "batched")
+
+
+def test_a_scene_on_a_road_is_not_saved() -> None:
+    with pytest.raises(InputError, match="merge-v0: episodes on this road start at their seeds"):
+        simulation("merge-v0", "idm_mobil", 1).state()

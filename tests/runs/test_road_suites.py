@@ -1,0 +1,101 @@
+"""Suites on highway-env's other roads: rows, tables, resumed runs and replays."""
+
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from charms_bench.api import open_run
+from charms_bench.api.evaluation import run as run_file
+from charms_bench.metrics import ROADS
+from charms_bench.runs.runner import run
+from charms_bench.runs.suite import Suite
+
+TEXT = """
+suite: small-roads
+episodes: 3
+scene:
+  profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}
+egos: [{agent: idm_mobil}, {agent: charms}]
+traffic_models: [{traffic: {road: merge-v0}}, {traffic: {road: u-turn-v1}, label: Bend}]
+columns: [goal_reached, time_to_goal]
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("roads")
+    path = folder / "roads.yaml"
+    path.write_text(TEXT)
+    return run_file(path, folder / "run", workers=1)
+
+
+def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
+    table = made.table.frame().filter(pl.col("metric") == "goal_reached")
+    assert table["traffic"].to_list() == ["merge-v0", "Bend"] * 2
+    assert table["value"].is_between(0, 1).all()
+    reached = (made.episodes["ending"] == "goal").sum()
+    assert table["value"].sum() * 3 == pytest.approx(reached)
+    assert (made.path / "tables" / "small-roads-matrix.md").exists()
+
+
+def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
+    again = open_run(made.path)
+    assert again.suite.fingerprint() == made.suite.fingerprint()
+    assert again.table.frame().equals(made.table.frame())
+
+
+def test_a_finished_run_simulates_nothing_again(made: Any) -> None:
+    told: list[str] = []
+
+    def simulate_nothing(tasks: Any, *_: Any) -> Generator[Any, None, None]:
+        told.extend(task.title for task in tasks)
+        yield from ()
+
+    run(made.suite, made.path, cluster=simulate_nothing)
+    assert told == []
+
+
+def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Path) -> None:
+    replay = made.replay(1, ego="charms", traffic="Bend")
+    assert replay.plan is not None
+    assert replay.plan.x.shape == replay.x.shape
+    start = made.steps.filter(agent="charms", traffic="Bend", episode=1, step=1)
+    frame = replay.frame_of(1)
+    assert replay.x[frame, 0] == pytest.approx(start["x"][0], rel=1e-6)
+    # The u-turn begins at (0, 44) and leads to larger x.
+    assert replay.plan.x[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert replay.plan.y[0, 0] == pytest.approx(44.0, abs=1e-9)
+    replay.animate(tmp_path / "bend.gif")
+    assert (tmp_path / "bend.gif").stat().st_size > 10_000
+
+
+def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:
+    rows = {"episode": [0, 1, 2], "ending": ["goal", "time", "goal"], "steps": [3, 9, 6]}
+    episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0]})
+    reached, time = ROADS.metrics
+    sums = episodes.group_by("episode", maintain_order=True).agg(
+        *(
+            each.cast(pl.Float64).alias(f"{m.name} {k}")
+            for m in (reached, time)
+            for k, each in enumerate(m.sums)
+        )
+    )
+    totals = sums.fill_null(0.0).sum()
+    assert totals["goal_reached 1"].item() / totals["goal_reached 0"].item() == pytest.approx(2 / 3)
+    assert totals["time_to_goal 1"].item() / totals["time_to_goal 0"].item() == pytest.approx(1.5)
+
+
+def test_suites_without_roads_keep_their_fingerprint() -> None:
+    suite = Suite.model_validate(
+        {
+            "suite": "s",
+            "episodes": 1,
+            "egos": [{"agent": "idm_mobil"}],
+            "traffic_models": [{"traffic": "idm_mobil"}],
+        }
+    )
+    assert "road" not in suite.model_dump(mode="json")["traffics"][0]["traffic"]
+    assert "network" not in suite.model_dump(mode="json")["scene"]
