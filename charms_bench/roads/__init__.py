@@ -46,6 +46,6 @@ TASKS = {
 """The modules and classes of the environments by highway-env's names."""
 
 OF_SUITES = tuple(
-    name for name in TASKS if name.startswith(("merge", "two-way", "exit", "u-turn", "roundabout"))
+    name for name in TASKS if name.startswith(("merge", "exit", "u-turn", "roundabout"))
 )
 """The environments on whose roads agents of the straight road drive the ego."""

@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import normal
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
@@ -29,16 +28,6 @@ class TwoWay(Task):
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, self.weights, rewards)
-
-    def has_reached_goal(self, scenes: Scenes) -> Bools:
-        """Whether each ego (B,) has overtaken all that drive its way, and is in its lane.
-
-        At the end of the road, vehicles turn round, which does not count.
-        """
-        vehicles = scenes.vehicles
-        x, others, is_back = vehicles["x"], vehicles[:, 1:4], vehicles["lane"][:, 0] == self._own
-        go_its_way = (others["direction_x"] > 0).all(axis=1)
-        return np.asarray((x[:, 0] > others["x"].max(axis=1)) & is_back & go_its_way)
 
 
 @compiled_of_scenes

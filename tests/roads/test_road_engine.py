@@ -103,15 +103,6 @@ def test_in_bends_x_grows_by_the_distance_that_the_ego_drives(road: str) -> None
     assert made.scene.x[:, 0] - start == pytest.approx(driven, rel=0.1)
 
 
-def test_oncoming_vehicles_drive_towards_the_ego() -> None:
-    scene = simulation("two-way-v0", "idm_mobil", 5).scene
-    assert scene.direction_x[:, 4:] == pytest.approx(-1.0)
-    assert (scene.x[:, 4:] > 100).all()
-    assert scene.direction_x[:, 1:4] == pytest.approx(1.0)
-    assert (scene.lane[:, 1:4] == 1).all()
-    assert (scene.lane[:, 4:] == 0).all()
-
-
 def test_the_leader_is_the_vehicle_ahead_along_the_ring() -> None:
     made = simulation("roundabout-v0", "idm_mobil", 20, duration_s=20.0)
     found = 0
