@@ -39,7 +39,9 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         collision=collision[:1],
         action=np.zeros((1, vehicles), dtype=np.int64),
         has_action=np.zeros((1, vehicles), dtype=np.bool_),
-        settings=SimpleNamespace(decision_hz=3, simulation_hz=15, decisions=decisions, inflow=None),
+        settings=SimpleNamespace(
+            decision_hz=3, simulation_hz=15, decisions=decisions, inflow=None, network=None
+        ),
         collision_watchers=[],
         ego_agent="0",
         playback=None,
@@ -75,7 +77,7 @@ def vehicles_of(scene: Scene) -> Any:
     simulation: Any = SimpleNamespace(
         playback=None,
         scene=scene,
-        settings=SimpleNamespace(inflow=None),
+        settings=SimpleNamespace(inflow=None, network=None),
         steps=np.zeros(shape[0], dtype=np.int64),
         collision=np.zeros(shape, dtype=np.int8),
         action=np.zeros(shape, dtype=np.int64),

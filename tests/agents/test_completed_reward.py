@@ -218,7 +218,7 @@ def examples() -> dict[str, tuple[float, float]]:
         "$r_s$, leaving a lane 5 m behind a leader at 27.5 m/s": both(leaving, SAFETY),
         "$r_e$ at 32 m/s": both(simulation_of((500.0, 1, 32.0)), EFFICIENCY),
         "$r_c$, same action, 1.2 m/s²": both(lone, COMFORT, gained_mps=1.2 / HZ),
-        "$r_o$, nobody affected": both(lone, SAFETY, 90.0),
+        "$r_o$, no vehicle affected": both(lone, SAFETY, 90.0),
         "failure / $\\cos\\varphi$, egoistic": failure(0.0),
         "failure / $\\cos\\varphi$, prosocial": failure(45.0),
         "failure / $\\cos\\varphi$, altruistic at 67.5°": failure(67.5),

@@ -135,7 +135,7 @@ def test_the_files_of_two_cells_never_have_the_same_name(run: charms_bench.Run) 
     egos = [{"agent": "idm_mobil", "label": label} for label in ("A/B", "A B", "a-b", "x in y")]
     traffics = [{"traffic": "idm_mobil", "label": label} for label in ("z", "y-in-z")]
     fields = run.suite.model_dump() | {"egos": [*egos, {"agent": "idm_mobil", "label": "x"}]}
-    suite = Suite.model_validate(fields | {"traffic_models": traffics})
+    suite = Suite.model_validate(fields | {"traffics": traffics})
     names = [dataset.name_of(suite, cell) for cell in suite.cells]
     assert len(set(names)) == len(names) == 10
     assert names[::2][:3] == ["a-b-in-z", "a-b-2-in-z", "a-b-3-in-z"]
