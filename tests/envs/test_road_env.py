@@ -367,3 +367,19 @@ def test_a_vector_environment_draws_every_scene() -> None:
 def test_an_unknown_render_mode_is_rejected_by_name() -> None:
     with pytest.raises(InputError, match="merge-v0: no render_mode 'ansi'; expected 'rgb_array'"):
         RoadEnv("merge-v0", render_mode="ansi")
+
+
+def test_a_change_of_the_configuration_counts_from_the_next_reset_on() -> None:
+    changed, given = ours("merge-v0"), ours("merge-v0", config={"policy_frequency": 3})
+    changed.reset(seed=0)
+    changed.unwrapped.config["policy_frequency"] = 3
+    for env in (changed, given):
+        env.reset(seed=1)
+    np.testing.assert_array_equal(changed.step(3)[0], given.step(3)[0])
+
+
+def test_a_wrong_change_of_the_configuration_is_rejected_at_the_next_reset() -> None:
+    env = ours("merge-v0").unwrapped
+    env.configure({"lanes": 3})
+    with pytest.raises(InputError, match="merge-v0: config: no key named 'lanes'"):
+        env.reset()
