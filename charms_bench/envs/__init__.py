@@ -1,5 +1,5 @@
 """Gymnasium environments. Importing this package registers `charms_bench/Ego-v0`, and
-highway-env's other roads under its own names, such as `charms_bench/merge-v0`.
+highway-env's environments under its own names, such as `charms_bench/merge-v0`.
 
     import gymnasium
     import charms_bench.envs
