@@ -71,10 +71,19 @@ class RecordedCell:
             settings: Other settings than the suite's.
             is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. It keeps
                 the speed steps of its agent.
+
+        Raises:
+            InputError: Guests, or an ego driven from outside, on a road of highway-env.
         """
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
+            if cell.scene.network is not None:
+                raise InputError(
+                    f"{cell.scene.network}: on this road, an episode cannot be driven again by "
+                    "others than its agents; what-if, --avoidable and datasets that can be "
+                    "recovered need the straight road"
+                )
             traffic = _WithGuests(traffic, tuple({**agents, **guests}))
         key, steps = cell.ego.agent.key, ()
         if is_ego_outside:

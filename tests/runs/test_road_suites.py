@@ -1,6 +1,7 @@
-"""Suites on highway-env's other roads: rows, tables, resumed runs and replays."""
+"""Suites on highway-env's roads: rows, tables, resumed runs and replays."""
 
 from collections.abc import Generator
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
+from charms_bench.errors import InputError
 from charms_bench.metrics import ROADS
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
@@ -70,6 +72,17 @@ def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Pa
     assert replay.plan.y[0, 0] == pytest.approx(44.0, abs=1e-9)
     replay.animate(tmp_path / "bend.gif")
     assert (tmp_path / "bend.gif").stat().st_size > 10_000
+
+
+def test_another_agent_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
+    with pytest.raises(InputError, match="u-turn-v1: on this road, an episode cannot be driven"):
+        made.what_if(1, 2, agent="idm_mobil", ego="charms", traffic="Bend")
+
+
+def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: Any) -> None:
+    page = unescape(made.report(made.path / "report.html").read_text(encoding="utf-8"))
+    assert "highway-env's roads and vehicles" in page
+    assert "density 1" not in page
 
 
 def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:

@@ -108,6 +108,8 @@ def _scenes(suite: Suite) -> str:
     scene = suite.scene
     if place(suite) == "scenario":
         return f"{scene.lanes} lanes, vehicles placed by scenarios"
+    if all(each.traffic.road for each in suite.traffics):
+        return "highway-env's roads and vehicles"
     return f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}"
 
 
