@@ -185,6 +185,24 @@ def test_what_a_follower_gains_counts_as_a_share_of_6_mps2(
     assert float(reward(simulation, prepared)[0]) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("follower_lane", "change_mps2"),
+    [(1, 0.0), (0, -0.75)],  # the one behind is freed, or one on the target lane expects to brake
+)
+def test_where_gains_do_not_count_only_what_followers_lose_does(
+    follower_lane: int, change_mps2: float
+) -> None:
+    vehicles = (586.0, 1, 33.0), (500.0, follower_lane, 33.0)
+    simulation = simulation_of(*vehicles)
+    scales = RewardScales(others_gain_mps2=0.0, others_acceleration_mps2=0.5)
+    reward = CompletedReward(SAFETY, SVO_ANGLES_RAD["prosocial"], scales)
+    prepared = reward.prepare(simulation, IDLING)
+    place(simulation.scene, *vehicles, target_lane=0)
+    safe = safety(simulation.scene, scales)[0]
+    expected = math.sqrt(0.5) * (safe + change_mps2 / 0.5)
+    assert float(reward(simulation, prepared)[0]) == pytest.approx(expected)
+
+
 def examples() -> dict[str, tuple[float, float]]:
     """The values of the examples of `docs/reward.md`, by both rewards."""
 

@@ -108,7 +108,7 @@ def gain(
     """r_o of a decision that leads from one scene to another."""
     prepared = StyleReward(SAFE, SVO_ANGLES_RAD["prosocial"]).prepare(before, IDLING)
     place(before.scene, *vehicles, target_lane=target_lane)
-    return float(others(before.scene, prepared.affected)[0])
+    return float(others(before.scene, prepared.affected, 3.0)[0])
 
 
 # At 33 m/s nobody accelerates freely, and the desired gap to an equally fast leader is

@@ -9,7 +9,7 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
 - r_c (eq. 6) is about what passengers feel: the acceleration, its change, and lane changes begun.
 - A failure is a cost of the ego's own, so it is weighed by cos phi like everything that the ego
   wants for itself: for all orientations, a crash costs equally many units of the own reward.
-- r_o (eq. 7) is divided by its largest value and is 0 when nobody is affected.
+- r_o (eq. 7) is divided by a scale, by default its largest value, and is 0 when nobody is affected.
 """
 
 import math
@@ -52,6 +52,10 @@ class RewardScales(FrozenModel):
     """A mean acceleration of this over a decision takes 1 off r_c, twice this takes 4."""
     jerk_mps3: Positive = 3.0
     """A change of the acceleration of this between two decisions takes 1 off r_c."""
+    others_acceleration_mps2: Positive = 2 * INCREASE_LIMIT_MPS2
+    """r_o is 1 if followers gain this, and -1 if they lose it."""
+    others_gain_mps2: NonNegative = INCREASE_LIMIT_MPS2
+    """What each follower gains at most; with 0, only what followers lose counts."""
     lane_change_cost: NonNegative = 60.0
     """What a lane change that begins takes off r_c."""
     failure_cost: NonNegative = 60.0
@@ -102,7 +106,8 @@ class CompletedReward:
         own = np.where(simulation.failed, -self.scales.failure_cost, own)
         rewards = math.cos(self.angle_rad) * own
         if others_share := math.sin(self.angle_rad):
-            gain = others(scene, prepared.affected) / (2 * INCREASE_LIMIT_MPS2)
+            gain = others(scene, prepared.affected, self.scales.others_gain_mps2)
+            gain /= self.scales.others_acceleration_mps2
             rewards += others_share * np.where(simulation.failed, 0.0, gain)
         return rewards
 

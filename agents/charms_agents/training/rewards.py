@@ -108,7 +108,8 @@ class StyleReward:
         )
         rewards = own_share * own / weights.largest
         if others_share:
-            rewards += others_share * (others(scene, prepared.affected) + 6) / 12
+            gain = others(scene, prepared.affected, INCREASE_LIMIT_MPS2)
+            rewards += others_share * (gain + 6) / 12
         return np.where(simulation.failed, FAILURE, rewards)
 
 
@@ -147,8 +148,10 @@ def affected(scene: Scene, egos: Vehicles, others_count: bool) -> Affected:
 
 
 @compiled
-def others(scene: Scene, before: Affected) -> Floats:
-    """r_o (B,), eq. 7: gain in acceleration of the followers in both lanes, from -6 to 6 m/s2.
+def others(scene: Scene, before: Affected, most_mps2: float) -> Floats:
+    """r_o (B,), eq. 7: gain in acceleration of the followers in both lanes, from -6 m/s2.
+
+    Each gains at most `most_mps2`, which is 3 m/s2 in the paper.
 
     The followers are the vehicles behind the ego in its lane and in its target lane; without a
     lane change there is only one. Their expected accelerations before the decision are compared
@@ -159,9 +162,9 @@ def others(scene: Scene, before: Affected) -> Floats:
     result = np.empty(scene.ego.size)
     for b in range(result.size):
         lane, target = before.lane[b], scene.target_lane[b, scene.ego[b]]
-        result[b] = _increase(scene, b, lane, before)
+        result[b] = _increase(scene, b, lane, before, most_mps2)
         if target != lane:
-            result[b] += _increase(scene, b, target, before)
+            result[b] += _increase(scene, b, target, before, most_mps2)
     return result
 
 
@@ -225,9 +228,9 @@ def _expected(scene: Scene, matters: bool) -> tuple[Ints, Floats]:
 
 
 @compiled
-def _increase(scene: Scene, b: int, lane: int, before: Affected) -> float:
+def _increase(scene: Scene, b: int, lane: int, before: Affected, most_mps2: float) -> float:
     follower = before.followers[b, lane]
     if follower < 0:
         return 0.0
     gain = expected_acceleration(scene, b, follower, lane) - before.expected[b, lane]
-    return float(min(max(gain, -INCREASE_LIMIT_MPS2), INCREASE_LIMIT_MPS2))
+    return float(min(max(gain, -INCREASE_LIMIT_MPS2), most_mps2))
