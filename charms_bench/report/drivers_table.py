@@ -34,7 +34,7 @@ def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
     sums = _sums(cell)
     metrics = OF_DRIVERS * len(sums)
     every = [each for of_driver in sums.values() for each in of_driver]
-    estimates = estimate(metrics, every, np.random.default_rng(suite.seed))
+    estimates = estimate(metrics, every, suite.seed)
     records = []
     for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
         numbers = (found.value, found.low, found.high, found.n)

@@ -106,7 +106,7 @@ def realism_table(
         simulated = {
             name: (
                 each.sum(axis=0).astype(np.float64),
-                resampled_totals([each], np.random.default_rng(suite.seed)),
+                resampled_totals([each], suite.seed),
             )
             for name, each in counts.items()
         }

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import polars as pl
 
 from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
@@ -52,7 +51,7 @@ def part_of(
     metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
     names = [(each.label, metric.name) for each in metric_sets for metric in each.metrics]
     sums = cell.sums(metrics, suite.scene)
-    estimates = estimate(metrics, sums, np.random.default_rng(suite.seed))
+    estimates = estimate(metrics, sums, suite.seed)
     records = []
     for (label, metric), found in zip(names, estimates, strict=True):
         paper = cell.paper.get(metric) if label == PAPER.label else None

@@ -9,8 +9,9 @@ Wilson (1927) and Garwood (1936).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -121,25 +122,42 @@ def resample(rng: np.random.Generator, episodes: int, resamples: int = RESAMPLES
     return counts.reshape(resamples, episodes).astype(np.float64)
 
 
-def resampled_totals(sums: Sequence[Floats | Ints], rng: np.random.Generator) -> Floats:
-    """The totals [RESAMPLES, K] of all columns of some sums [E, k] over each resample."""
-    episodes = len(sums[0])
-    at_once = max(1, WEIGHTS_LIMIT // max(episodes, 1))
-    blocks = []
-    for start in range(0, RESAMPLES, at_once):
-        weights = resample(rng, episodes, min(at_once, RESAMPLES - start))
-        totals: Floats | float = 0.0
-        for first in range(0, max(episodes, 1), EPISODES_AT_ONCE):
+def resampled_totals(sums: Sequence[Floats | Ints], source: int | np.random.Generator) -> Floats:
+    """The totals [RESAMPLES, K] of all columns of some sums [E, k] over each resample.
+
+    The source of the resamples is a seed, or a generator that is then used further.
+    """
+    totals = []
+    for weights in _resamples(source, len(sums[0])):
+        total: Floats | float = 0.0
+        for first in range(0, max(weights.shape[1], 1), EPISODES_AT_ONCE):
             part = slice(first, first + EPISODES_AT_ONCE)
             values = np.concatenate([each[part] for each in sums], axis=1, dtype=np.float64)
-            totals = totals + weights[:, part] @ values
-        blocks.append(totals)
-    return np.concatenate(blocks)
+            total = total + weights[:, part] @ values
+        totals.append(total)
+    return np.concatenate(totals)
 
 
-def estimate(
-    metrics: Sequence[Metric], sums: Sequence[Floats], rng: np.random.Generator
-) -> list[Estimate]:
+def _resamples(source: int | np.random.Generator, episodes: int) -> Iterator[Floats]:
+    """`RESAMPLES` resamples in blocks of at most `WEIGHTS_LIMIT` weights."""
+    at_once = max(1, WEIGHTS_LIMIT // max(episodes, 1))
+    if isinstance(source, int) and at_once >= RESAMPLES:
+        yield _one_block(source, episodes)
+        return
+    rng = np.random.default_rng(source)
+    for start in range(0, RESAMPLES, at_once):
+        yield resample(rng, episodes, min(at_once, RESAMPLES - start))
+
+
+@lru_cache(maxsize=1)
+def _one_block(seed: int, episodes: int) -> Floats:
+    """All resamples, kept because the cells of a suite share them."""
+    weights = resample(np.random.default_rng(seed), episodes)
+    weights.flags.writeable = False
+    return weights
+
+
+def estimate(metrics: Sequence[Metric], sums: Sequence[Floats], seed: int) -> list[Estimate]:
     """The value and the interval of each metric; all bootstraps share one set of resamples.
 
     `sums` are the metrics' sums [E, k], one row per episode (`metrics.sums_by_episode`).
@@ -148,7 +166,7 @@ def estimate(
     resampled: dict[int, Floats] = {}
     if places:
         ends = np.cumsum([sums[i].shape[1] for i in places])[:-1]
-        totals = resampled_totals([sums[i] for i in places], rng)
+        totals = resampled_totals([sums[i] for i in places], seed)
         resampled = dict(zip(places, np.split(totals, ends, axis=1), strict=True))
     return [
         _estimate(metric, each, resampled.get(i))

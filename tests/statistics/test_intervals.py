@@ -19,7 +19,7 @@ from charms_bench.statistics.intervals import (
 
 def interval_of(sums: list[list[float]], interval: Interval) -> tuple[float, float]:
     array = np.array(sums, dtype=np.float64)
-    (result,) = estimate([metric_of(interval)], [array], np.random.default_rng(0))
+    (result,) = estimate([metric_of(interval)], [array], 0)
     return result.low, result.high
 
 
@@ -61,7 +61,7 @@ def test_the_bootstrap_interval_of_a_ratio_is_scipys() -> None:
     rng = np.random.default_rng(2)
     steps = rng.integers(5, 60, size=200).astype(float)
     total = steps * rng.normal(25.0, 2.0, size=200)
-    (ours,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], rng)
+    (ours,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], 2)
     theirs = stats.bootstrap(
         (steps, total),
         lambda n, s, axis=-1: s.sum(axis=axis) / n.sum(axis=axis),
@@ -80,7 +80,7 @@ def test_the_bootstrap_interval_of_a_standard_deviation_is_scipys() -> None:
     rng = np.random.default_rng(3)
     sample = rng.normal(5.0, 2.0, size=300)
     sums = np.stack([np.ones(300), sample, sample**2], axis=1)
-    (ours,) = estimate([metric_of(value=standard_deviation)], [sums], rng)
+    (ours,) = estimate([metric_of(value=standard_deviation)], [sums], 3)
     theirs = stats.bootstrap(
         (sample,), np.std, method="percentile", n_resamples=5000, rng=rng
     ).confidence_interval
@@ -93,19 +93,19 @@ def test_the_bootstrap_interval_of_a_standard_deviation_is_scipys() -> None:
 def test_about_95_of_100_intervals_hold_the_truth() -> None:
     rng = np.random.default_rng(4)
     held = 0
-    for _ in range(200):
+    for seed in range(200):
         steps = np.full(80, 60.0)
         # Steps of an episode depend on one another: the mean of each is drawn.
         total = steps * rng.normal(25.0, 2.0, size=80)
-        (result,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], rng)
+        (result,) = estimate([metric_of()], [np.stack([steps, total], axis=1)], seed)
         held += result.low <= 25.0 <= result.high
     assert 0.90 <= held / 200 <= 0.985
 
 
-def test_the_same_generator_gives_the_same_interval_whatever_is_beside_it() -> None:
+def test_the_same_seed_gives_the_same_interval_whatever_is_beside_it() -> None:
     sums = np.random.default_rng(5).random((40, 2))
-    (alone,) = estimate([metric_of()], [sums], np.random.default_rng(6))
-    pair = estimate([metric_of()] * 2, [sums, sums + 1], np.random.default_rng(6))
+    (alone,) = estimate([metric_of()], [sums], 6)
+    pair = estimate([metric_of()] * 2, [sums, sums + 1], 6)
     assert pair[0].low == pytest.approx(alone.low, rel=1e-12)
     assert pair[0].high == pytest.approx(alone.high, rel=1e-12)
 
@@ -198,7 +198,7 @@ def test_what_is_not_defined_has_no_interval(interval: Interval) -> None:
 
 
 def test_no_episodes_give_no_numbers() -> None:
-    (result,) = estimate([metric_of()], [np.empty((0, 2))], np.random.default_rng(0))
+    (result,) = estimate([metric_of()], [np.empty((0, 2))], 0)
     assert np.isnan([result.value, result.low, result.high]).all()
     assert result.n == 0
     assert resample(np.random.default_rng(0), 0).shape == (RESAMPLES, 0)
@@ -209,4 +209,4 @@ def test_resamples_in_blocks_are_the_same_resamples(monkeypatch: pytest.MonkeyPa
     whole = resample(np.random.default_rng(1), 7) @ np.concatenate(sums, axis=1)
     monkeypatch.setattr(intervals, "WEIGHTS_LIMIT", 20)
     monkeypatch.setattr(intervals, "EPISODES_AT_ONCE", 3)
-    np.testing.assert_array_equal(resampled_totals(sums, np.random.default_rng(1)), whole)
+    np.testing.assert_array_equal(resampled_totals(sums, 1), whole)
