@@ -97,6 +97,17 @@ STYLE_FORMS = {
     "imposed_braking_mean": ".3f",
     "gaps_taken_per_1000km": ".1f",
 }
+FAULT = "crashed_at_fault"
+STYLE_MEANS = {
+    "speed_mean": ("speed, m/s", ".2f"),
+    "time_headway_mean": ("mean headway, s", ".2f"),
+    "lane_changes_per_km": ("lane changes per km", ".2f"),
+    "imposed_braking_mean": ("imposed braking, m/s²", ".2f"),
+    "gaps_taken_per_1000km": ("gaps taken per 1,000 km", ".1f"),
+    FAULT: ("crashed at fault", ".2%"),
+    "worst": ("worst seed", ".2%"),
+}
+"""Header and format of what the table of styles shows."""
 BEFORE = " before fine-tuning"
 OF_AN_EPISODE = (
     "speed_mean",
@@ -264,7 +275,7 @@ def t_interval(values: Floats) -> Bounds:
 def plan_styles(run: Path) -> str:
     """What the plan says of the styles, before and after fine-tuning, and how far they differ."""
     finished = open_finished(run)
-    scene, names = finished.suite.scene, tuple(STYLE_FORMS)
+    scene, names = finished.suite.scene, tuple(name for name in STYLE_MEANS if name != "worst")
     networks = [each.agent.rpartition(", seed ") for each in finished.cells()]
     found = [_values(each, _metrics(names), scene) for each in finished.cells()]
     values = pl.DataFrame(
@@ -282,10 +293,20 @@ def plan_styles(run: Path) -> str:
     styles = after["style"].n_unique()
     chance = f"{1 / styles:.1%}".replace("%", " %")
     return (
-        f"{style_statements(before, after)}\n{style_variances(after)}\nFrom one episode, the style "
-        f"is told right in {accuracy} of the cases (mean over {told.size} training seeds, each "
-        f"held out from the classifier); by chance it would be {chance}.\n"
+        f"{style_means(after)}\n{style_statements(before, after)}\n{style_variances(after)}\n"
+        f"From one episode, the style is told right in {accuracy} of the cases (mean over "
+        f"{told.size} training seeds, each held out from the classifier); by chance it would be {chance}.\n"
     )
+
+
+def style_means(values: pl.DataFrame) -> str:
+    """The mean of every style over its seeds, and of `FAULT` the worst seed, too."""
+    worst = values.group_by("style").agg(pl.col(FAULT).max().alias("worst"))
+    means = values.group_by("style", maintain_order=True).agg(pl.exclude("seed").mean())
+    shown = means.join(worst, on="style", maintain_order="left").select("style", *STYLE_MEANS)
+    forms = {name: form for name, (_, form) in STYLE_MEANS.items()}
+    headers = [header for header, _ in STYLE_MEANS.values()]
+    return markdown(Table.plain(shown.to_dicts(), ("style",), forms).named(*headers))
 
 
 def style_statements(before: pl.DataFrame, after: pl.DataFrame) -> str:

@@ -78,6 +78,24 @@ def test_a_difference_of_styles_is_paired_by_seed(tool: ModuleType) -> None:
     assert f"{difference:.3f} [{expected.low:.3f}, {expected.high:.3f}]" in faster
 
 
+def test_a_style_is_shown_by_the_means_of_its_seeds_and_its_worst_crash_rate(
+    tool: ModuleType,
+) -> None:
+    shown = dict.fromkeys((name for name in tool.STYLE_MEANS if name != "worst"), 0.0)
+    rows = [
+        {"style": style, "seed": seed, **shown, "speed_mean": speed, "crashed_at_fault": rate}
+        for style, seed, speed, rate in [
+            ("Safe", 1, 23.0, 0.01),
+            ("Efficient", 1, 26.0, 0.0),
+            ("Safe", 2, 24.0, 0.02),
+            ("Efficient", 2, 26.5, 0.0),
+        ]
+    ]
+    safe, efficient = tool.style_means(pl.DataFrame(rows)).splitlines()[2:]
+    assert safe == "| Safe | 23.50 | 0.00 | 0.00 | 0.00 | 0.0 | 1.50 % | 2.00 % |"
+    assert efficient.startswith("| Efficient | 26.25 |")
+
+
 def test_variances_of_styles_and_seeds_are_those_of_the_simulated_model(tool: ModuleType) -> None:
     rng = np.random.default_rng(1)
     rows = []
