@@ -295,7 +295,8 @@ def plan_styles(run: Path) -> str:
     return (
         f"{style_means(after)}\n{style_statements(before, after)}\n{style_variances(after)}\n"
         f"From one episode, the style is told right in {accuracy} of the cases (mean over "
-        f"{told.size} training seeds, each held out from the classifier); by chance it would be {chance}.\n"
+        f"{told.size} training seeds, each held out from the classifier); by chance it would be "
+        f"{chance}.\n"
     )
 
 

@@ -32,6 +32,7 @@ STATE = np.dtype(
     [
         ("place", np.float64),
         ("cut_in", np.int32),
+        ("pressed", np.int32),
         ("cutter", np.int16),
         ("near", np.int16),
         ("leader_began", np.bool_),
@@ -43,6 +44,7 @@ STATE = np.dtype(
 
 near: The leader with which it has a near miss; `leader_began` and `in_conflict` describe that.
 cutter: The vehicle that cut in at the decision `cut_in`; the follower reaches its rear at `place`.
+pressed: The decision at which another vehicle was last too close behind it.
 """
 
 
@@ -138,7 +140,7 @@ def note_drivers(
         note_encroachments(now, before, decision, interval_s, driver, met, summed)
         note_lane_changes(road, now, before, decision, driver, new_followers[b], summed)
         note_conflicts(road, now, decision, interval_s, moment.ends, driver, met, summed)
-        note_rss(road, now, interval_s, driver, summed)
+        note_rss(road, now, decision, interval_s, driver, met, summed)
 
 
 @inlined

@@ -57,7 +57,8 @@ def note_lane_changes(
     latest = decision % window
     for i in range(now.size):
         own, was = now[i], before[i]
-        if own.lost:
+        has_same_lanes = (own.lane == was.lane) & (own.target_lane == was.target_lane)
+        if own.lost or (has_same_lanes & (decision > own.lane_since + window)):
             continue
         mine, wanted = sums[driver[i]], was.target_lane
         new_followers[i, latest] = NOBODY

@@ -8,8 +8,6 @@ under control, because each is judged as one driver among others.
 
 from typing import Any
 
-import numpy as np
-
 from charms_bench.foundation.compiled import index, inlined
 from charms_bench.recording.primitives import distance_to
 from charms_bench.world.gaps import gap_to, side_gap
@@ -53,9 +51,10 @@ def _drift(towards_mps: float) -> float:
 
 
 @inlined
-def note_rss(road: Straight, now: Any, interval_s: float, driver: Ints, sums: Any) -> None:
+def note_rss(
+    road: Straight, now: Any, decision: int, interval_s: float, driver: Ints, state: Any, sums: Any
+) -> None:
     """Adds the time in danger from the nearest vehicles ahead on the own and adjacent lanes."""
-    is_pressed = np.zeros(now.size, dtype=np.bool_)
     for i in range(now.size):
         own = now[i]
         if own.lost:
@@ -75,7 +74,9 @@ def note_rss(road: Straight, now: Any, interval_s: float, driver: Ints, sums: An
                 continue
             gap = gap_to(distance_to(road, own, other), own.length, other.length)
             if gap < safe_distance(forward, other.speed * other.direction_x):
-                is_too_close = is_pressed[j] = True
-        sums[driver[i]].rss_by_s += interval_s * is_too_close
-    for i in range(now.size):
-        sums[driver[i]].rss_to_s += interval_s * (is_pressed[i] & (not now[i].lost))
+                is_too_close = True
+                if state[j].pressed != decision and not other.lost:
+                    sums[driver[j]].rss_to_s += interval_s
+                state[j].pressed = decision
+        if is_too_close:
+            sums[driver[i]].rss_by_s += interval_s
