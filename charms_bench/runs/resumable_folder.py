@@ -26,7 +26,13 @@ from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
 from charms_bench.runs.manifest import check_fields, opened, read_manifest
 from charms_bench.runs.shard import ShardFiles
-from charms_bench.runs.shard_rows import check_seeds, problem_between, problem_of_egos, rows_in
+from charms_bench.runs.shard_rows import (
+    check_seeds,
+    check_values,
+    problem_between,
+    problem_of_egos,
+    rows_in,
+)
 from charms_bench.runs.shards import NAME, Shard, places_of, shard_named
 from charms_bench.runs.suite import PRESENTATION, Suite
 
@@ -248,7 +254,8 @@ class RunFolder:
             RunFolderError: A file is missing, has changed since it was written, or has rows of
                 other episodes.
         """
-        rows = pl.concat([self._read(kind, shard) for shard in shards])
+        parts = {self._file(kind, shard.name): self._read(kind, shard) for shard in shards}
+        rows = check_values(kind, parts)
         if "agent" not in rows.columns:
             return rows
         names = {f"{sha256}.onnx": name for name, sha256 in self.network_hashes().items()}
@@ -280,7 +287,8 @@ class RunFolder:
         Raises:
             RunFolderError: The file cannot be read, or has no rows of this shard.
         """
-        return rows_in(self.content(kind, shard), kind, shard, self._file(kind, shard.name))
+        path = self._file(kind, shard.name)
+        return check_values(kind, {path: rows_in(self.content(kind, shard), kind, shard, path)})
 
     def damaged_files(self, shard: Shard) -> list[Path]:
         """Returns the files of a shard that are missing or do not match their checksums."""
@@ -302,7 +310,10 @@ class RunFolder:
             files = {kind: _content(path) for kind, path in paths.items()}
             if _content(self._checksums(name)) != _checksums(name, files):
                 return None
-            rows = {kind: rows_in(files[kind], kind, shard, path) for kind, path in paths.items()}
+            rows = {
+                kind: check_values(kind, {path: rows_in(files[kind], kind, shard, path)})
+                for kind, path in paths.items()
+            }
         except RunFolderError:
             return None
         return None if problem_between(rows, shard.ego) else files

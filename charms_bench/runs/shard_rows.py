@@ -49,7 +49,11 @@ _PARTS = {
 
 
 def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
-    """The rows of a kind of a shard in the Parquet file `path`; raises a `RunFolderError`."""
+    """The rows of a kind of a shard in the Parquet file `path`, all of one of its episodes.
+
+    Raises:
+        RunFolderError: They are others. `check_values` looks at their values.
+    """
     schema = SCHEMAS[kind]
     try:
         # Later versions may add columns; earlier ones recorded no lengths.
@@ -71,7 +75,7 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     elif len(rows) > ROWS_LIMIT:
         problem = f"holds more than {ROWS_LIMIT:,} rows"
     else:
-        problem = problem_of(kind, rows, shard.first_seed, shard.episodes)
+        problem = _problem_of_keys(kind, rows, shard.first_seed, shard.episodes)
     if problem:
         raise RunFolderError(f"{path}: {problem}; run the suite again")
     return rows
@@ -87,16 +91,35 @@ def check_seeds(data: bytes, shard: Shard, path: Path) -> None:
         )
 
 
-def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) -> str:
-    """Returns what is wrong with the rows of one of `SCHEMAS`; empty if nothing is.
+def _problem_of_keys(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) -> str:
+    """Returns what is wrong with the keys of the rows of one of `SCHEMAS`; empty if nothing is.
 
-    The rows have that schema's columns, and the episodes have successive seeds.
+    The episodes have successive seeds.
     """
     last = first_seed + episodes - 1
     if not rows["episode"].is_between(first_seed, last).all():
         return f"an episode is not one of {first_seed} to {last}"
     if any(rows[name].null_count() for name in _WITHOUT_NULL[kind]):
         return "a value is missing"
+    if kind == "episodes" and len(rows) != episodes:
+        return f"it has {len(rows)} of the {episodes} episodes {first_seed} to {last}"
+    if not _is_in_order(rows, _KEYS[kind]):
+        return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
+    return ""
+
+
+def check_values(kind: str, parts: Mapping[Path, pl.DataFrame]) -> pl.DataFrame:
+    """The rows of some files in one frame; raises a `RunFolderError` where a value cannot be."""
+    rows = pl.concat(parts.values())
+    if _problem_of_values(kind, rows):  # looking at each file takes as many times as long
+        for path, part in parts.items():
+            if problem := _problem_of_values(kind, part):
+                raise RunFolderError(f"{path}: {problem}; run the suite again")
+    return rows
+
+
+def _problem_of_values(kind: str, rows: pl.DataFrame) -> str:
+    """Returns what is wrong with the values of the rows of one of `SCHEMAS`; empty if nothing."""
     for name, column in zip(rows.columns, rows, strict=True):
         # A sum is quicker than looking at every number, and finite only if all of these are.
         if column.dtype.is_float() and not isfinite(column.sum()):
@@ -115,10 +138,6 @@ def problem_of(kind: str, rows: pl.DataFrame, first_seed: int, episodes: int) ->
         return f"a quantity is not one of {', '.join(QUANTITIES)}"
     if kind == "counts" and (rows["bin"] >= BINS).any():
         return f"a bin is not below {BINS}"
-    if kind == "episodes" and len(rows) != episodes:
-        return f"it has {len(rows)} of the {episodes} episodes {first_seed} to {last}"
-    if not _is_in_order(rows, _KEYS[kind]):
-        return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
     return ""
 
 
@@ -141,7 +160,7 @@ def problem_of_egos(drivers: pl.DataFrame, ego: str | None) -> str:
 def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
     """Returns what is wrong between the kinds of rows of a shard; empty if nothing is.
 
-    `problem_of` finds nothing in the rows. `ego` is its agent in driver rows; None is any.
+    `rows_in` and `check_values` find nothing in the rows. `ego` is its agent in driver rows; None is any.
     """
     if what := problem_of_steps(rows["episodes"], rows["steps"]):
         return what
