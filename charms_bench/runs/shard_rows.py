@@ -160,7 +160,8 @@ def problem_of_egos(drivers: pl.DataFrame, ego: str | None) -> str:
 def problem_between(rows: Mapping[str, pl.DataFrame], ego: str | None = None) -> str:
     """Returns what is wrong between the kinds of rows of a shard; empty if nothing is.
 
-    `rows_in` and `check_values` find nothing in the rows. `ego` is its agent in driver rows; None is any.
+    `rows_in` and `check_values` find nothing in the rows. `ego` is its agent in driver rows; None
+    is any.
     """
     if what := problem_of_steps(rows["episodes"], rows["steps"]):
         return what
