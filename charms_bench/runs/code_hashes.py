@@ -1,7 +1,8 @@
 """Hashes of the code that decides rows, so that rows from different code are never mixed.
 
 The rows of a shard depend on the module that workers run (`ENTRY`) and on every module that it
-imports, directly or not. These modules are found in the sources, so no list has to be kept.
+imports, directly or not. These modules are found in the sources, so no list has to be kept. The
+engine of highway-env's roads (`ROADS`) decides only the rows on these.
 """
 
 import ast
@@ -16,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 ENTRY = "charms_bench.runs.shard"
+ROADS = "charms_bench.roads"
 SOURCES = Path(__file__).parents[2]
 """The folder that holds this package."""
 _LIBRARIES = ("highway-env", "numba", "numpy", "onnxruntime", "polars")
@@ -30,11 +32,14 @@ def library_versions() -> dict[str, str]:
     return {name: version(name) for name in _LIBRARIES}
 
 
-def row_modules(sources: Path = SOURCES, entry: str = ENTRY) -> dict[str, Path]:
+def row_modules(
+    sources: Path = SOURCES, entry: str = ENTRY, without: str | None = None
+) -> dict[str, Path]:
     """Returns the modules of this package that decide rows, by name, with their files.
 
     They are `entry` and everything that it imports, inside functions too, except what only type
-    checkers import. Importing a module runs its parent packages, so these are included.
+    checkers import, and the package `without`. Importing a module runs its parent packages, so
+    these are included.
     """
     found: dict[str, Path] = {}
     waiting = [entry]
@@ -42,6 +47,8 @@ def row_modules(sources: Path = SOURCES, entry: str = ENTRY) -> dict[str, Path]:
         name = waiting.pop()
         path = sources.joinpath(*name.split("."))
         source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if without and f"{name}.".startswith(f"{without}."):
+            continue
         if name not in found and source.is_file():  # else it is a name inside a module
             found[name] = source
             waiting += [
@@ -69,9 +76,9 @@ def imported_modules(node: ast.AST) -> Iterator[str]:
 
 
 @cache
-def harness_sha256(sources: Path = SOURCES, entry: str = ENTRY) -> str:
+def harness_sha256(sources: Path = SOURCES, entry: str = ENTRY, without: str | None = None) -> str:
     """Returns the hash of `row_modules`."""
-    return _sha256(row_modules(sources, entry))
+    return _sha256(row_modules(sources, entry, without))
 
 
 @cache

@@ -30,7 +30,13 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drive
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.recording.columns import DRIVER_KEYS
 from charms_bench.recording.recording import Recording
-from charms_bench.runs.code_hashes import code_sha256, differences, harness_sha256, library_versions
+from charms_bench.runs.code_hashes import (
+    ROADS,
+    code_sha256,
+    differences,
+    harness_sha256,
+    library_versions,
+)
 from charms_bench.runs.intact import harness_names, problem_of
 from charms_bench.world.scene import SceneSettings
 
@@ -215,7 +221,8 @@ def in_parquet(rows: pl.DataFrame) -> bytes:
 def installed(ego: AgentSpec, traffic: TrafficSpec, networks: Mapping[str, Path]) -> Software:
     """Returns what is installed here and decides the rows of a cell."""
     agents = identify_agents(ego, traffic, networks)
-    return Software(harness_sha256(), library_versions(), agents)
+    code = harness_sha256(without=ROADS if traffic.road is None else None)
+    return Software(code, library_versions(), agents)
 
 
 def identify_agents(

@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from charms_bench.runs.code_hashes import SOURCES, harness_sha256, imported_modules, row_modules
+from charms_bench.runs.code_hashes import (
+    ROADS,
+    SOURCES,
+    harness_sha256,
+    imported_modules,
+    row_modules,
+)
 
 HARNESS = SOURCES / "charms_bench"
 UNRELATED = ("report", "cli", "statistics", "metrics", "episodes", "people", "envs", "testing")
@@ -57,6 +63,18 @@ def test_changing_any_module_that_decides_rows_changes_the_key(copied: Path) -> 
     assert len(hashes | {unchanged}) == len(row_modules(copied)) + 1
 
 
+def test_a_change_of_the_roads_leaves_the_rows_of_the_straight_road(copied: Path) -> None:
+    def hashes() -> list[str]:
+        return [harness_sha256.__wrapped__(copied, without=each) for each in (None, ROADS)]
+
+    every, straight = hashes()
+    (copied / "charms_bench" / "roads" / "stepping.py").write_bytes(b"#\n")
+    assert hashes()[0] != every
+    assert hashes()[1] == straight
+    (copied / "charms_bench" / "engine" / "stepping.py").write_bytes(b"#\n")
+    assert hashes()[1] != straight
+
+
 def test_changing_everything_that_only_presents_rows_does_not_change_the_key(copied: Path) -> None:
     harness = copied / "charms_bench"
     paths = [path for room in UNRELATED for path in (harness / room).rglob("*.py")]
@@ -87,7 +105,7 @@ def test_a_worker_imports_no_other_module_of_the_package() -> None:
     """With the project's plugins, whose own imports the key has to cover as well."""
     ran = subprocess.run([sys.executable, "-c", SIMULATES], capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
-    assert set(ran.stdout.split()) <= set(row_modules())
+    assert set(ran.stdout.split()) <= set(row_modules(without=ROADS))
 
 
 @pytest.mark.parametrize("name", row_modules())
