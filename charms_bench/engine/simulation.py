@@ -328,8 +328,10 @@ class Simulation:
         """The actions of M vehicles, in their decisions `number` (M,)."""
         name = self.agents[agent]
         kept: Any = (*vehicles, slice(self._kept_widths[agent]))
-        identity = self.scene.entry[vehicles].astype(np.uint64)
-        noise = uniforms(self.seeds[vehicles[0]], number, identity, policy.noise_draws)
+        noise = np.empty((vehicles[0].size, 0))
+        if policy.noise_draws:
+            identity = self.scene.entry[vehicles].astype(np.uint64)
+            noise = uniforms(self.seeds[vehicles[0]], number, identity, policy.noise_draws)
         rollouts = self._futures[agent].of(vehicles) if policy.rollouts_with else None
         try:
             with np.errstate():  # what a plugin sets is for itself
