@@ -2,8 +2,8 @@
 
 A level function is positive where the event does not happen, and falls towards 0 as it comes
 closer. The probability is a product: of the proportion of points below a first threshold, of that
-of these points below a second one, and so on until 0. Below each threshold, Markov chains start from the
-points that are already there and move by conditional sampling in standard normal space
+of these points below a second one, and so on until 0. Below each threshold, Markov chains start
+from the points that are already there and move by conditional sampling in standard normal space
 (Papaioannou et al. 2015, Prob. Eng. Mech. 41).
 
 Au & Beck choose each threshold from the points that are then counted, which makes the mean of the
