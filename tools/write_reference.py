@@ -69,7 +69,7 @@ KINDS = {
 
 INTERVALS = {
     "bootstrap": "bootstrap",
-    "share": "Wilson, effective n",
+    "proportion": "Wilson, effective n",
     "rate": "Poisson score, effective n",
     "wilson": "Wilson",
     "garwood": "Garwood",

@@ -116,7 +116,9 @@ def calibrate(
     ],
     to: Annotated[
         Path | None,
-        typer.Option(help="New file NAME.json for the population; the agent human can drive it."),
+        typer.Option(
+            help="New file NAME.json for the population, from which the agent human draws drivers."
+        ),
     ] = None,
     figure: FigurePath = None,
     as_json: Json = False,
@@ -192,7 +194,7 @@ def likeness(
         Literal["both", "selection", "test"],
         typer.Option(
             help="Compare with the first, third, ... of the held-out drivers (selection), or with "
-            "the others (test), so that what is chosen by some is reported on others."
+            "the others (test), to select an agent by some drivers and report it on others."
         ),
     ] = "both",
     controls: Annotated[

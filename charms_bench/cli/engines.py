@@ -143,7 +143,9 @@ def bench(
     vehicles: Annotated[
         int, typer.Option(min=6, max=2001, help="Vehicles per scene, including the ego.")
     ] = 21,
-    traffic: Annotated[str, typer.Option(help="Traffic of the compiled engine.")] = "idm_mobil",
+    traffic: Annotated[
+        str, typer.Option(help="Traffic model of the compiled engine.")
+    ] = "idm_mobil",
     seconds: Annotated[
         float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")
     ] = 2.0,

@@ -124,7 +124,8 @@ def run(
         ),
     ] = None,
     shorten: Annotated[
-        bool, typer.Option("--shorten", help="Delete finished episodes that the run no longer has.")
+        bool,
+        typer.Option("--shorten", help="Delete finished episodes that the suite no longer has."),
     ] = False,
     cluster: Annotated[
         str | None,

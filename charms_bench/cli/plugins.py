@@ -49,7 +49,7 @@ def agents(as_json: Json = False) -> None:
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def traffic(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="Traffic; its own options follow, e.g. --tau 1.5.")],
+    name: Annotated[str, typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5.")],
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
@@ -73,8 +73,8 @@ def traffic(
     if as_json:
         print_json({"traffic": name, "options": options, "shares": found})
         return
-    records = [{"agent": agent, "share": share} for agent, share in found.items()]
-    columns = (Column("share", form=".1%"),)
+    records = [{"agent": agent, "proportion": each} for agent, each in found.items()]
+    columns = (Column("proportion", form=".1%"),)
     out().print(drawn(Table.from_records(records, "shares", "", ("agent",), columns), out().width))
     say(f"Counted among {SAMPLED:,} vehicles.")
     if figure is not None:
@@ -99,7 +99,7 @@ def _options(words: list[str]) -> dict[str, Any]:
 
 @app.command()
 def check(
-    name: Annotated[str, typer.Argument(help="Agent or traffic.")], as_json: Json = False
+    name: Annotated[str, typer.Argument(help="Agent or traffic model.")], as_json: Json = False
 ) -> None:
     """Test whether a plugin follows the rules.
 

@@ -30,7 +30,7 @@ def rare(
     runs: Annotated[
         int,
         typer.Option(
-            help="Independent runs per ego and traffic, 5 to 1,000; more runs give a "
+            help="Independent runs per ego and traffic model, 5 to 1,000; more runs give a "
             "narrower interval."
         ),
     ] = 10,

@@ -108,7 +108,7 @@ EgoLabel = Annotated[
     str | None, typer.Option("--ego", help="Select the ego with this label in the tables.")
 ]
 TrafficLabel = Annotated[
-    str | None, typer.Option("--traffic", help="Select the traffic with this label in the tables.")
+    str | None, typer.Option("--traffic", help="Select the traffic model with this label.")
 ]
 SuiteFolder = Annotated[
     Path, typer.Option(help="Folder that relative paths in the suite refer to.")

@@ -64,7 +64,7 @@ OF_TRAFFIC = (
         "proportion of the other vehicles that collide or leave the road within an episode",
         rests_on="vehicles",
         counts=pl.first("traffic_vehicles"),
-        interval="share",
+        interval="proportion",
     ),
     Metric(
         name="traffic_crashes_per_1000km",

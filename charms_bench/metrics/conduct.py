@@ -13,8 +13,8 @@ from charms_bench.metrics.metric import Metric
 from charms_bench.recording.columns import DRIVER_SUMS
 
 _PER_1000KM = {
-    "gaps_lost": "lane changes given up because another vehicle took the gap",
-    "gaps_taken": "gaps taken from vehicles that gave up their lane changes",
+    "gaps_lost": "lane changes aborted because another vehicle took the gap",
+    "gaps_taken": "gaps taken from vehicles that then aborted their lane changes",
     "conflicts_to": "conflicts (TTC below 1.5 s) caused by another vehicle",
     "conflicts_by": "conflicts caused (TTC below 1.5 s)",
     "near_misses_to": "near misses (TTC below 1.5 s or DRAC above 3.35 m/s², and no collision) "
@@ -62,7 +62,7 @@ def conduct_metrics(of: Sums, who: str, prefix: str = "") -> tuple[Metric, ...]:
             f"2 s, {when} {who}",
             rests_on="encroachments",
             sums=(of(f"pet_{side}"), of(f"pet_below_2s_{side}")),
-            interval="share",
+            interval="proportion",
         )
         for side, when in (
             ("to", "after other vehicles change lanes ahead of"),
@@ -103,7 +103,7 @@ OF_DRIVERS = (
             description=f"proportion of {_VEHICLES} that {what}",
             rests_on="vehicles",
             sums=(pl.col("vehicles"), pl.col(column)),
-            interval="share",
+            interval="proportion",
         )
         for name, column, what in (
             ("crashed", "crashed", "collide or leave the road within an episode"),

@@ -47,19 +47,19 @@ def of_conflicts(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
     what = f"the bumper-to-bumper TTC falls below {threshold_s:g} s"
     return (
         *_often(driving, "conflict", is_below, begins, what),
-        conflicts.share(
+        conflicts.proportion(
             "conflicts_by_ego",
             CHANGER == EGO,
             "proportion of conflicts within 2 s after a lane change by which the ego got its "
             "leader",
         ),
-        conflicts.share(
+        conflicts.proportion(
             "conflicts_by_another",
             CHANGER == ANOTHER,
             "proportion of conflicts within 2 s after another vehicle's lane change, into or out "
             "of the ego's lane, by which the ego got its leader",
         ),
-        conflicts.share(
+        conflicts.proportion(
             "conflicts_by_closing_in",
             CHANGER == 0,
             "proportion of conflicts with a leader that the ego has had for longer than 2 s",

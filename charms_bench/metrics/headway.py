@@ -34,12 +34,12 @@ def of_headway(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
         driving.among("following steps", HEADWAY <= FREE_HEADWAY_S).mean(
             "time_headway_mean", "s", HEADWAY, "time headway while it is at most 6 s"
         ),
-        driving.share(
+        driving.proportion(
             f"time_headway_below_{in_name(threshold_s)}s",
             HEADWAY.lt(threshold_s),
             f"proportion of time with a time headway below {threshold_s:g} s",
         ),
-        near.share(
+        near.proportion(
             f"centre_headway_below_{in_name(threshold_s)}s",
             DISTANCE.lt(threshold_s * pl.col("speed")),
             "proportion of the time with a leader within 100 m in which the distance between "

@@ -24,7 +24,7 @@ def of_lane_changes(driving: Sample, limit_mps2: float) -> tuple[Metric, ...]:
     imposing = driving.among("lane changes with a follower", IMPOSED.is_not_null())
     return (
         driving.per_km("lane_changes_per_km", CHANGED, "lane changes"),
-        driving.among("lane changes", CHANGED).share(
+        driving.among("lane changes", CHANGED).proportion(
             "lane_changes_undone",
             UNDONE,
             f"proportion of lane changes of which the next leads back within {UNDONE_WITHIN_S:g} s",
@@ -56,7 +56,7 @@ def of_lane_changes(driving: Sample, limit_mps2: float) -> tuple[Metric, ...]:
             IMPOSED,
             "strongest braking of the new follower within 2 s after a lane change",
         ),
-        imposing.share(
+        imposing.proportion(
             f"imposed_braking_above_{in_name(limit_mps2)}",
             IMPOSED.gt(limit_mps2),
             "proportion of lane changes after which the new follower brakes by more than "

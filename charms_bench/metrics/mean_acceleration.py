@@ -32,7 +32,7 @@ def of_mean_acceleration(driving: Sample, strong_mps2: float) -> tuple[Metric, .
             MEAN_ACCELERATION,
             "change of speed between two decisions, divided by their interval (mean acceleration)",
         ),
-        intervals.share(
+        intervals.proportion(
             "strong_acceleration_rate",
             MEAN_ACCELERATION.abs().gt(strong_mps2),
             "proportion of the intervals between two decisions with a mean acceleration above "

@@ -13,17 +13,19 @@ import polars as pl
 
 from charms_bench.world.scene import Floats
 
-Interval = Literal["bootstrap", "share", "rate", "wilson", "garwood"]
+Interval = Literal["bootstrap", "proportion", "rate", "wilson", "garwood"]
 """How a metric's 95 % interval is computed.
 
 bootstrap: From resampled episodes; there is no interval if the resamples do not vary.
-share: Wilson's interval with the effective sample size, for events that are correlated within
-    episodes.
+proportion: Wilson's interval with the effective sample size, for events that are correlated within
+    episodes; `share` is an older name.
 rate: The same for events per time or distance; the first sum is the largest number of events that
     an episode may have.
 wilson: For a proportion of episodes, each of which is one trial.
 garwood: For the rate of an event that happens at most once per episode and ends it.
 """
+
+_OLDER_NAMES: dict[str, Interval] = {"share": "proportion"}
 
 EPISODES = pl.lit(1)
 """Counts episodes, as a sum of a metric."""
@@ -52,6 +54,9 @@ class Metric:
     value: Callable[[Floats], Floats] = ratio
     """[..., k] totals -> [...]; NaN where it is not defined."""
     interval: Interval = "bootstrap"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "interval", _OLDER_NAMES.get(self.interval, self.interval))
 
 
 @dataclass(frozen=True)

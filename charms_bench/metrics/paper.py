@@ -34,13 +34,13 @@ PAPER = MetricSet(
             sums=(pl.first("steps"), pl.first("steps"), ENDED_BADLY),
             interval="garwood",
         ),
-        LOGGED.share(
+        LOGGED.proportion(
             "ttc_below_3s",
             _TTC < TTC_THRESHOLD_S,
             "proportion with a centre-to-centre TTC below 3 s among the decisions with a leader "
             "within 50 m",
         ),
-        _CLOSING.share(
+        _CLOSING.proportion(
             "ttc_below_3s_closing",
             _TTC < TTC_THRESHOLD_S,
             "proportion with a centre-to-centre TTC below 3 s among the decisions with a leader "
@@ -58,13 +58,13 @@ PAPER = MetricSet(
         LOGGED.deviation(
             "yaw_std", "rad", pl.col("steering"), "steering angle with a leader within 50 m"
         ),
-        LOGGED.share(
+        LOGGED.proportion(
             "harsh_acc_rate",
             HARSH,
             "proportion of the decisions with a leader within 50 m in which the ego accelerates or "
             "brakes by more than 2.5 m/s²",
         ),
-        STEPS.share(
+        STEPS.proportion(
             "harsh_acc_rate_all_steps",
             HARSH,
             "proportion of all steps in which the ego accelerates or brakes by more than 2.5 m/s²",

@@ -26,7 +26,7 @@ def of_required_braking(driving: Sample, limit_mps2: float) -> tuple[Metric, ...
             rests_on="episodes with a leader",
             counts=drac.is_not_null().any(),
         ),
-        driving.share(
+        driving.proportion(
             f"drac_above_{in_name(limit_mps2)}",
             DRAC.gt(limit_mps2),
             f"proportion of time with a DRAC above {limit_mps2:g} m/s²",

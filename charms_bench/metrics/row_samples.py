@@ -42,10 +42,10 @@ class Sample(NamedTuple):
         description = f"root mean square of the {what}"
         return Metric(name, unit, description, self.name, sums, root_mean_square)
 
-    def share(self, name: str, happens: pl.Expr, description: str) -> Metric:
+    def proportion(self, name: str, happens: pl.Expr, description: str) -> Metric:
         """The proportion of the rows in which a condition holds."""
         sums = (self.where.sum(), (self.where & happens).sum())
-        return Metric(name, "", description, self.name, sums, interval="share")
+        return Metric(name, "", description, self.name, sums, interval="proportion")
 
     def per_km(self, name: str, happens: pl.Expr, what: str, km: int = 1) -> Metric:
         """The rows in which a condition holds, per `km` kilometres driven in this sample."""

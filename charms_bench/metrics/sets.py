@@ -24,9 +24,9 @@ WARM_UP_S = 3.0
 """The ego spawns at 30 m/s among vehicles at 23.1 to 26.4 m/s. With 600 episodes from seed
 900,000,000 and an ego that spawns at 30, 27 or 24 m/s:
 
-- After 3 s, the share of steps with more than 2.5 m/s2 is at most 0.03 % (IDM+MOBIL) and 0.15 %
-  (Stackelberg) whatever the spawn; from the start of the episode, it is 3.2 and 4.0 % at 30 m/s and
-  0.6 % at 24 m/s.
+- After 3 s, the proportion of steps with more than 2.5 m/s2 is at most 0.03 % (IDM+MOBIL) and
+  0.15 % (Stackelberg) whatever the spawn; from the start of the episode, it is 3.2 and 4.0 % at
+  30 m/s and 0.6 % at 24 m/s.
 - The mean speed falls from 30 to 25.3 m/s (IDM+MOBIL) and 25.7 m/s (Stackelberg) in 3 s, and then
   changes by less than 0.3 m/s within another 3 s. It does not become independent of the spawn,
   because the ego's first speed is also the speed that highway-env's drivers desire.

@@ -29,7 +29,7 @@ def of_motion(driving: Sample) -> tuple[Metric, ...]:
     return (
         driving.mean("speed_mean", "m/s", SPEED, "speed of the ego"),
         driving.deviation("acc_std", "m/s²", ACCELERATION, "acceleration"),
-        driving.share(
+        driving.proportion(
             "harsh_acc_rate",
             HARSH,
             "proportion of time in which the ego accelerates or brakes by more than 2.5 m/s²",

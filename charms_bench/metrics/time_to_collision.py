@@ -37,12 +37,12 @@ def of_time_to_collision(driving: Sample, threshold_s: float) -> tuple[Metric, .
             rests_on="episodes with a TTC",
             counts=ttc.is_not_null().any(),
         ),
-        driving.share(
+        driving.proportion(
             f"ttc_below_{in_name(threshold_s)}s",
             TTC.lt(threshold_s),
             f"proportion of time with a bumper-to-bumper TTC below {threshold_s:g} s",
         ),
-        driving.share(
+        driving.proportion(
             f"rear_ttc_below_{in_name(threshold_s)}s",
             REAR_TTC.lt(threshold_s),
             "proportion of time with a bumper-to-bumper TTC of the follower below "

@@ -13,7 +13,8 @@ from charms_bench.runs.metric_sets import asked_by, metric_sets
 RESAMPLED = "percentiles of resampled episodes"
 INTERVALS: Mapping[Interval, str] = {
     "bootstrap": RESAMPLED,
-    "share": "Wilson's score interval with the effective sample size of correlated observations",
+    "proportion": "Wilson's score interval with the effective sample size of correlated "
+    "observations",
     "rate": "score interval of a Poisson rate with the effective number of correlated events",
     "wilson": "Wilson's score interval of a proportion of episodes",
     "garwood": "Garwood's exact interval of a Poisson rate",

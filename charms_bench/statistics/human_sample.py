@@ -16,7 +16,7 @@ class PerfectSamples(NamedTuple):
     """Samples as small as that of the humans, from a distribution that is known."""
 
     truth: Floats
-    """[K] shares."""
+    """[K] proportions."""
     samples: Floats
     """[RESAMPLES, K] counts."""
 

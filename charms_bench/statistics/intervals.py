@@ -44,7 +44,7 @@ class Estimate:
 
 
 def wilson(successes: float, trials: float, z: float | None = None) -> Bounds:
-    """The score interval of a share (Wilson 1927), at 95 % unless a normal quantile is given."""
+    """The score interval of a proportion (Wilson 1927), at 95 % without a normal quantile."""
     low, high = _score(successes, trials, z or _normal_quantile())
     return (
         low / trials if successes else 0.0,
@@ -62,7 +62,7 @@ def garwood(events: int) -> Bounds:
 
 
 def clustered(sums: Floats, kind: Interval) -> Bounds:
-    """The score interval of a share or a rate of events that depend on each other in an episode.
+    """The score interval of a proportion or a rate of events that depend on each other.
 
     The events and trials are divided by the design effect: the variance of the ratio, linearised
     (Korn & Graubard 1998, Survey Methodology 24), over its variance if all events were independent.
@@ -73,19 +73,19 @@ def clustered(sums: Floats, kind: Interval) -> Bounds:
 
     Args:
         sums: [E, k] with exposure and events in the last two columns. The first has the largest
-            possible number of events; for a share, that is the exposure.
-        kind: "share" or "rate".
+            possible number of events; for a proportion, that is the exposure.
+        kind: "proportion" or "rate".
     """
     from scipy import special
 
-    first = -2 if kind == "share" else 0
+    first = -2 if kind == "proportion" else 0
     occasions, exposure, events = sums[:, [first, -2, -1]].T
     count, whole = float(events.sum()), float(exposure.sum())
-    trials = whole if kind == "share" else math.inf
+    trials = whole if kind == "proportion" else math.inf
     episodes = int((occasions > 0).sum())
     fully_correlated = float((occasions**2).sum() / max(occasions.sum(), 1.0)) or 1.0
     informative = int((events > 0).sum())
-    if kind == "share":
+    if kind == "proportion":
         informative = min(informative, int((events < occasions).sum()))
     if not informative or episodes < 2:
         effect, z = fully_correlated, _normal_quantile()
@@ -95,7 +95,7 @@ def clustered(sums: Floats, kind: Interval) -> Bounds:
         prior = PRIOR_EPISODES * fully_correlated
         effect = (informative * found + prior) / (informative + PRIOR_EPISODES)
         z = float(special.stdtrit(2 * informative + 2, (1 + CONFIDENCE) / 2))
-    if kind == "share":
+    if kind == "proportion":
         return wilson(count / effect, trials / effect, z)
     low, high = _score(count / effect, math.inf, z)
     return low * effect / whole if count else 0.0, high * effect / whole
@@ -187,7 +187,7 @@ def _estimate(metric: Metric, sums: Floats, resampled: Floats | None) -> Estimat
 
 
 def of_events(kind: Interval, sums: Floats) -> Bounds:
-    """The interval of a share or a rate of any kind but "bootstrap", from sums [E, k]."""
+    """The interval of a proportion or a rate of any kind but "bootstrap", from sums [E, k]."""
     totals = sums.sum(axis=0)
     events = round(totals[-1])
     if kind == "wilson":

@@ -7,8 +7,8 @@ over episodes. The standard error of its difference follows from the sums by lin
 Resampled episodes give the tails of the difference divided by its standard error (the symmetric
 bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are described by Student's t with the
 degrees of freedom at which its 95 % point equals that of the resamples; the interval and the
-p-value both use it. If too few episodes differ for that, the interval of a share or a rate follows
-from those of the two agents (Zou & Donner 2008, Statistics in Medicine 27).
+p-value both use it. If too few episodes differ for that, the interval of a proportion or a rate
+follows from those of the two agents (Zou & Donner 2008, Statistics in Medicine 27).
 """
 
 from collections.abc import Callable, Sequence
@@ -109,7 +109,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def tango(only_first: int, only_second: int, pairs: int) -> Bounds:
-    """The score interval of a paired difference of shares (Tango 1998)."""
+    """The score interval of a paired difference of proportions (Tango 1998)."""
 
     def excess(difference: float, side: float) -> float:
         """The score minus the 95 % point; eqs. 2 and 3."""

@@ -1,9 +1,9 @@
 """Probabilities of rare events by subset simulation (Au & Beck 2001, Prob. Eng. Mech. 16).
 
 A level function is positive where the event does not happen, and falls towards 0 as it comes
-closer. The probability is a product: of the share of points below a first threshold, of the share
-of those below a second one, and so on until 0. Below each threshold, Markov chains start from the
-points that are already there and move by conditional sampling in standard normal space
+closer. The probability is a product: of the proportion of points below a first threshold, of that
+of these points below a second one, and so on until 0. Below each threshold, Markov chains start
+from the points that are already there and move by conditional sampling in standard normal space
 (Papaioannou et al. 2015, Prob. Eng. Mech. 41).
 
 Au & Beck choose each threshold from the points that are then counted, which makes the mean of the
@@ -31,8 +31,8 @@ standard normal components (M, D), and a random seed (M,) for all else that it d
 which a move keeps or draws again."""
 
 SHARE = 0.2
-"""The share of the pilot's points below the next threshold, p0; 0.1 to 0.3 give nearly the least
-variance (Zuev et al. 2012, Comput. Struct. 92)."""
+"""The proportion of the pilot's points below the next threshold, p0; 0.1 to 0.3 give nearly the
+least variance (Zuev et al. 2012, Comput. Struct. 92)."""
 TARGET_ACCEPTANCE = 0.44
 """Share of accepted moves that the step size is adapted to (Papaioannou et al. 2015)."""
 FIRST_SIZE = 0.6
@@ -50,9 +50,9 @@ class SubsetRun:
     sizes: tuple[float, ...]
     """The step size of the chains below each threshold but the last, between 0 and 1."""
     shares: tuple[float, ...]
-    """The share of each level's points at or below its threshold. A share of 0 is the last."""
+    """The proportion of each level's points at or below its threshold. That of 0 is the last."""
     acceptance: tuple[float, ...]
-    """The share of accepted moves that made each level's points; 1 for the first level."""
+    """The proportion of accepted moves that made each level's points; 1 for the first level."""
     evaluations: int
     """How many points the level function was evaluated for."""
 
@@ -218,8 +218,8 @@ def _grow(
 ) -> tuple[_Points, Floats, float]:
     """Makes chains of `length` points below a threshold from their first points.
 
-    Returns the points of all chains, the share of accepted moves (A,), and the step size, which
-    follows the accepted moves if it is to adapt.
+    Returns the points of all chains, the proportion of accepted moves (A,), and the step size,
+    which follows the accepted moves if it is to adapt.
     """
     normal, seeds, levels = points.normal, points.seeds, points.levels
     grown = [(normal, seeds, levels)]

@@ -1,16 +1,15 @@
-"""The script of `docs/run-folders.md` trains in d3rlpy; run by `tox -e data`."""
+"""The code of `docs/run-folders.md` runs; `tox -e data` has d3rlpy, in which it trains."""
 
 import json
 import os
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from written import ROOT, blocks
 
 import charms_bench
-
-pytestmark = pytest.mark.slow
 
 SUITE = """\
 suite: small
@@ -38,6 +37,19 @@ print("FACTS", json.dumps(facts))
 """
 
 
+def test_polars_reads_the_states_of_all_vehicles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    charms_bench.run("ego", "runs/ego", episodes=1, workers=1).dataset("parquet", ego="CHARMS")
+    page = blocks(ROOT / "docs" / "run-folders.md")
+    (code,) = (block.text for block in page if "scan_parquet" in block.text)
+    names: dict[str, Any] = {}
+    exec(compile(code, "run-folders.md", "exec"), names)
+    assert names["states"].collect()["vehicle"].n_unique() == 21
+
+
+@pytest.mark.slow
 def test_d3rlpy_trains_on_the_dataset(tmp_path: Path) -> None:
     python = os.environ.get("D3RLPY_PYTHON")
     if python is None:

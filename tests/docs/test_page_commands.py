@@ -24,6 +24,14 @@ ELSEWHERE = {
     "training-libraries.md": "tests/docs/test_training_libraries.py",
 }
 """Pages whose examples depend on one another, and the test that runs all of them."""
+CODE_OF = {
+    "README.md": "tests/docs/test_python_page.py",
+    "python.md": "tests/docs/test_python_page.py",
+    "highway-env-roads.md": "tests/docs/test_python_page.py",
+    "run-folders.md": "tests/docs/test_data_out_page.py",
+    **ELSEWHERE,
+}
+"""Pages with Python code, and the test that runs it."""
 NOT_RUN = {
     "pip install .": "the package is installed in the environment of this test",
     "pip install '.[train]'": "the extra is installed in the environment of this test",
@@ -135,5 +143,10 @@ def test_every_command_of_every_page_succeeds(project: Path) -> None:
 def test_commands_that_are_not_run_here_are_on_a_page_or_run_by_the_named_test() -> None:
     written = {command for page in PAGES for block in blocks(page) for command in commands(block)}
     assert set(NOT_RUN) <= written
-    for page, test in ELSEWHERE.items():
+    for page, test in CODE_OF.items():
         assert page in (ROOT / test).read_text(encoding="utf-8")
+
+
+def test_a_test_runs_the_python_code_of_every_page() -> None:
+    with_code = {page.name for page in PAGES for each in blocks(page) if each.language == "python"}
+    assert with_code <= set(CODE_OF)

@@ -4,6 +4,7 @@
 """
 
 import os
+import shlex
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -108,6 +109,13 @@ def test_a_policy_that_learns_is_filmed(tmp_path: Path) -> None:
         with moviepy.VideoFileClip(str(path)) as video:
             assert video.fps == 3
             assert 1 <= video.duration <= 61 / 3 + 0.1  # at most 60 decisions and the start
+
+
+def test_the_time_of_a_picture_is_measured(tmp_path: Path) -> None:
+    (command,) = (
+        line for block in blocks(PAGE) for line in commands(block) if line.startswith("python -m")
+    )
+    assert "per loop" in run([sys.executable, *shlex.split(command)[1:]], tmp_path)
 
 
 def test_the_speed_of_every_library_is_measured(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def comfort(jerk_mps3=2.0):
         rests_on="pairs of steps",
         sums=(jerk.count(), jerk.abs().gt(jerk_mps3).sum()),
         value=ratio,
-        interval="share",
+        interval="proportion",
     )
     return MetricSet(name="comfort", version=3, metrics=(jerky,))
 

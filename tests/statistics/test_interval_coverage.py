@@ -54,7 +54,7 @@ def held(
     repetitions: int,
     seed: int,
     between: tuple[float, float] = SHARES,
-    kind: Interval = "share",
+    kind: Interval = "proportion",
 ) -> tuple[Floats, Floats]:
     """True values, and whether their intervals are below (-1), hold (0) or above (1) them."""
     rng = np.random.default_rng(seed)

@@ -114,8 +114,8 @@ def test_a_share_that_never_happens_is_bounded_as_if_steps_of_an_episode_were_al
     # 60 and 30 alike steps weigh as much as 90² / (60² + 30²) = 1.8 independent ones.
     never = [[60, 0], [30, 0], [0, 0]]
     always = [[60, 60], [30, 30]]
-    assert interval_of(never, "share") == pytest.approx(wilson(0, 1.8))
-    assert interval_of(always, "share") == pytest.approx(wilson(1.8, 1.8))
+    assert interval_of(never, "proportion") == pytest.approx(wilson(0, 1.8))
+    assert interval_of(always, "proportion") == pytest.approx(wilson(1.8, 1.8))
 
 
 def test_a_rate_that_never_happens_is_bounded_as_if_events_of_an_episode_were_alike() -> None:
@@ -130,18 +130,18 @@ def test_a_rate_without_any_occasion_has_the_interval_of_independent_events() ->
     assert interval_of([[0, 1.0, 0]] * 2, "rate") == pytest.approx((0.0, 3.8415 / 2), rel=1e-4)
 
 
-def test_episodes_without_occasions_do_not_change_the_interval_of_a_share() -> None:
+def test_episodes_without_occasions_do_not_change_the_interval_of_a_proportion() -> None:
     sums = [[60, 3], [50, 0], [60, 10]]
-    assert interval_of([*sums, [0, 0]], "share") == interval_of(sums, "share")
+    assert interval_of([*sums, [0, 0]], "proportion") == interval_of(sums, "proportion")
 
 
 def test_a_single_event_does_not_make_a_share_certain() -> None:
     sums = [[60, 0]] * 599 + [[60, 1]]
-    low, high = interval_of(sums, "share")
+    low, high = interval_of(sums, "proportion")
     # Not much less than if it never happened, 3.8415 / 603.8.
     assert 0 < low < 1 / 36_000
     assert 0.5 * 0.00636 < high < 0.00636
-    low, high = interval_of([[60, 60 - x] for _, x in sums], "share")
+    low, high = interval_of([[60, 60 - x] for _, x in sums], "proportion")
     assert 1 - 0.00636 < low < 1 - 0.5 * 0.00636
     assert 1 - 1 / 36_000 < high < 1
 
@@ -154,7 +154,7 @@ def test_events_of_many_episodes_have_korn_and_graubards_effective_sample_size()
     expected = stats.binomtest(round(size * shares.mean()), round(size)).proportion_ci(
         method="wilson"
     )
-    assert interval_of(sums.tolist(), "share") == pytest.approx(tuple(expected), rel=2e-3)
+    assert interval_of(sums.tolist(), "proportion") == pytest.approx(tuple(expected), rel=2e-3)
 
 
 def test_a_rate_of_independent_events_has_almost_garwoods_interval() -> None:
@@ -167,13 +167,13 @@ def test_a_rate_of_independent_events_has_almost_garwoods_interval() -> None:
 
 def test_steps_that_are_all_alike_count_as_one_per_episode() -> None:
     sums = [[60, 60]] * 81 + [[60, 0]] * 182
-    low, high = interval_of(sums, "share")
+    low, high = interval_of(sums, "proportion")
     expected = wilson(81, 263)
     assert (low, high) == pytest.approx(expected, rel=0.01)
 
 
 def test_the_interval_of_a_single_episode_treats_its_steps_as_one() -> None:
-    assert interval_of([[60, 30]], "share") == pytest.approx(wilson(0.5, 1))
+    assert interval_of([[60, 30]], "proportion") == pytest.approx(wilson(0.5, 1))
 
 
 def test_a_share_of_episodes_has_wilsons_interval() -> None:
@@ -192,7 +192,7 @@ def test_resamples_without_a_value_are_left_out() -> None:
     assert (low, high) == (20.0, 30.0)
 
 
-@pytest.mark.parametrize("interval", ["bootstrap", "share", "rate", "garwood", "wilson"])
+@pytest.mark.parametrize("interval", ["bootstrap", "proportion", "rate", "garwood", "wilson"])
 def test_what_is_not_defined_has_no_interval(interval: Interval) -> None:
     assert np.isnan(interval_of([[0, 0], [0, 0]], interval)).all()
 

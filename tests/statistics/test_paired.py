@@ -161,7 +161,7 @@ def steps_with(*events: int) -> np.ndarray:
 def test_a_share_of_few_events_has_an_interval_around_no_difference(
     events: tuple[int, ...],
 ) -> None:
-    found = difference(steps_with(*events), steps_with(), "share")
+    found = difference(steps_with(*events), steps_with(), "proportion")
     assert found.low < 0 < found.high
     assert found.low < found.value < found.high
 
@@ -174,7 +174,7 @@ def test_a_rate_that_neither_agent_has_is_bounded_on_both_sides() -> None:
 
 
 def test_agents_that_share_all_events_are_not_apart() -> None:
-    found = difference(steps_with(5, 60), steps_with(5, 60), "share")
+    found = difference(steps_with(5, 60), steps_with(5, 60), "proportion")
     assert np.isnan([found.low, found.high]).all()
 
 
