@@ -65,7 +65,7 @@ TRAININGS = {
         "racetrack-v1", SAC, 60_000, (40, 4), {**_SAC, "policy_kwargs": {"net_arch": [64, 64]}}, 4
     ),
     "intersection": Training(
-        "intersection-v2", PPO, 400_000, (100, 4), {"n_steps": 32, "batch_size": 640, "gamma": 0.9}
+        "intersection-v2", PPO, 400_000, (100, 20), {"n_steps": 32, "batch_size": 640, "gamma": 0.9}
     ),
 }
 
