@@ -100,6 +100,9 @@ def _replace(names: Collection[str]) -> list[tuple[Any, str, Any]]:
         before.append((track, "_rewards", _without_power(track._rewards)))
         keeping: Any = import_module("highway_env.envs.lane_keeping_env").LaneKeepingEnv
         before.append((keeping, "_reward", _reward_for_keeping_a_lane))
+        linear: Any = import_module("highway_env.vehicle.behavior").LinearVehicle
+        exact = _of_a_product(linear.steering_features)
+        before.append((linear, "steering_features", exact))
     for k, (module, name, value) in enumerate(before):
         before[k] = module, name, getattr(module, name)
         setattr(module, name, value)
@@ -131,6 +134,19 @@ def _without_power(rewards: Any) -> Any:
         return {**rewards(env, action), "lane_centering_reward": centring}
 
     return exact_rewards
+
+
+def _of_a_product(features: Any) -> Any:
+    """`LinearVehicle.steering_features`, but with a product."""
+    not_zero: Any = import_module("highway_env.utils").not_zero
+
+    def exact_features(vehicle: Any, target: Any) -> Any:
+        heading, _ = features(vehicle, target)
+        lane, speed = vehicle.road.network.get_lane(target), not_zero(vehicle.speed)
+        _, lateral = lane.local_coordinates(vehicle.position)
+        return np.array([heading, -lateral * vehicle.LENGTH / (speed * speed)])
+
+    return exact_features
 
 
 def _reward_for_keeping_a_lane(env: Any, action: Any) -> Any:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charms_bench.envs.rendering import RENDER_MODES, Renderer
 from charms_bench.envs.road_rendering import RoadPictures
+from charms_bench.envs.road_state import INSTEAD, RoadState, RoadVehicle, vehicles_of
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -56,6 +57,42 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         self.observation_space, self.action_space = spaces_of(self._episodes)
         self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
         self._renderer = _renderer(self, name, 1)
+        self._vehicles: dict[int, RoadVehicle] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        """Says what to use instead of what highway-env has and this environment has not."""
+        instead = f"; use {INSTEAD[name]}" if name in INSTEAD else ""
+        raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'{instead}")
+
+    @property
+    def action_type(self) -> Any:
+        """The actions; of meta-actions, it has `actions` and `actions_indexes`."""
+        return self._episodes.actions
+
+    @property
+    def time(self) -> float:
+        """Since the start of the episode, s."""
+        return float(self._episodes.scenes.time[0])
+
+    @property
+    def road(self) -> RoadState:
+        """The vehicles on the road as they are now, which cannot be changed."""
+        return RoadState([*self._now().values()])
+
+    @property
+    def controlled_vehicles(self) -> list[RoadVehicle]:
+        """The egos among `road.vehicles`."""
+        return [self._now()[ego] for ego in range(self._episodes.task.egos)]
+
+    @property
+    def vehicle(self) -> RoadVehicle:
+        """The first ego."""
+        return self.controlled_vehicles[0]
+
+    def _now(self) -> dict[int, RoadVehicle]:
+        if not self._vehicles:
+            self._vehicles = vehicles_of(self._episodes, 0)
+        return self._vehicles
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -86,6 +123,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         if seed is not None:
             episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         episodes.start(episodes.everyone)
+        self._vehicles = {}
         self._renderer.show()
         info = {name: each[0] for name, each in _facts(episodes).items()}
         return _row(episodes.observe(), 0), info
@@ -107,6 +145,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         else:
             checked = _checked(np.asarray(action)[None], episodes)
         decision = episodes.step(checked)
+        self._vehicles = {}
         info: dict[str, Any] = {}
         if episodes.task.has_info:
             info |= {name: each[0] for name, each in _facts(episodes).items()}

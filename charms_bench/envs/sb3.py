@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from charms_bench.world.scene import Observations
-
-ENDED = ("ending", "steps", "episode_return", "seed")
-"""Facts about an ended episode, in its last info under `final_info`."""
+ENDED = ("ending", "steps", "episode_return", "seed", "speed", "crashed", "is_success")
+"""Facts about an ended episode, in its last info under `final_info`; those that the environment
+knows."""
 
 
 class EpisodesVecEnv(VecEnv):
-    """Adapts a `HighwayVectorEnv` or a `LearnersVectorEnv` to Stable-Baselines3.
+    """Adapts a `HighwayVectorEnv`, `LearnersVectorEnv` or `RoadVectorEnv` to Stable-Baselines3.
 
     The last observation of an ended episode is `infos[i]["terminal_observation"]`.
     `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.
-    `seed` changes nothing: the episodes follow from the first seed of the environment.
+    Hindsight Experience Replay works where the environment has goals. `seed` changes nothing: the
+    episodes follow from the first seed of the environment.
     """
 
     def __init__(self, episodes: VectorEnv[Any, Any, Any]) -> None:
@@ -32,9 +32,9 @@ class EpisodesVecEnv(VecEnv):
         self.metadata = episodes.metadata
         self._actions: NDArray[Any] = np.zeros(episodes.num_envs, dtype=np.int64)
 
-    def reset(self) -> Observations:
+    def reset(self) -> Any:
         observations, _ = self.episodes.reset()
-        return np.asarray(observations)
+        return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions
@@ -44,11 +44,15 @@ class EpisodesVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         ended = terminations | truncations
         for row in np.nonzero(ended)[0]:
+            facts = final["final_info"]
+            known = {name: facts[name][row].item() for name in ENDED if name in facts}
             infos[row] = {
                 "terminal_observation": final["final_obs"][row],
-                "TimeLimit.truncated": bool(truncations[row]),
-                "final_info": {name: final["final_info"][name][row].item() for name in ENDED},
+                "TimeLimit.truncated": bool(truncations[row] and not terminations[row]),
+                "final_info": known,
             }
+            if "is_success" in known:  # where evaluations of Stable-Baselines3 look for it
+                infos[row]["is_success"] = known["is_success"]
         return observations, rewards.astype(np.float32), ended, infos
 
     def close(self) -> None:
@@ -64,8 +68,11 @@ class EpisodesVecEnv(VecEnv):
         raise NotImplementedError("episodes share attributes; set them in the constructor")
 
     def env_method(
-        self, method_name: str, *_: Any, indices: VecEnvIndices = None, **__: Any
+        self, method_name: str, *given: Any, indices: VecEnvIndices = None, **_: Any
     ) -> list[Any]:
+        episodes: Any = self.episodes.unwrapped
+        if method_name == "compute_reward":  # which Hindsight Experience Replay asks for
+            return [episodes.compute_reward(*given)] * len(list(self._get_indices(indices)))
         if method_name != "action_masks":  # which sb3-contrib's MaskablePPO asks for
             raise NotImplementedError("episodes have no methods of their own")
         masks = self.action_masks()

@@ -12,9 +12,13 @@ from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.roads.scenes import Scenes
 from charms_bench.world.actions import ACTIONS
 
-_IDM = "highway_env.vehicle.behavior.IDMVehicle"
-_FREE = {"manual_control": False, "other_vehicles_type": _IDM}
-"""Keys of which one value is supported."""
+TYPES = ("IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle")
+"""highway-env's classes of the other vehicles."""
+_SUPPORTED: dict[str, tuple[Any, ...]] = {
+    "manual_control": (False,),
+    "other_vehicles_type": tuple(f"highway_env.vehicle.behavior.{name}" for name in TYPES),
+}
+"""The values of keys of which not all are supported."""
 _ACTIONS = {
     (True, True): ACTIONS,
     (True, False): ("SLOWER", "IDLE", "FASTER"),
@@ -30,6 +34,16 @@ class MetaActions(NamedTuple):
     meaning: Ints
     """(A,) the index into `world.actions.ACTIONS` of each action."""
     target_speeds: Floats
+
+    @property
+    def actions(self) -> dict[int, str]:
+        """The names by index."""
+        return dict(enumerate(self.names))
+
+    @property
+    def actions_indexes(self) -> dict[str, int]:
+        """The indices by name."""
+        return {name: k for k, name in enumerate(self.names)}
 
     @property
     def space(self) -> gymnasium.Space[Any]:
@@ -55,8 +69,9 @@ def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dic
     for key, value in found.items():
         if key not in default:
             raise InputError(f"config: no key named '{key}'. {suggestion(key, dict(default))}")
-        if key in _FREE and value != _FREE[key]:
-            raise InputError(f"config.{key}: {value!r} is not supported; expected {_FREE[key]!r}")
+        if value not in _SUPPORTED.get(key, (value,)):
+            expected = " or ".join(map(repr, _SUPPORTED[key]))
+            raise InputError(f"config.{key}: {value!r} is not supported; expected {expected}")
     return found
 
 

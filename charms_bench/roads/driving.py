@@ -16,6 +16,7 @@ from charms_bench.foundation.compiled import (
     row_after,
     wrap_to_pi,
 )
+from charms_bench.roads.linear import linear_acceleration, linear_steering
 from charms_bench.roads.locating import coordinates_of
 from charms_bench.roads.scenes import (
     COMMANDED,
@@ -69,17 +70,18 @@ def act(road: Network, here: Here) -> None:
 
 @compiled
 def act_as_idm(here: Here, i: int) -> None:
-    """[`IDMVehicle.act`]"""
+    """[`IDMVehicle.act`], also of linear vehicles."""
     vehicle, limit = vehicle_of(here, i), here.constants.acceleration_limit_mps2
     front, rear = neighbours(here, i, vehicle.lane)
     free = free_acceleration(here, i, vehicle.exponent)
-    own = free - interaction(here, i, front)
+    own = own_acceleration(here, i, front, free)
     if vehicle.changes_lanes:
         choose_lane(here, i, free, own, front, rear)
-    vehicle.steering = steering(here, i)
+    is_linear = here.constants.is_linear
+    vehicle.steering = linear_steering(here, i) if is_linear else steering(here, i)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbours(here, i, vehicle.target_lane)
-        own = min(own, free - interaction(here, i, front))
+        own = min(own, own_acceleration(here, i, front, free))
     vehicle.acceleration = clip(own, -limit, limit)
 
 
@@ -182,14 +184,24 @@ def interaction(here: Here, i: int, j: int) -> float:
 
 
 @inlined
-def idm(here: Here, i: int, j: int, exponent: float) -> float:
-    """The IDM acceleration of vehicle i behind vehicle j [`IDMVehicle.acceleration`].
+def own_acceleration(here: Here, i: int, j: int, free: float) -> float:
+    """The acceleration of vehicle i behind vehicle j; `free` is its `free_acceleration`."""
+    if here.constants.is_linear:
+        return linear_acceleration(here, i, j, i)
+    return free - interaction(here, i, j)
 
-    `exponent` is that of the deciding driver. What is no vehicle accelerates by 0.
+
+@inlined
+def expected_acceleration(here: Here, i: int, j: int, driver: int) -> float:
+    """The acceleration that a driver expects of vehicle i behind vehicle j.
+
+    Of what is no vehicle, IDM expects 0 [`IDMVehicle.acceleration`].
     """
+    if here.constants.is_linear:
+        return linear_acceleration(here, i, j, driver)
     if i < 0 or vehicle_of(here, i).kind <= OBSTACLE:
         return 0.0
-    return free_acceleration(here, i, exponent) - interaction(here, i, j)
+    return free_acceleration(here, i, vehicle_of(here, driver).exponent) - interaction(here, i, j)
 
 
 @inlined
@@ -255,13 +267,13 @@ def gap_is_taken(here: Here, i: int) -> bool:
 def mobil(here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int) -> bool:
     """Whether to change to a lane [`IDMVehicle.mobil`].
 
-    `free` and `own` are the IDM accelerations on a free road and on the present lane, on which
+    `free` and `own` are the accelerations on a free road and on the present lane, on which
     `front` and `rear` are the neighbours. What costs least is compared first; the result is the
     same.
     """
     vehicle, c = vehicle_of(here, i), here.constants
     new_front, new_rear = neighbours(here, i, lane)
-    own_after = free - interaction(here, i, new_front)
+    own_after = own_acceleration(here, i, new_front, free)
     gain, step, wanted = own_after - own, vehicle.route_step, -1
     if step < vehicle.route_end:
         wanted = vehicle.route_numbers[step]
@@ -274,13 +286,12 @@ def mobil(here: Here, i: int, lane: int, free: float, own: float, front: int, re
             return False
     elif c.politeness == 0 and gain < c.lane_change_gain_mps2:
         return False
-    exponent = vehicle.exponent
-    rear_after = idm(here, new_rear, i, exponent)
+    rear_after = expected_acceleration(here, new_rear, i, i)
     if rear_after < -c.imposed_braking_mps2:
         return False
     if wanted < 0 and c.politeness > 0:
-        others = rear_after - idm(here, new_rear, new_front, exponent)
-        others = others + idm(here, rear, front, exponent)
-        gain += c.politeness * (others - idm(here, rear, i, exponent))
+        others = rear_after - expected_acceleration(here, new_rear, new_front, i)
+        others = others + expected_acceleration(here, rear, front, i)
+        gain += c.politeness * (others - expected_acceleration(here, rear, i, i))
         return not gain < c.lane_change_gain_mps2
     return True

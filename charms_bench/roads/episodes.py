@@ -16,6 +16,7 @@ from charms_bench.foundation.generator import seeded
 from charms_bench.roads import TASKS, configuration
 from charms_bench.roads.controls import actions_of
 from charms_bench.roads.lanes import road_of
+from charms_bench.roads.linear import constants_of, gains_of, linear_type
 from charms_bench.roads.observing import Observed, observer_of
 from charms_bench.roads.scenes import LANDMARK, OBSTACLE, Scenes, place
 from charms_bench.roads.stepping import decide
@@ -89,7 +90,9 @@ class Episodes:
         ]
         hz = self.config["simulation_frequency"]
         constants = HIGHWAY_ENV.constants(1 / hz)
-        idm = constants.idm_mobil._replace(**self.task.idm)
+        linear = linear_type(self.config) if self.task.takes_types else None
+        own = constants_of(linear) if linear else {}
+        idm = constants.idm_mobil._replace(**self.task.idm, **own)
         self._frames = int(hz // self.config["policy_frequency"])
         self._interval = 1 / self.config["policy_frequency"]
         self._most_steps = spec.max_episode_steps
@@ -103,6 +106,7 @@ class Episodes:
             self.actions.target_speeds,
             constants._replace(idm_mobil=idm),
             self.task.regulation_steps,
+            gains_of(linear) if linear else None,
         )
         for b in range(count):
             for k, each in enumerate(stock.road.objects):
@@ -162,10 +166,15 @@ class Episodes:
 @contextmanager
 def unchanged_idm() -> Iterator[None]:
     """Restores the constants that highway-env's `intersection` changes for the whole process."""
-    kind: Any = import_module("highway_env.vehicle.behavior").IDMVehicle
-    before = {name: getattr(kind, name) for name in _CHANGED}
+    module: Any = import_module("highway_env.vehicle.behavior")
+    kinds = [getattr(module, name) for name in configuration.TYPES]
+    before = [{name: vars(kind)[name] for name in _CHANGED if name in vars(kind)} for kind in kinds]
     try:
         yield
     finally:
-        for name, value in before.items():
-            setattr(kind, name, value)
+        for kind, values in zip(kinds, before, strict=True):
+            for name in _CHANGED:
+                if name in values:
+                    setattr(kind, name, values[name])
+                elif name in vars(kind):
+                    delattr(kind, name)

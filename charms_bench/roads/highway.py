@@ -11,7 +11,7 @@ from charms_bench.foundation.compiled import clip, compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
 from charms_bench.roads.exit import append
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes
-from charms_bench.roads.task import Task, draw_exponent, is_on_own_lane, share, weighted
+from charms_bench.roads.task import Task, draw_behaviour, is_on_own_lane, share, weighted
 
 EGO_SPEED_MPS = 25.0
 SPEED_LOW, SPEED_HIGH = 0.7, 0.8
@@ -91,7 +91,7 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule) -> None:
             limit = scenes.road.lanes[lane].speed_limit
             speed = uniform(state, SPEED_LOW * limit, SPEED_HIGH * limit)
             append(scenes, b, i, IDM, lane, speed, rule.spacing, rule.crowding)
-            draw_exponent(scenes, b, i)
+            draw_behaviour(scenes, b, i)
             scenes.vehicles[b, i].checks_collisions = rule.others_collide
 
 

@@ -16,7 +16,7 @@ from charms_bench.roads.locating import forget
 from charms_bench.roads.right_of_way import FREQUENCY_HZ
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, here_of, put_on_lane
 from charms_bench.roads.stepping import advance
-from charms_bench.roads.task import Task, draw_exponent, plan_route, routes_to, share, weighted
+from charms_bench.roads.task import Task, draw_behaviour, plan_route, routes_to, share, weighted
 from charms_bench.world.road import heading_at, is_on_lane, local_coordinates, position
 
 _SIDES = 4
@@ -173,7 +173,7 @@ def enter(
     i = scenes.order[b, k].place
     put_on_lane(scenes, b, i, IDM, lane, s, heading_at(scenes.road, lane, s), speed)
     plan_route(scenes, b, i, routes, destination)
-    draw_exponent(scenes, b, i)
+    draw_behaviour(scenes, b, i)
 
 
 @compiled

@@ -42,6 +42,7 @@ class Racetrack(Task):
 
     terms = ("lane_centering_reward", "action_reward", "collision_reward", "on_road_reward")
     actions = ("ContinuousAction", "DiscreteAction")
+    takes_types = False
     start_lanes = 2
 
     def __init__(self, config: Mapping[str, Any], network: Any) -> None:

@@ -13,7 +13,7 @@ from charms_bench.foundation.generator import integers, normal, uniform
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
 from charms_bench.roads.task import (
     Task,
-    draw_exponent,
+    draw_behaviour,
     is_on_own_lane,
     plan_route,
     routes_to,
@@ -132,7 +132,7 @@ def _start(scenes: Scenes, rows: Ints, rule: Rule, lanes: Ints, routes: Ints) ->
             if i > 0 or destination < 0:
                 destination = integers(state, 0, rule.destinations)
             plan_route(scenes, b, i + 1, routes, destination)
-            draw_exponent(scenes, b, i + 1)
+            draw_behaviour(scenes, b, i + 1)
 
 
 @compiled_of_scenes
@@ -160,7 +160,7 @@ def _start_generic(scenes: Scenes, rows: Ints, rule: Rule, lanes: Ints, routes: 
                     if destination < 0:
                         destination = integers(state, 0, rule.destinations)
                     plan_route(scenes, b, count, routes, destination)
-                    draw_exponent(scenes, b, count)
+                    draw_behaviour(scenes, b, count)
                     count += 1
                     break
         for i in range(count, rule.vehicles):

@@ -25,6 +25,8 @@ ROUTE_STEPS = 12
 """The most steps of a route."""
 OBSTACLE_SIZE_M = 2.0
 """The length and the width of an obstacle [`RoadObject`]."""
+GAINS = 5
+"""How many a linear vehicle has: three of its acceleration and two of its steering angle."""
 IDM_EXPONENT = 4.0
 """That of a driver for whom none is drawn [`IDMVehicle.DELTA`]."""
 Row = Any
@@ -33,7 +35,8 @@ Row = Any
 
 def _table(**names: str) -> "np.dtype[Any]":
     """The type of a row with fields of these names, which are separated by spaces."""
-    kinds = {"floats": "f8", "integers": "i8", "booleans": "?", "routes": f"{ROUTE_STEPS}i8"}
+    kinds = {"floats": "f8", "integers": "i8", "booleans": "?"}
+    kinds |= {"routes": f"{ROUTE_STEPS}i8", "gains": f"{GAINS}f8"}
     fields = [(name, kinds[kind]) for kind, each in names.items() for name in each.split()]
     return np.dtype((np.record, fields))
 
@@ -44,12 +47,14 @@ VEHICLE = _table(
     integers="kind lane target_lane speed_index route_step route_end",
     booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
     routes="route_roads route_numbers",
+    gains="gains",
 )
 """A row of the table of vehicles; SI units, and names as in `world.scene.Scene`.
 
-`exponent` is that of IDM. `speed_index` is the place of the target speed of a commanded vehicle.
-`changes_lanes` says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide
-if one of them `checks_collisions`. A vehicle that `is_yielding` stops for another one; see
+`exponent` is that of IDM, and the `gains` are those of a linear vehicle; see `linear`.
+`speed_index` is the place of the target speed of a commanded vehicle. `changes_lanes`
+says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide if one of them
+`checks_collisions`. A vehicle that `is_yielding` stops for another one; see
 `right_of_way`. Outside of `speed_min` to `speed_max`, a vehicle brakes or accelerates. Only a
 dynamical vehicle has a `lateral_speed` and a `yaw_rate`. A route is a list of steps: the first lane
 of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next
@@ -65,10 +70,11 @@ SEARCH = _table(integers="first after")
 end at its start [`Road.neighbour_vehicles`]."""
 CONSTANTS = _table(
     floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
-    integers="regulation_steps",
+    integers="regulation_steps is_linear",
 )
 """`Constants` and `IdmMobilParameters`, one after the other. After so many simulation steps,
-vehicles look who has the right of way; 0 if they never do."""
+vehicles look who has the right of way; 0 if they never do. `is_linear` says whether the vehicles
+that decide by IDM elsewhere are linear."""
 
 
 @compiled
@@ -100,6 +106,9 @@ class _Fields(NamedTuple):
     """[L] rows of `SEARCH`."""
     constants: NDArray[np.void]
     """[1] the row of `CONSTANTS`."""
+    gains: Floats
+    """[3, GAINS] of a linear vehicle for which none are drawn, the least, and how much larger the
+    largest are."""
     coordinates: NDArray[np.void]
     """[N L] rows of `COORDINATES`, for the scene that is being advanced."""
 
@@ -122,13 +131,14 @@ class Scenes(_Fields):
         target_speeds: Floats,
         constants: Constants,
         regulation_steps: int = 0,
+        gains: Floats | None = None,
     ) -> "Scenes":
         """Scenes without vehicles, on a road without polylines.
 
         `connects` says whether neighbours are also sought on connected lanes
-        [`neighbour_vehicles_connected_lanes`].
+        [`neighbour_vehicles_connected_lanes`]. With `gains`, vehicles are linear.
         """
-        numbers = *constants[:-1], *constants.idm_mobil, regulation_steps
+        numbers = *constants[:-1], *constants.idm_mobil, regulation_steps, gains is not None
         order = np.zeros((scenes, places), ORDER)
         order["place"] = np.arange(places)
         return cls(
@@ -141,6 +151,7 @@ class Scenes(_Fields):
             road=road,
             **_searches(road, connects),
             constants=np.array([numbers], CONSTANTS),
+            gains=np.zeros((3, GAINS)) if gains is None else gains,
             coordinates=np.zeros(places * road.lanes.size, COORDINATES),
         )
 
@@ -248,6 +259,8 @@ def place(
     vehicle.lateral_speed = vehicle.yaw_rate = 0.0
     vehicle.timer_s = (x + y) * math.pi % c.lane_change_period_s
     vehicle.exponent = IDM_EXPONENT
+    for k in range(GAINS):
+        vehicle.gains[k] = scenes.gains[0, k]
     vehicle.lane = vehicle.target_lane = closest_lane(scenes.road, x, y, heading)
     vehicle.route_step = vehicle.route_end = 0
     vehicle.crashed = vehicle.has_impact = vehicle.is_yielding = False

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled
-from charms_bench.foundation.generator import uniform
-from charms_bench.roads.scenes import ROUTE_STEPS, Scenes
+from charms_bench.foundation.generator import random, uniform
+from charms_bench.roads.scenes import GAINS, ROUTE_STEPS, Scenes
 from charms_bench.world.road import is_on_lane
 
 
@@ -36,6 +36,8 @@ class Task(ABC):
     """The constants of `IdmMobilParameters` that are particular to the environment."""
     regulation_steps = 0
     """After so many simulation steps, vehicles look who has the right of way; 0 if never."""
+    takes_types = True
+    """Whether the vehicles other than the egos are of the type `other_vehicles_type`."""
     can_have_egos = False
     """Whether several vehicles can be controlled."""
     vehicles: int
@@ -127,9 +129,13 @@ def plan_route(scenes: Scenes, b: int, i: int, routes: Ints, destination: int) -
 
 
 @compiled
-def draw_exponent(scenes: Scenes, b: int, i: int) -> None:
-    """Draws IDM's exponent of vehicle i [`IDMVehicle.randomize_behavior`]."""
+def draw_behaviour(scenes: Scenes, b: int, i: int) -> None:
+    """Draws the gains of vehicle i, if it is linear, and its exponent [`randomize_behavior`]."""
     c = scenes.constants[0]
+    if c.is_linear:
+        for k in range(GAINS):
+            drawn = random(scenes.generator[b])
+            scenes.vehicles[b, i].gains[k] = scenes.gains[1, k] + drawn * scenes.gains[2, k]
     low, high = c.exponent_low, c.exponent_high
     scenes.vehicles[b, i].exponent = uniform(scenes.generator[b], low, high)
 

@@ -12,7 +12,7 @@ from charms_bench.foundation.generator import normal
 from charms_bench.roads.scenes import COMMANDED, IDM, Scenes, put_on_lane
 from charms_bench.roads.task import (
     Task,
-    draw_exponent,
+    draw_behaviour,
     is_on_own_lane,
     plan_route,
     routes_to,
@@ -77,7 +77,7 @@ def _start(scenes: Scenes, rows: Ints, lanes: Ints, means: Floats, routes: Ints)
             put_on_lane(scenes, b, i, IDM, lanes[i], s, heading, speed)
             plan_route(scenes, b, i, routes, 0)
             if i == 1:
-                draw_exponent(scenes, b, i)
+                draw_behaviour(scenes, b, i)
 
 
 @compiled_of_scenes

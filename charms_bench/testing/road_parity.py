@@ -223,6 +223,9 @@ def _apart(
         if hasattr(theirs, "timer"):
             pairs[f"timer of vehicle {k}"] = vehicle["timer_s"], theirs.timer
             pairs[f"exponent of vehicle {k}"] = vehicle["exponent"], theirs.DELTA
+        if hasattr(theirs, "STEERING_PARAMETERS"):
+            gains = [*theirs.ACCELERATION_PARAMETERS, *theirs.STEERING_PARAMETERS]
+            pairs[f"gains of vehicle {k}"] = vehicle["gains"], gains
     if decision is not None:
         _, reward, terminated, truncated, info = expected
         if ours.is_split:

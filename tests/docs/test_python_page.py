@@ -34,3 +34,13 @@ def test_the_code_about_highway_envs_other_roads_runs() -> None:
     page = ROOT / "docs" / "highway-env-roads.md"
     parts = [block.text for block in blocks(page) if block.language == "python"]
     exec(compile("\n".join(parts), page.name, "exec"), {"__name__": "page"})
+
+
+def test_the_code_about_training_on_highway_envs_roads_runs() -> None:
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
+    page = ROOT / "docs" / "train-on-roads.md"
+    for block in blocks(page):
+        if block.language == "python":
+            assert block.text.count("model.learn(") == 1
+            text = re.sub(r"model\.learn\(.*\)", "model.learn(220)", block.text)
+            exec(compile(text, page.name, "exec"), {"__name__": "page"})

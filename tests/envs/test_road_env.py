@@ -188,7 +188,7 @@ def test_available_actions_are_those_of_highway_env(name: str) -> None:
         ({"observation": {"type": "GrayscaleObservation"}}, "'GrayscaleObservation'"),
         ({"observation": {"type": "Kinematics", "features": ["lane"]}}, "'lane'"),
         ({"observation": {"type": "Kinematics", "row": 3}}, "no key named 'row'"),
-        ({"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "LinearVehicle"),
+        ({"other_vehicles_type": "highway_env.vehicle.kinematics.Vehicle"}, "DefensiveVehicle"),
         ({"manual_control": True}, "config.manual_control"),
     ],
 )

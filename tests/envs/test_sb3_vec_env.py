@@ -1,14 +1,16 @@
 """Episodes as Stable-Baselines3 sees them."""
 
+import gymnasium
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecMonitor
 
+import charms_bench.envs  # noqa: F401  # registers the environments
 from charms_bench.engine.endings import OFF_ROAD, TIME
 from charms_bench.engine.neighbours import locate
 from charms_bench.envs.ego_env import ego_vector_env
@@ -91,3 +93,25 @@ def test_maskable_algorithms_get_the_masks_by_the_method_that_they_ask_for() -> 
     asked = np.stack(env.env_method("action_masks"))
     assert asked.tolist() == env.venv.episodes.action_masks().tolist()
     assert len(env.env_method("action_masks", indices=[1])) == 1
+
+
+def test_hindsight_asks_many_car_parks_for_the_rewards_of_goals() -> None:
+    park = gymnasium.make_vec("charms_bench/parking-v0", num_envs=3, config={"duration": 4})
+    env = EpisodesVecEnv(park)
+    agent = SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=90,
+        batch_size=32,
+        policy_kwargs={"net_arch": [16]},
+        device="cpu",
+    )
+    agent.learn(150)
+    buffer = agent.replay_buffer
+    assert isinstance(buffer, HerReplayBuffer)
+    found = buffer.sample(64)
+    goals = found.next_observations["achieved_goal"], found.observations["desired_goal"]
+    expected = park.unwrapped.compute_reward(*(each.numpy() for each in goals))
+    np.testing.assert_allclose(found.rewards[:, 0], expected, rtol=0, atol=1e-6)
+    assert set(found.dones.unique().tolist()) <= {0.0, 1.0}

@@ -8,7 +8,7 @@ import pytest
 
 from charms_bench.roads import TASKS
 from charms_bench.roads.episodes import Episodes
-from charms_bench.testing.road_parity import compare, verify_road
+from charms_bench.testing.road_parity import compare, verify_configurations, verify_road
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "highway-fast-v0": {"initial_lane_id": 1, "normalize_reward": False, "offroad_terminal": True},
@@ -55,6 +55,15 @@ CONFIGURATIONS: dict[str, dict[str, Any]] = {
         "collision_reward": -0.3,
     },
 }
+LINEAR = [
+    {"other_vehicles_type": f"highway_env.vehicle.behavior.{kind}Vehicle"}
+    for kind in ("Linear", "Aggressive", "Defensive")
+]
+LINEAR_ROADS = (
+    *("highway-fast-v0", "merge-v0", "merge-generic-v1", "two-way-v0", "exit-v0", "u-turn-v1"),
+    *("roundabout-v0", "roundabout-generic-v1", "intersection-v0", "intersection-multi-agent-v2"),
+)
+"""One of each kind of road where `other_vehicles_type` counts."""
 RATES = ("simulation_frequency", "policy_frequency")
 FEATURES = ["presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]
 
@@ -72,6 +81,25 @@ def test_episodes_are_those_of_highway_env_to_the_last_bit(name: str) -> None:
 def test_they_are_with_other_configurations_too(name: str) -> None:
     found = verify_road(name, 4, seed=100, workers=1, config=CONFIGURATIONS[name])
     assert found.differing == []
+
+
+@pytest.mark.parametrize("name", LINEAR_ROADS)
+def test_linear_vehicles_drive_as_those_of_highway_env(name: str) -> None:
+    found = verify_configurations(name, LINEAR, workers=1)
+    assert found.decisions > 3
+    assert found.differing == []
+
+
+@pytest.mark.parametrize("kind", LINEAR)
+def test_a_racetrack_has_idm_vehicles_whatever_their_type(kind: dict[str, Any]) -> None:
+    assert verify_road("racetrack-v0", 1, workers=1, config=kind).differing == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LINEAR_ROADS)
+@pytest.mark.parametrize("kind", LINEAR)
+def test_200_episodes_of_linear_vehicles_do(name: str, kind: dict[str, Any]) -> None:
+    assert verify_road(name, 200, config=kind).differing == []
 
 
 @pytest.mark.slow
