@@ -36,6 +36,8 @@ class Engine(Protocol):
     scene: Scene
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
+    occupied: Bools
+    """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
 
@@ -56,6 +58,9 @@ class Engine(Protocol):
 
         The neighbours and all other arrays that follow from positions and headings are found.
         """
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        """The scenes as M vehicles see them, read-only, and these vehicles there."""
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""

@@ -37,6 +37,7 @@ class BatchedEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.occupied = self.scene.present
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)
@@ -99,6 +100,9 @@ class BatchedEngine:
         self._vehicles.clear()
         locate(self.scene, rows)
         self._mark(rows)
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         if actions.ndim == 2:

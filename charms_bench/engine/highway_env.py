@@ -52,6 +52,7 @@ class HighwayEnvEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.occupied = self.scene.present
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
@@ -124,6 +125,9 @@ class HighwayEnvEngine:
         locate(self.scene, rows)
         for row in map(int, rows):
             self.roads[row] = self._road(row)
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):
