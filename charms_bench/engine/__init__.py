@@ -38,6 +38,8 @@ class Engine(Protocol):
     """[B, N] the index of each vehicle's agent."""
     occupied: Bools
     """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
+    measures: Mapping[str, Floats]
+    """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
 
@@ -53,10 +55,19 @@ class Engine(Protocol):
             draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
         """
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        """What decides what follows in the scenes `rows` (R,), beside `scene`; (R, W), W can be 0.
+
+        The straight road has nothing.
+        """
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
         """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).
 
-        The neighbours and all other arrays that follow from positions and headings are found.
+        On a road, `saved` is what the method of that name returned. The neighbours and all other
+        arrays that follow from positions and headings are found.
         """
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:

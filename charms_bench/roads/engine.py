@@ -26,6 +26,7 @@ from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable, neighbours
 from charms_bench.roads.dynamics import move
+from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.scenes import (
@@ -76,6 +77,9 @@ class RoadEngine:
         self.drivers = np.zeros(shape, dtype=np.int64)
         self.occupied = np.zeros(shape, dtype=np.bool_)
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
+        on_network, task = self.episodes.scenes, self.episodes.task
+        self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
+        self.measures = self._entries.measures
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
         self._ways = Ways.empty(*shape)
@@ -112,6 +116,7 @@ class RoadEngine:
                 wanted = vehicles["target_speed"][each]
                 wanted = nearest_target_speed(wanted, 0, self._rule.speeds)
                 vehicles["target_speed"][each] = wanted
+        self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         show(episodes.scenes, scene.unpacked, self._ways, rows)
 
     def _seat(self, rows: Ints) -> None:
@@ -135,8 +140,35 @@ class RoadEngine:
             self._views.active[:] = True
             self._shown_views = self._views.read_only()
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
-        raise InputError(f"{self.episodes.name}: scenes of this road cannot be restored")
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        kept = (np.ascontiguousarray(array[rows]) for array in self._kept)
+        return np.concatenate([each.reshape(rows.size, -1).view(np.uint8) for each in kept], axis=1)
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
+        assert saved is not None
+        start = 0
+        for array in self._kept:
+            end = start + array[:1].nbytes
+            part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
+            array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        vehicles, scene = self.episodes.scenes.vehicles, self.scene
+        had_targets = vehicles["kind"][rows] != CONTINUOUS
+        self._seat(rows)
+        gets_targets = (vehicles["kind"][rows] == COMMANDED) & ~had_targets
+        speed, target_speed = vehicles["speed"][rows], vehicles["target_speed"][rows]
+        target_speed = np.where(gets_targets, speed, target_speed)
+        target_speed *= self._kinds[rows] != BY_CONTROLS
+        vehicles["target_speed"][rows] = target_speed
+        show(self.episodes.scenes, scene.unpacked, self._ways, rows)
+
+    @property
+    def _kept(self) -> tuple[NDArray[Any], ...]:
+        """The arrays [B, ...] from which scenes continue, beside those of `scene`."""
+        scenes = self.episodes.scenes
+        own = scenes.vehicles, scenes.order, scenes.generator, scenes.time, scenes.steps
+        return (*own, *self._ways, self._entries.table, self.goals)
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles
@@ -193,6 +225,7 @@ class RoadEngine:
                     self._drive(model, (found[0][some], found[1][some]))
         views = self._views.unpacked
         advance(self.episodes.scenes, scene.unpacked, views, self._ways, rows, self._kinds)
+        self._entries.note(self.episodes.scenes, rows)
         self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
 
     def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:
@@ -230,9 +263,7 @@ def show(scenes: Scenes, shown: Any, ways: Ways, rows: Ints) -> None:
 
 
 @compiled_of_scenes
-def show_each(
-    scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints
-) -> None:
+def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
     """Straightens scenes as each of M vehicles sees them."""
     scene, view, last = shown.scene, views.scene, -1
     for m in range(rows.size):
@@ -251,9 +282,7 @@ def show_each(
 
 
 @compiled_of_scenes
-def carry_out(
-    scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints
-) -> None:
+def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
     """Has M vehicles do what their views say, and keeps what their driver models remember."""
     scene, view, last = shown.scene, views.scene, -1
     for m in range(rows.size):
@@ -294,9 +323,7 @@ def decides_lane(here: Here, vehicle: Row) -> bool:
 
 
 @compiled_of_scenes
-def advance(
-    scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kinds: Ints
-) -> None:
+def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kinds: Ints) -> None:
     """One simulation step of the scenes `rows`, after the agents have answered.
 
     Args:

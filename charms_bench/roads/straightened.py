@@ -72,6 +72,7 @@ def straighten(
             scene.x[v, i], scene.y[v, i] = VACANT_X_M - 1000.0 * i, 0.0
             scene.lane[v, i] = scene.target_lane[v, i] = 0
             scene.speed[v, i] = scene.heading[v, i] = 0.0
+            scene.acceleration[v, i] = scene.target_speed[v, i] = 0.0
             scene.direction_x[v, i], scene.direction_y[v, i] = 1.0, 0.0
             scene.crashed[v, i] = vehicle.crashed
             continue
