@@ -98,12 +98,13 @@ class Recording:
         }
         schema = EPISODE_SCHEMA.copy()
         if self._on_network:
-            columns |= dict.fromkeys(OF_TRAFFIC) | {**simulation.engine.measures}
+            measures = simulation.engine.measures.items()
+            columns |= dict.fromkeys(OF_TRAFFIC)
+            columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
         else:
             for name in OF_ROADS:
                 del schema[name]
-        exists = pl.selectors.float().fill_nan(None)
-        return table(columns, schema).with_columns(exists).sort("episode")
+        return table(columns, schema).sort("episode")
 
     def counts(self) -> pl.DataFrame:
         """Returns what all vehicles did while they followed a leader (`columns.COUNT`)."""
