@@ -141,8 +141,8 @@ class RoadEngine:
             self._shown_views = self._views.read_only()
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
-        kept = (np.ascontiguousarray(array[rows]) for array in self._kept)
-        return np.concatenate([each.reshape(rows.size, -1).view(np.uint8) for each in kept], axis=1)
+        kept = (array[rows].reshape(rows.size, array[0].size) for array in self._kept)
+        return np.concatenate([each.view(np.uint8) for each in kept], axis=1)
 
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
@@ -204,7 +204,6 @@ class RoadEngine:
                 command(self.scene, *each, actions[some], rule)
             elif some.size:
                 view = self._views_of(each), each[1]
-                self._views.repeats[view] = self.scene.repeats[each]
                 command(self._views, *view, actions[some], rule)
                 self.scene.repeats[each] = self._views.repeats[view]
                 self._carry_out(each)
@@ -240,6 +239,7 @@ class RoadEngine:
             answers = model.drive(self._on_road(is_traffic, int(lanes), limit), each)
             obey(scene, *each, *answers)
         if is_traffic:
+            self.scene.memory[vehicles] = self._views.memory[seats]
             self._carry_out(vehicles)
 
     def _on_road(self, is_traffic: bool, lanes: int, speed_limit: float) -> Scene:
@@ -273,6 +273,7 @@ def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, pl
             if b != last:
                 forget(here, i)
             view.temperament[v, i] = scene.temperament[b, i]
+            view.repeats[v, i] = scene.repeats[b, i]
             for k in range(scene.parameters.shape[2]):
                 view.parameters[v, i, k] = scene.parameters[b, i, k]
             for k in range(scene.memory.shape[2]):
@@ -283,7 +284,7 @@ def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, pl
 
 @compiled_of_scenes
 def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
-    """Has M vehicles do what their views say, and keeps what their driver models remember."""
+    """Has M vehicles do what their views say."""
     scene, view, last = shown.scene, views.scene, -1
     for m in range(rows.size):
         b, i, v = rows[m], places[m], rows[m] * scene.x.shape[1] + places[m]
@@ -291,8 +292,6 @@ def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, pl
         for j in range(here.places if b != last else 0):
             forget(here, j)
         take(here, ways, b, i, view, v)
-        for k in range(scene.memory.shape[2]):
-            scene.memory[b, i, k] = view.memory[v, i, k]
         last = b
 
 
