@@ -80,7 +80,8 @@ class RecordedCell:
         if guests or is_ego_outside:
             if cell.scene.network is not None:
                 check_guests(guests, cell.scene)
-            traffic = _WithGuests(traffic, tuple({**agents, **guests}))
+            seats = dict.fromkeys((*agents, *traffic.agents, *guests))
+            traffic = _WithGuests(traffic, tuple(seats))
         key, steps = cell.ego.agent.key, ()
         if is_ego_outside:
             steps = getattr(agents[key], "target_speed_steps_mps", ())
