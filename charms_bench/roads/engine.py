@@ -79,7 +79,7 @@ class RoadEngine:
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
         on_network, task = self.episodes.scenes, self.episodes.task
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
-        self.measures = self._entries.measures
+        self.measures: Mapping[str, Floats] = self._entries.measures
         self._kinds = np.zeros(shape, dtype=np.int64)
         """[B, N] what drives each vehicle."""
         self._ways = Ways.empty(*shape)

@@ -86,7 +86,7 @@ class Merge(Task):
     def entering(self, scenes: Scenes) -> Ints:
         """The vehicle (B,) on the ramp, at the start of an episode."""
         kind, lane = scenes.vehicles["kind"], scenes.vehicles["lane"]
-        return np.argmax((kind > OBSTACLE) & (lane == self._rule.ramp), axis=1)
+        return np.asarray(np.argmax((kind > OBSTACLE) & (lane == self._rule.ramp), axis=1))
 
     def main_lanes(self, scenes: Scenes) -> Bools:
         """Those of the motorway; highway-env forbids others to change to the ramp."""
