@@ -147,6 +147,8 @@ def default(value: object) -> str:
 
 def keys_of(model: type[BaseModel]) -> str:
     schema = model.model_json_schema()
+    if "$ref" in schema:  # a model that refers to itself
+        schema = schema["$defs"][model.__name__]
     said, required = meanings(model), schema.get("required", [])
     rows = []
     for name, field in model.model_fields.items():

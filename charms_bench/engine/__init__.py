@@ -36,6 +36,10 @@ class Engine(Protocol):
     scene: Scene
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
+    occupied: Bools
+    """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
+    measures: Mapping[str, Floats]
+    """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
 
@@ -51,11 +55,23 @@ class Engine(Protocol):
             draws: (R, 4 N + 1) place the vehicles instead of the seeds; see `engine.draws`.
         """
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        """What decides what follows in the scenes `rows` (R,), beside `scene`; (R, W), W can be 0.
+
+        The straight road has nothing.
+        """
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
         """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).
 
-        The neighbours and all other arrays that follow from positions and headings are found.
+        On a road, `saved` is what the method of that name returned. The neighbours and all other
+        arrays that follow from positions and headings are found.
         """
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        """The scenes as M vehicles see them, read-only, and these vehicles there."""
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""

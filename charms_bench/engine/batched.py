@@ -37,6 +37,8 @@ class BatchedEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.occupied = self.scene.present
+        self.measures: Mapping[str, Floats] = {}
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)
@@ -91,7 +93,12 @@ class BatchedEngine:
             self.scene.target_speed[rows] *= ~marked
             follow_no_lane(self.scene, self._is_continuous)
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        return np.zeros((rows.size, 0), dtype=np.uint8)
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
         if self._script is not None:
             self._script.choose(self.scene, rows, seeds)
         drivers, ego = self.drivers, self.scene.ego
@@ -99,6 +106,9 @@ class BatchedEngine:
         self._vehicles.clear()
         locate(self.scene, rows)
         self._mark(rows)
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         if actions.ndim == 2:

@@ -52,6 +52,8 @@ class HighwayEnvEngine:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        self.occupied = self.scene.present
+        self.measures: Mapping[str, Floats] = {}
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self.roads: list[Road] = [None] * scenes
         """highway-env's roads, for inspection or drawing."""
@@ -113,7 +115,12 @@ class HighwayEnvEngine:
             self._vehicles[row] = [*self.roads[row].vehicles]
             self._copy_state(int(row))
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        return np.zeros((rows.size, 0), dtype=np.uint8)
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
         if self._script is not None:
             self._script.choose(self.scene, rows, seeds)
         locate(self.scene, rows)
@@ -124,6 +131,9 @@ class HighwayEnvEngine:
         locate(self.scene, rows)
         for row in map(int, rows):
             self.roads[row] = self._road(row)
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        return self._shown, vehicles
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         for row, place, action in zip(*vehicles, actions, strict=True):

@@ -146,7 +146,6 @@ class Simulation:
         self._futures = {
             k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
         }
-        self._shown = self.scene.read_only()
         if settings.inflow and not self._egos_end_episodes:
             raise InputError(
                 "scene.inflow: vehicles that enter need a driver; expected an ego only"
@@ -290,7 +289,7 @@ class Simulation:
             frames = self.steps * self.settings.steps_per_decision + self.phase
             now = active & (frames % period == 0)
             vehicles = vehicles_of(
-                agent, self.engine.drivers, now, self.scene.present, self.scene.entry
+                agent, self.engine.drivers, now, self.engine.occupied, self.scene.entry
             )
             if vehicles[0].size:
                 number = (frames // period)[vehicles[0]].astype(np.uint64)
@@ -335,7 +334,7 @@ class Simulation:
         rollouts = self._futures[agent].of(vehicles) if policy.rollouts_with else None
         try:
             with np.errstate():  # what a plugin sets is for itself
-                observations = observation_of(policy.observation)(self._shown, vehicles)
+                observations = observation_of(policy.observation)(*self.engine.seen_by(vehicles))
                 asked = Asked(observations, self.scene.memory[kept], noise, rollouts)
                 actions, self.scene.memory[kept] = decide(policy, asked)
         except BrokenWordError as error:

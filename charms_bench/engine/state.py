@@ -20,7 +20,7 @@ from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, Sce
 if TYPE_CHECKING:
     from charms_bench.engine.simulation import Simulation
 
-OF_SCENES = ("seeds", "steps", "ending", "generator", "ego", "active")
+OF_SCENES = ("seeds", "steps", "ending", "generator", "ego", "active", "network")
 """The arrays of scenes; all other arrays are of vehicles."""
 
 
@@ -72,6 +72,8 @@ class SceneState:
     """0 where `impact` is false, as `impact_y`; and `action` is 0 where `has_action` is false."""
     impact_y: Floats
     impact: Bools
+    network: NDArray[np.uint8]
+    """[S, W] what the engine of one of highway-env's roads keeps; W is 0 on the straight road."""
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
@@ -204,6 +206,8 @@ class SceneState:
 
 ARRAYS = tuple(each.name for each in fields(SceneState))[3:]
 """The fields that are arrays."""
+OF_SCENE = tuple(name for name in ARRAYS if name != "network")
+"""Those that `Scene` and `Simulation` have."""
 
 
 def _holder(simulation: "Simulation", name: str) -> Any:
@@ -214,19 +218,13 @@ def _holder(simulation: "Simulation", name: str) -> Any:
 
 
 def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
-    """Saves the scenes `rows` (S,) of a simulation.
-
-    Raises:
-        InputError: They are on one of highway-env's roads.
-    """
-    if simulation.settings.network is not None:
-        what = "episodes on this road start at their seeds only, and are not continued or branched"
-        raise InputError(f"{simulation.settings.network}: {what}")
-    arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in ARRAYS}
+    """Saves the scenes `rows` (S,) of a simulation."""
+    arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in OF_SCENE}
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0
     arrays["impact_y"][~arrays["impact"]] = 0.0
     arrays["x"][~arrays["present"]] = 0.0
+    arrays["network"] = simulation.engine.saved(rows)
     return SceneState(simulation.settings, simulation.agents, simulation.phase, **arrays)
 
 
@@ -249,7 +247,7 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     index = _agents_in(simulation, state)
     simulation.phase = state.phase
     for name, array in {**state.arrays(), "drivers": index[state.drivers]}.items():
-        if name != "memory":
+        if name not in ("memory", "network"):
             getattr(_holder(simulation, name), name)[rows] = array
     # With other agents, it can be wider or narrower; no agent that is here declares what is cut.
     memory = simulation.scene.memory
@@ -259,7 +257,7 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     vacate(simulation.scene, rows)
     if simulation.playback is not None:
         simulation.playback.choose(rows, state.seeds)
-    simulation.engine.restore(rows, state.seeds)
+    simulation.engine.restore(rows, state.seeds, state.network)
     set_parameters(simulation, rows)
 
 

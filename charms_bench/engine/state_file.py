@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from charms_bench.engine.collision_kinds import COLLISIONS
 from charms_bench.engine.endings import ENDINGS
-from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
+from charms_bench.engine.state import OF_SCENE, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
@@ -36,7 +36,7 @@ _BOOLEANS = ("active", "has_action", "present", "crashed", "impact")
 _TYPES = (
     ((*_INTEGERS, "target_lane", "repeats"), "i", "integers"),
     (_BOOLEANS, "b", "true or false"),
-    (ARRAYS, "fi", "numbers"),
+    (OF_SCENE, "fi", "numbers"),
 )
 """Fields, NumPy's kinds of what a file may hold in them, and these kinds in words."""
 
@@ -60,11 +60,13 @@ def save_state(state: SceneState, path: str | Path) -> None:
         raise InputError(f"{path}: a state of a scenario stays in memory; expected drawn traffic")
     if state.settings.recording is not None:
         raise InputError(f"{path}: a state of a recorded scene stays in memory")
+    if state.settings.network is not None:
+        raise InputError(f"{path}: a state on one of highway-env's roads stays in memory")
     fields = {
         "settings": state.settings.model_dump(mode="json"),
         "agents": state.agents,
         "phase": state.phase,
-        **{name: array.tolist() for name, array in state.arrays().items()},
+        **{name: getattr(state, name).tolist() for name in OF_SCENE},
     }
     lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in fields.items())
     body = (",\n".join(lines) + "}\n").encode()
@@ -120,7 +122,7 @@ def _check_file(found: Any, data: bytes) -> None:
 
 
 def _state_of(found: dict[str, Any]) -> SceneState:
-    known = {"format", "version", "sha256", "settings", "agents", "phase", *ARRAYS}
+    known = {"format", "version", "sha256", "settings", "agents", "phase", *OF_SCENE}
     for name in sorted(known ^ found.keys()):
         raise InputError(f"{name}: {'is missing' if name in known else 'unknown field'}")
     try:
@@ -135,8 +137,9 @@ def _state_of(found: dict[str, Any]) -> SceneState:
         raise InputError("agents: a name occurs twice")
     if type(phase) is not int:
         raise InputError(f"phase: found {phase!r}, expected an integer")
-    arrays = {name: _array_of(name, found[name]) for name in ARRAYS}
-    state = SceneState(settings, tuple(agents), phase, **arrays)
+    arrays = {name: _array_of(name, found[name]) for name in OF_SCENE}
+    network = np.zeros((arrays["seeds"].size, 0), dtype=np.uint8)
+    state = SceneState(settings, tuple(agents), phase, **arrays, network=network)
     check_state(state)
     return state
 
@@ -172,7 +175,8 @@ def check_state(state: SceneState) -> None:
         InputError: A shape is wrong or a number out of range; the message names the field.
     """
     settings, scenes = state.settings, state.seeds.size
-    for name, array in state.arrays().items():
+    for name in OF_SCENE:
+        array = getattr(state, name)
         of_vehicles = (settings.vehicles, *(array.shape[2:3] if name == "memory" else ()))
         shape = (scenes,) if name in OF_SCENES else (scenes, *of_vehicles)
         shape = (scenes, 6) if name == "generator" else shape
@@ -198,7 +202,7 @@ def check_state(state: SceneState) -> None:
     }
     if any(len(set(numbers)) < len(numbers) for numbers in state.entry.tolist()):
         raise InputError("entry: two vehicles of a scene have the same number")
-    for name in ("phase", *ARRAYS):
+    for name in ("phase", *OF_SCENE):
         values = np.asarray(getattr(state, name))
         low, high = bounds.get(name, (-_LARGEST, _LARGEST))
         if (

@@ -18,7 +18,7 @@ import polars as pl
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.episodes.escape import EscapeSearch
-from charms_bench.episodes.recorded_cell import RecordedCell
+from charms_bench.episodes.recorded_cell import RecordedCell, check_guests
 from charms_bench.episodes.replay import replay
 from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Policy
@@ -122,7 +122,10 @@ def _usable(settings: SceneSettings) -> tuple[str, ...]:
     names = []
     for name in plugins(AGENTS):
         with suppress(InputError):
-            Simulation(settings, 1, name, OneAgent(name), {name: make_agent(name)})
+            agent = make_agent(name)
+            Simulation(settings, 1, name, OneAgent(name), {name: agent})
+            if settings.network is not None:
+                check_guests({name: agent}, settings)
             names.append(name)
     return tuple(names)
 

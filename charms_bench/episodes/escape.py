@@ -14,7 +14,8 @@ from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Ints
 
-_DECIDES = sorted({*ARRAYS} - {*OF_SCENES} - {"action", "has_action", "drivers", "collision"})
+_PLAYS_NO_PART = {*OF_SCENES, "action", "has_action", "drivers", "collision"} - {"network"}
+_DECIDES = sorted({*ARRAYS} - _PLAYS_NO_PART)
 """The arrays by which the scenes of one episode at one decision may differ in what follows."""
 
 

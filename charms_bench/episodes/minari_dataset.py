@@ -126,11 +126,11 @@ def write_minari(
 def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
     """Returns what `gymnasium.make` needs to make the environment of a cell's episodes.
 
-    It is None where plain values cannot describe the environment: for a scenario, a traffic with
-    options, a network given by path, or an observation of a plugin.
+    It is None where plain values cannot describe the environment: for a scenario, a road, a traffic
+    with options, a network given by path, or an observation of a plugin.
     """
     traffic = cell.traffic.traffic
-    is_plain = not (traffic.options or traffic.scenario)
+    is_plain = not (traffic.options or traffic.scenario or traffic.road)
     is_plain &= not any(map(is_network, (traffic.name or "", *traffic.mixture)))
     if not is_plain or not isinstance(observation, Neighbours | Kinematics):
         return None

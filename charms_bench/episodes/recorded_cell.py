@@ -73,18 +73,15 @@ class RecordedCell:
                 the speed steps of its agent.
 
         Raises:
-            InputError: Guests, or an ego driven from outside, on a road of highway-env.
+            InputError: A guest cannot drive on the road of the cell.
         """
         cell, networks, traffic = self.cell, self.networks, self.cell.traffic.traffic.make()
         agents = {driver.key: driver.make(networks) for driver in self.drivers}
         if guests or is_ego_outside:
             if cell.scene.network is not None:
-                raise InputError(
-                    f"{cell.scene.network}: on this road, an episode cannot be driven again by "
-                    "others than its agents; what-if, --avoidable and datasets that can be "
-                    "recovered need the straight road"
-                )
-            traffic = _WithGuests(traffic, tuple({**agents, **guests}))
+                check_guests(guests, cell.scene)
+            seats = dict.fromkeys((*agents, *traffic.agents, *guests))
+            traffic = _WithGuests(traffic, tuple(seats))
         key, steps = cell.ego.agent.key, ()
         if is_ego_outside:
             steps = getattr(agents[key], "target_speed_steps_mps", ())
@@ -159,6 +156,17 @@ class RecordedCell:
             )
         versions = f"charms-bench {manifest.get('charms_bench')} and {manifest.get('versions')}"
         return f"The run was made with {versions}; install those to replay it"
+
+
+def check_guests(guests: Mapping[str, Agent], scene: SceneSettings) -> None:
+    """Raises an `InputError` if a guest cannot drive on the road of some scenes."""
+    from charms_bench.roads.settings import problem_of_driver  # imports highway-env
+
+    for name, agent in guests.items():
+        if problem := problem_of_driver(agent, scene):
+            raise InputError(
+                f"agent '{name}' cannot drive on the road '{scene.network}': {problem}"
+            )
 
 
 class _WithGuests(Traffic):

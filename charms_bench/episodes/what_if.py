@@ -109,6 +109,8 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
             f"vehicle {place} is not there before decision {step} of episode {episode}; choose "
             "another decision or another vehicle"
         )
+    if recorded.plan is not None and recorded.plan.is_obstacle[start, place]:
+        raise InputError(f"vehicle {place} of episode {episode} is an obstacle; choose a vehicle")
     (other,) = simulate(cell, [episode], seat)
     if not np.array_equal(recorded.x[: start + 1], other.x[: start + 1]):  # see `replay`
         (other,) = simulate(cell, [episode], seat, among=cell.shard_of(episode))

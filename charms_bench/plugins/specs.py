@@ -98,6 +98,9 @@ class TrafficSpec(_Spec):
     """Vehicles that are placed and prescribed, instead of a traffic model."""
     road: Name | None = None
     """highway-env's name of an environment, such as `merge-v0`: its road and its vehicles."""
+    drivers: "TrafficSpec | None" = None
+    """On a road, what drives these vehicles: a traffic model, an agent or a mixture. By default,
+    they drive as in the environment."""
 
     @model_validator(mode="after")
     def _one_of_four(self) -> "TrafficSpec":
@@ -107,13 +110,19 @@ class TrafficSpec(_Spec):
                 "give a name, probabilities as {mixture: {agent: probability}}, a scenario, or a "
                 "road"
             )
+        if self.drivers is not None:
+            if self.road is None:
+                raise ValueError("drivers: are those of the vehicles of a road; give a road")
+            if self.drivers.road is not None or self.drivers.scenario is not None:
+                raise ValueError("drivers: expected a traffic model, an agent or a mixture")
         return self
 
     @model_serializer(mode="wrap")
     def _without_road(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """As before there were roads, if there is none: a suite keeps its fingerprint."""
         fields: dict[str, Any] = dump(self)
-        return {name: value for name, value in fields.items() if value or name != "road"}
+        new = ("road", "drivers")
+        return {name: value for name, value in fields.items() if value or name not in new}
 
     def make(self) -> Traffic:
         """The traffic."""
@@ -122,7 +131,7 @@ class TrafficSpec(_Spec):
         if self.scenario is not None:
             return Placed(self.scenario.agents)
         if self.road is not None:
-            return OneAgent(PRESCRIBED)
+            return OneAgent(PRESCRIBED) if self.drivers is None else self.drivers.make()
         return Mixture(self.mixture)
 
 

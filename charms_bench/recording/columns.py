@@ -106,9 +106,31 @@ EPISODE: Mapping[str, Column] = {
     "traffic_distance_m": Column(
         "Distance driven by all vehicles of the traffic together; the same.", "m", pl.Float64()
     ),
+    "entry_lead_gap_m": Column(
+        "On one of highway-env's roads: the gap to the leader when a vehicle enters "
+        "(`roads.entries`); null without a leader within 100 m.",
+        "m",
+        pl.Float64(),
+    ),
+    "entry_lag_gap_m": Column(
+        "The gap to the follower then; null without a follower within 100 m.", "m", pl.Float64()
+    ),
+    "entry_braking_mps2": Column(
+        "The strongest braking of that follower within 2 s, until it or the entering vehicle "
+        "crashes; 0 if it does not brake.",
+        "m/s²",
+        pl.Float64(),
+    ),
+    "entry_pet_s": Column(
+        "The post-encroachment time (PET) between the entering vehicle and that follower; null "
+        "above 5 s.",
+        "s",
+        pl.Float64(),
+    ),
 }
-"""One row per episode."""
+"""One row per episode. On the straight road, files do not have the columns `entry_*`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
+OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
 
 COUNT: Mapping[str, Column] = {
     "episode": _SEED,

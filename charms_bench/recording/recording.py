@@ -10,7 +10,7 @@ import polars as pl
 from charms_bench.engine.collision_kinds import STRUCK
 from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
-from charms_bench.recording.columns import EPISODE_SCHEMA, OF_TRAFFIC, table
+from charms_bench.recording.columns import EPISODE_SCHEMA, OF_ROADS, OF_TRAFFIC, table
 from charms_bench.recording.driver_sums import DriverSums
 from charms_bench.recording.fault import Fault
 from charms_bench.recording.following_counts import FollowingCounts
@@ -96,9 +96,15 @@ class Recording:
             "traffic_crashed": (is_lost & is_traffic).sum(axis=1) + self._left_lost,
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
+        schema = EPISODE_SCHEMA.copy()
         if self._on_network:
+            measures = simulation.engine.measures.items()
             columns |= dict.fromkeys(OF_TRAFFIC)
-        return table(columns, EPISODE_SCHEMA).sort("episode")
+            columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
+        else:
+            for name in OF_ROADS:
+                del schema[name]
+        return table(columns, schema).sort("episode")
 
     def counts(self) -> pl.DataFrame:
         """Returns what all vehicles did while they followed a leader (`columns.COUNT`)."""

@@ -1,9 +1,13 @@
-"""An agent of the straight road drives the ego of one of highway-env's environments.
+"""Agents of the straight road drive vehicles of one of highway-env's environments.
 
-The agent sees each scene straightened along the ego's way (`straightened`); what it answers is
-carried out on the network. All vehicles have highway-env's controllers and limits, and the others
-drive as in the environment. The profile decides between which target speeds the ego chooses, and
-the constants of its driver model.
+Each of these vehicles sees the scene straightened along its own way (`straightened`); what its
+agent answers is carried out on the network. All vehicles have highway-env's controllers and limits,
+and those without an agent drive as in the environment. The profile decides between which target
+speeds agents choose, and the constants of driver models.
+
+In a simulation step, the driver models act in their order, and each sees the target lanes of the
+models before it. All vehicles of one model see the scene as it was before any of them acted. Then
+the vehicles of the environment decide, and all move.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,30 +17,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.meta_actions import choose_target_speeds, command, command_rule, obey
+from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
+from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.roads.driving import (
-    act,
-    is_reachable,
-    neighbours,
-)
+from charms_bench.roads.driving import act, is_reachable, neighbours
 from charms_bench.roads.dynamics import move
+from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import coordinates_of, forget, locate
 from charms_bench.roads.scenes import (
+    COMMANDED,
     CONTINUOUS,
+    OBSTACLE,
     Here,
+    Row,
     Scenes,
     here_of,
     lane_of,
     vehicle_of,
 )
 from charms_bench.roads.stepping import collide
-from charms_bench.roads.straightened import Ways, straighten
+from charms_bench.roads.straightened import Ways, find_way, straighten
 from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
@@ -44,8 +49,9 @@ from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 HEADWAY_S = 0.3
 """The least time headway after a lane change towards the route."""
-BY_TARGETS, BY_MODEL, BY_CONTROLS = range(3)
-"""What drives the egos: target speeds and lanes, a driver model, or continuous actions."""
+BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
+"""What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model, or
+continuous actions."""
 
 
 class RoadEngine:
@@ -67,14 +73,24 @@ class RoadEngine:
         """The scenes on the network."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
-        self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
+        shape = self.scene.x.shape
+        self.drivers = np.zeros(shape, dtype=np.int64)
+        self.occupied = np.zeros(shape, dtype=np.bool_)
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
-        self._ways = Ways.empty(scenes)
-        self._models, self._continuous = models, continuous
+        on_network, task = self.episodes.scenes, self.episodes.task
+        self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
+        self.measures: Mapping[str, Floats] = self._entries.measures
+        self._kinds = np.zeros(shape, dtype=np.int64)
+        """[B, N] what drives each vehicle."""
+        self._ways = Ways.empty(*shape)
+        self._settings, self._models = settings, models
+        self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._rule = command_rule(settings.profile)
         self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
         self._shown = self.scene.read_only()
-        self._roads: dict[tuple[int, float], Scene] = {}
+        self._views, self._shown_views = self.scene, self._shown
+        """[B N, N] each scene as each of its vehicles sees it, if agents drive the traffic."""
+        self._roads: dict[tuple[bool, int, float], Scene] = {}
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
@@ -86,146 +102,302 @@ class RoadEngine:
         episodes.start(rows)
         episodes.task.navigate(episodes.scenes, rows)
         scene.ego[rows], scene.active[rows], self.drivers[rows] = 0, True, agents
+        scene.temperament[rows] = 0.5
         self.goals[rows] = False
         self._ways.lanes[rows] = -1
-        vehicles = episodes.scenes.vehicles
-        scene.target_speed[rows, 0] = vehicles["speed"][rows, 0]
-        scene.timer_s[rows, 0] = vehicles["timer_s"][rows, 0]
-        scene.temperament[rows] = 0.5
-        if self._kind == BY_CONTROLS:
-            vehicles["kind"][rows, 0], vehicles["target_speed"][rows, 0] = CONTINUOUS, 0.0
-            scene.target_speed[rows, 0] = 0.0
-        elif self._rule.speeds.size and self._kind == BY_TARGETS and not self._own_rules:
-            free = np.zeros(scene.x.shape, dtype=np.bool_)
-            choose_target_speeds(scene, rows, free, self._rule.speeds)
+        self._seat(rows)
+        vehicles, kinds = episodes.scenes.vehicles, self._kinds
+        vehicles["target_speed"][rows, 0] = vehicles["speed"][rows, 0]
+        for b, i in zip(*np.nonzero(kinds[rows] != BY_ENVIRONMENT), strict=True):
+            each = rows[b], i
+            if kinds[each] == BY_CONTROLS:
+                vehicles["target_speed"][each] = 0.0
+            elif kinds[each] == BY_TARGETS and self._rule_of(each).speeds.size:
+                wanted = vehicles["target_speed"][each]
+                wanted = nearest_target_speed(wanted, 0, self._rule.speeds)
+                vehicles["target_speed"][each] = wanted
+        self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
         show(episodes.scenes, scene.unpacked, self._ways, rows)
 
-    def restore(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
-        raise InputError(f"{self.episodes.name}: scenes of this road cannot be restored")
+    def _seat(self, rows: Ints) -> None:
+        """Gives the vehicles of the scenes `rows` to their drivers."""
+        vehicles, drivers = self.episodes.scenes.vehicles, self.drivers[rows]
+        kinds = np.full(drivers.shape, BY_TARGETS)
+        kinds[np.isin(drivers, list(self._models))] = BY_MODEL
+        kinds[np.isin(drivers, self._continuous)] = BY_CONTROLS
+        self.occupied[rows] = vehicles["kind"][rows] > OBSTACLE
+        kinds[np.isin(drivers, self._prescribed) | ~self.occupied[rows]] = BY_ENVIRONMENT
+        self._kinds[rows] = kinds
+        vehicles["kind"][rows] = np.where(
+            kinds == BY_ENVIRONMENT,
+            vehicles["kind"][rows],
+            np.where(kinds == BY_CONTROLS, CONTINUOUS, COMMANDED),
+        )
+        if self._views is self.scene and kinds[:, 1:].any():
+            scenes, widths = self.scene, (self.scene.parameters, self.scene.memory)
+            count = scenes.x.size
+            self._views = Scene.empty(self._settings, count, *(each.shape[2] for each in widths))
+            self._views.active[:] = True
+            self._shown_views = self._views.read_only()
+
+    def saved(self, rows: Ints) -> NDArray[np.uint8]:
+        kept = (array[rows].reshape(rows.size, array[0].size) for array in self._kept)
+        return np.concatenate([each.view(np.uint8) for each in kept], axis=1)
+
+    def restore(
+        self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
+    ) -> None:
+        assert saved is not None
+        start = 0
+        for array in self._kept:
+            end = start + array[:1].nbytes
+            part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
+            array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
+        vehicles, scene = self.episodes.scenes.vehicles, self.scene
+        had_targets = vehicles["kind"][rows] != CONTINUOUS
+        self._seat(rows)
+        gets_targets = (vehicles["kind"][rows] == COMMANDED) & ~had_targets
+        speed, target_speed = vehicles["speed"][rows], vehicles["target_speed"][rows]
+        target_speed = np.where(gets_targets, speed, target_speed)
+        target_speed *= self._kinds[rows] != BY_CONTROLS
+        vehicles["target_speed"][rows] = target_speed
+        show(self.episodes.scenes, scene.unpacked, self._ways, rows)
+
+    @property
+    def _kept(self) -> tuple[NDArray[Any], ...]:
+        """The arrays [B, ...] from which scenes continue, beside those of `scene`."""
+        scenes = self.episodes.scenes
+        own = scenes.vehicles, scenes.order, scenes.generator, scenes.time, scenes.steps
+        return (*own, *self._ways, self._entries.table, self.goals)
+
+    def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
+        rows, places = vehicles
+        if not places.any():
+            return self._shown, vehicles
+        scenes, views = self.episodes.scenes, self._views
+        show_each(scenes, self.scene.unpacked, views.unpacked, self._ways, rows, places)
+        return self._shown_views, (self._views_of(vehicles), places)
+
+    def _views_of(self, vehicles: Vehicles) -> Ints:
+        """What M vehicles see, as indices of `_views`."""
+        return np.asarray(vehicles[0] * self.scene.x.shape[1] + vehicles[1])
+
+    def _rule_of(self, vehicle: tuple[Any, Any]) -> Any:
+        """How a vehicle carries out meta-actions."""
+        return self._own_rules.get(int(self.drivers[vehicle]), self._rule)
 
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
+        rows, places = vehicles
+        if not rows.size:
+            return
         if actions.ndim == 2:
             control = controls_of(actions)
             self.scene.acceleration[vehicles], self.scene.steering[vehicles] = control
+            table = self.episodes.scenes.vehicles
+            table["acceleration"][vehicles], table["steering"][vehicles] = control
             return
-        rule = self._own_rules.get(self._driver, self._rule)
-        command(self.scene, vehicles[0], vehicles[1], actions, rule)
+        rule = self._rule_of((rows[0], places[0]))
+        for is_ego in (True, False):
+            some = np.nonzero((places == 0) == is_ego)[0]
+            each = rows[some], places[some]
+            if is_ego:
+                command(self.scene, *each, actions[some], rule)
+            elif some.size:
+                view = self._views_of(each), each[1]
+                command(self._views, *view, actions[some], rule)
+                self.scene.repeats[each] = self._views.repeats[view]
+                self._carry_out(each)
+
+    def _carry_out(self, vehicles: Vehicles) -> None:
+        """Has M vehicles of the traffic do what their views say."""
+        scenes, views = self.episodes.scenes, self._views
+        carry_out(scenes, self.scene.unpacked, views.unpacked, self._ways, *vehicles)
 
     def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
-        scene, ways = self.scene, self._ways
+        scene = self.scene
         rows = np.nonzero(scene.active)[0]
-        if self._kind == BY_MODEL and not hold_egos:
-            model = self._models[self._driver]
-            kinds = np.stack((ways.open_lanes[rows], ways.speed_limits[rows]), axis=1)
-            for lanes, limit in np.unique(kinds, axis=0).tolist():
-                some = rows[(kinds == (lanes, limit)).all(axis=1)]
-                egos = some, scene.ego[some]
-                answers = model.drive(self._on_road(int(lanes), limit), egos)
-                obey(scene, *egos, *answers)
-        advance(self.episodes.scenes, scene.unpacked, ways, rows, self._kind)
+        for agent, model in self._models.items():
+            found = vehicles_of(agent, self.drivers, scene.active, self.occupied, scene.entry)
+            for is_ego in (True, False):
+                some = np.nonzero((found[1] == 0) == is_ego)[0]
+                if some.size and not (is_ego and hold_egos):
+                    self._drive(model, (found[0][some], found[1][some]))
+        views = self._views.unpacked
+        advance(self.episodes.scenes, scene.unpacked, views, self._ways, rows, self._kinds)
+        self._entries.note(self.episodes.scenes, rows)
         self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
 
-    def _on_road(self, lanes: int, speed_limit: float) -> Scene:
-        """The scenes for driver models whose egos' road has so many lanes and that limit."""
-        if (lanes, speed_limit) not in self._roads:
-            road = self.scene.road._replace(lanes=lanes, speed_limit=speed_limit)
-            self._roads[lanes, speed_limit] = self._shown._replace(road=road)
-        return self._roads[lanes, speed_limit]
+    def _drive(self, model: DriverModel, vehicles: Vehicles) -> None:
+        """Has a driver model drive M vehicles: all of them egos, or none."""
+        shown, seats = self.seen_by(vehicles)
+        ways, is_traffic = self._ways, shown is self._shown_views and bool(seats[1][0])
+        scene = self._views if is_traffic else self.scene
+        kinds = np.stack((ways.open_lanes[vehicles], ways.speed_limits[vehicles]), axis=1)
+        for lanes, limit in np.unique(kinds, axis=0).tolist():
+            some = np.nonzero((kinds == (lanes, limit)).all(axis=1))[0]
+            each = seats[0][some], seats[1][some]
+            answers = model.drive(self._on_road(is_traffic, int(lanes), limit), each)
+            obey(scene, *each, *answers)
+        if is_traffic:
+            self.scene.memory[vehicles] = self._views.memory[seats]
+            self._carry_out(vehicles)
 
-    @property
-    def _driver(self) -> int:
-        """The index of the egos' agent."""
-        return int(self.drivers[0, 0])
-
-    @property
-    def _kind(self) -> int:
-        if self._driver in self._models:
-            return BY_MODEL
-        return BY_CONTROLS if self._driver in self._continuous else BY_TARGETS
+    def _on_road(self, is_traffic: bool, lanes: int, speed_limit: float) -> Scene:
+        """What driver models see whose road has so many lanes and that limit."""
+        key = is_traffic, lanes, speed_limit
+        if key not in self._roads:
+            shown = self._shown_views if is_traffic else self._shown
+            road = shown.road._replace(lanes=lanes, speed_limit=speed_limit)
+            self._roads[key] = shown._replace(road=road)
+        return self._roads[key]
 
 
 @compiled_of_scenes
 def show(scenes: Scenes, shown: Any, ways: Ways, rows: Ints) -> None:
-    """Straightens the scenes `rows`."""
+    """Straightens the scenes `rows` as their egos see them."""
     for b in rows:
         here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
-        straighten(scenes, here, shown.scene, ways, b)
+        straighten(scenes, here, ways, b, 0, shown.scene, b)
 
 
 @compiled_of_scenes
-def advance(
-    scenes: Scenes,
-    shown: Any,
-    ways: Ways,
-    rows: Ints,
-    kind: int,
-) -> None:
-    """One simulation step of the scenes `rows`, after the egos' agents have answered.
+def show_each(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
+    """Straightens scenes as each of M vehicles sees them."""
+    scene, view, last = shown.scene, views.scene, -1
+    for m in range(rows.size):
+        b, v = rows[m], rows[m] * scene.x.shape[1] + places[m]
+        here = here_of(scenes, b)
+        for i in range(here.places):
+            if b != last:
+                forget(here, i)
+            view.temperament[v, i] = scene.temperament[b, i]
+            view.repeats[v, i] = scene.repeats[b, i]
+            for k in range(scene.parameters.shape[2]):
+                view.parameters[v, i, k] = scene.parameters[b, i, k]
+            for k in range(scene.memory.shape[2]):
+                view.memory[v, i, k] = scene.memory[b, i, k]
+        straighten(scenes, here, ways, b, places[m], view, v)
+        last = b
+
+
+@compiled_of_scenes
+def carry_out(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, places: Ints) -> None:
+    """Has M vehicles do what their views say."""
+    scene, view, last = shown.scene, views.scene, -1
+    for m in range(rows.size):
+        b, i, v = rows[m], places[m], rows[m] * scene.x.shape[1] + places[m]
+        here = here_of(scenes, b)
+        for j in range(here.places if b != last else 0):
+            forget(here, j)
+        take(here, ways, b, i, view, v)
+        last = b
+
+
+@compiled
+def take(here: Here, ways: Ways, b: int, i: int, scene: Scene, v: int) -> None:
+    """Has vehicle i of scene b want what scene v says, in which the agent sees it.
+
+    Where the route decides the lane, the agent does not.
+    """
+    vehicle = vehicle_of(here, i)
+    vehicle.target_speed, vehicle.timer_s = scene.target_speed[v, i], scene.timer_s[v, i]
+    if decides_lane(here, vehicle) or scene.target_lane[v, i] == ways.targets[b, i]:
+        return
+    row = lane_of(here, vehicle.lane)
+    lane = row.first + scene.target_lane[v, i]
+    if scene.target_lane[v, i] < row.lanes and is_reachable(here, i, lane):
+        vehicle.target_lane = lane
+
+
+@compiled
+def decides_lane(here: Here, vehicle: Row) -> bool:
+    """Whether a vehicle has to change its lane: its route says so, or its lane is a ramp."""
+    is_on_route = vehicle.route_step < vehicle.route_end
+    if is_on_route and vehicle.route_numbers[vehicle.route_step] >= 0:
+        return True
+    row = lane_of(here, vehicle.lane)
+    return bool(row.forbidden and row.lanes > 1)
+
+
+@compiled_of_scenes
+def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kinds: Ints) -> None:
+    """One simulation step of the scenes `rows`, after the agents have answered.
 
     Args:
         scenes: The scenes.
-        shown: The same, straightened: with the answers, and afterwards as they are then.
-        ways: The ways of the egos.
+        shown: The same, straightened as their egos see them: with the answers, and afterwards as
+            they are then.
+        views: As each vehicle sees them, with the accelerations of driver models.
+        ways: The ways of the vehicles.
         rows: (R,) the scenes to advance.
-        kind: What drives the egos.
+        kinds: (B, N) what drives the vehicles.
     """
     corners = np.empty((2, 4, 2))
     for b in rows:
         scene, here = shown.scene, here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
-        ego = vehicle_of(here, 0)
-        ego.target_speed = scene.target_speed[b, 0]
-        if ego.route_step < ego.route_end and ego.route_numbers[ego.route_step] >= 0:
-            change_to_route(here)
-        elif scene.target_lane[b, 0] != ways.targets[b]:
-            lane = lane_of(here, ego.lane).first + scene.target_lane[b, 0]
-            if scene.target_lane[b, 0] < lane_of(here, ego.lane).lanes and is_reachable(
-                here, 0, lane
-            ):
-                ego.target_lane = lane
-        act(scenes.road, here)
-        if kind != BY_TARGETS:
-            ego.acceleration = scene.acceleration[b, 0]
-        if kind == BY_CONTROLS:
-            ego.steering, ego.target_lane = scene.steering[b, 0], ego.lane
+        take(here, ways, b, 0, scene, b)
         for i in range(here.places):
-            if vehicle_of(here, i).kind >= CONTINUOUS:
-                move(vehicle_of(here, i), here.constants.dt)
+            if kinds[b, i] != BY_ENVIRONMENT and decides_lane(here, vehicle_of(here, i)):
+                change_to_route(here, i)
+        act(scenes.road, here)
+        for i in range(here.places):
+            kind, vehicle = kinds[b, i], vehicle_of(here, i)
+            if kind == BY_MODEL and i > 0:
+                vehicle.acceleration = views.scene.acceleration[b * here.places + i, i]
+            elif i == 0 and kind != BY_TARGETS:
+                vehicle.acceleration = scene.acceleration[b, 0]
+            if kind == BY_CONTROLS:
+                vehicle.steering = scene.steering[b, 0] if i == 0 else vehicle.steering
+                vehicle.target_lane = vehicle.lane
+        for i in range(here.places):
+            vehicle = vehicle_of(here, i)
+            if vehicle.kind >= CONTINUOUS:
+                move(vehicle, here.constants.dt)
                 locate(here, i)
+            if kinds[b, i] != BY_ENVIRONMENT:
+                vehicle.timer_s += here.constants.dt
+                find_way(scenes, b, i, ways)
         collide(here, corners)
-        scene.timer_s[b, 0] += here.constants.dt
-        straighten(scenes, here, scene, ways, b)
+        straighten(scenes, here, ways, b, 0, scene, b)
 
 
 @compiled
-def change_to_route(here: Here) -> None:
-    """Has the ego change to the lane of its route, lane by lane, where `is_safe` says so."""
-    ego = vehicle_of(here, 0)
-    row = lane_of(here, ego.lane)
-    if ego.crashed:
+def change_to_route(here: Here, i: int) -> None:
+    """Has vehicle i change to the lane of its route, or leave a ramp, where `is_safe` says so.
+
+    It changes lane by lane. highway-env forbids others to change to the lanes of a ramp.
+    """
+    vehicle = vehicle_of(here, i)
+    row = lane_of(here, vehicle.lane)
+    if vehicle.crashed:
         return
-    if ego.lane != ego.target_lane:
-        if row.first == lane_of(here, ego.target_lane).first and not is_safe(here, ego.target_lane):
-            ego.target_lane = ego.lane
+    if vehicle.lane != vehicle.target_lane:
+        is_aside = row.first == lane_of(here, vehicle.target_lane).first
+        if is_aside and not is_safe(here, i, vehicle.target_lane):
+            vehicle.target_lane = vehicle.lane
         return
-    wanted = row.first + ego.route_numbers[ego.route_step]
-    side = row.right if wanted > ego.lane else row.left if wanted < ego.lane else -1
-    if side >= 0 and is_reachable(here, 0, side) and is_safe(here, side):
-        ego.target_lane = side
+    if row.forbidden:
+        side = max(row.left, row.right)
+    else:
+        wanted = row.first + vehicle.route_numbers[vehicle.route_step]
+        side = row.right if wanted > vehicle.lane else row.left if wanted < vehicle.lane else -1
+    if side >= 0 and is_reachable(here, i, side) and is_safe(here, i, side):
+        vehicle.target_lane = side
 
 
 @compiled
-def is_safe(here: Here, lane: int) -> bool:
-    """Whether on a lane, neither the ego nor its follower has to brake hard to avoid a collision.
+def is_safe(here: Here, i: int, lane: int) -> bool:
+    """Whether on a lane, neither vehicle i nor its follower has to brake hard to avoid a collision.
 
     The deceleration that just avoids one is at most `DRAC_LIMIT_MPS2`, and the time headway at
     least `HEADWAY_S`.
     """
-    front, rear = neighbours(here, 0, lane)
-    for behind, ahead in ((0, front), (rear, 0)):
+    front, rear = neighbours(here, i, lane)
+    for behind, ahead in ((i, front), (rear, i)):
         if behind < 0 or ahead < 0:
             continue
         own, other = vehicle_of(here, behind), vehicle_of(here, ahead)

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.foundation.generator import integers, uniform
-from charms_bench.roads.scenes import COMMANDED, CONTINUOUS, IDM, NOTHING, Scenes, put_on_lane
+from charms_bench.roads.scenes import (
+    COMMANDED,
+    CONTINUOUS,
+    IDM,
+    NOTHING,
+    OBSTACLE,
+    Scenes,
+    put_on_lane,
+)
 from charms_bench.roads.task import Task, share, weighted
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
 
@@ -74,6 +82,15 @@ class Merge(Task):
     def has_reached_goal(self, scenes: Scenes) -> Bools:
         """Whether each ego (B,) has passed the place where the lanes merge."""
         return np.asarray(scenes.vehicles["x"][:, 0] > self._end_x)
+
+    def entering(self, scenes: Scenes) -> Ints:
+        """The vehicle (B,) on the ramp, at the start of an episode."""
+        kind, lane = scenes.vehicles["kind"], scenes.vehicles["lane"]
+        return np.asarray(np.argmax((kind > OBSTACLE) & (lane == self._rule.ramp), axis=1))
+
+    def main_lanes(self, scenes: Scenes) -> Bools:
+        """Those of the motorway; highway-env forbids others to change to the ramp."""
+        return np.asarray(scenes.road.lanes["forbidden"] == 0)
 
 
 class GenericMerge(Merge):

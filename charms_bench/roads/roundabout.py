@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.foundation.generator import integers, normal, uniform
 from charms_bench.roads.scenes import COMMANDED, IDM, NOTHING, Scenes, put_on_lane
@@ -21,6 +21,7 @@ from charms_bench.roads.task import (
     weighted,
 )
 from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
+from charms_bench.world.lane_geometry import CIRCULAR
 from charms_bench.world.road import heading_at, position
 
 _EXITS = ("exr", "sxr", "nxr")
@@ -88,6 +89,14 @@ class Roundabout(Task):
 
     def judge(self, scenes: Scenes, rows: Ints, actions: NDArray[Any], rewards: Floats) -> None:
         _judge(scenes, rows, actions, self.weights, self._rule, rewards)
+
+    def entering(self, scenes: Scenes) -> Ints:
+        """The egos (B,)."""
+        return np.zeros(len(scenes.vehicles), dtype=np.int64)
+
+    def main_lanes(self, scenes: Scenes) -> Bools:
+        """Those of the ring."""
+        return np.asarray(scenes.road.lanes["kind"] == CIRCULAR)
 
 
 class GenericRoundabout(Roundabout):

@@ -9,6 +9,7 @@ from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.scene import SceneSettings
 
 
@@ -19,6 +20,8 @@ class _Road(NamedTuple):
     """The most lanes beside each other."""
     ego_speed: float
     """The speed of the ego at the start, m/s."""
+    others_speed: float
+    """The lowest target speed of another vehicle at the start of episode 0, m/s."""
 
 
 @lru_cache
@@ -30,7 +33,10 @@ def _road(name: str) -> _Road:
     episodes.start(episodes.everyone)
     scenes = episodes.scenes
     lanes = int(scenes.road.lanes["lanes"].max())
-    return _Road(scenes.vehicles.shape[1], lanes, float(scenes.vehicles["speed"][0, 0]))
+    others = scenes.vehicles[0, 1:]
+    slowest = others["target_speed"][others["kind"] > OBSTACLE].min()
+    speed = scenes.vehicles["speed"][0, 0]
+    return _Road(scenes.vehicles.shape[1], lanes, float(speed), float(slowest))
 
 
 def on_road(settings: SceneSettings, name: str) -> SceneSettings:
@@ -47,17 +53,20 @@ def on_road(settings: SceneSettings, name: str) -> SceneSettings:
     return settings.model_copy(update={**changes, "ego_slots": 1})
 
 
-def problem_of_driver(agent: Agent, settings: SceneSettings) -> str:
-    """Why an agent cannot drive on the road of some settings; empty if it can."""
+def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True) -> str:
+    """Why an agent cannot drive the ego, or other vehicles, on a road; empty if it can."""
     assert settings.network is not None
-    speed, least = _road(settings.network).ego_speed, settings.profile.target_speed_min_mps
+    road, least = _road(settings.network), settings.profile.target_speed_min_mps
+    speed, whose = road.ego_speed, "the ego starts at"
+    if not is_ego:
+        speed, whose = road.others_speed, "the slowest vehicle wants"
     if isinstance(agent, DriverModel):
         return ""
     if agent.rollouts_with:
         return "it plans on copies of a straight road"
     if agent.actions == "meta" and speed < least:
         return (
-            f"it commands target speeds from {least:g} m/s, and the ego starts at {speed:g} m/s; "
+            f"it commands target speeds from {least:g} m/s, and {whose} {speed:.3g} m/s; "
             "see scene.profile.target_speed_min_mps"
         )
     return ""

@@ -1,9 +1,9 @@
-"""Scenes on a network of lanes, straightened along the way of the ego.
+"""Scenes on a network of lanes, straightened along the way of one of their vehicles, the viewer.
 
 An agent of the straight road drives on a network through this view: x runs along the lanes that
-the ego follows, and y across the lanes of its road, of which lane 0 is the leftmost. A vehicle is
-in the view while it is beside these lanes, or at most `END_MARGIN_M` before or after them, and at
-most one lane from the ego's road.
+the viewer follows, and y across the lanes of its road, of which lane 0 is the leftmost. A vehicle
+is in the view while it is beside these lanes, or at most `END_MARGIN_M` before or after them, and
+at most one lane from the viewer's road.
 """
 
 from typing import NamedTuple
@@ -21,88 +21,95 @@ from charms_bench.world.road import local_coordinates, next_lane, position
 from charms_bench.world.scene import VACANT_X_M, Scene
 
 BEHIND, AHEAD = 3, 6
-"""How many lanes of the way behind and ahead of the ego's lane are in the view."""
+"""How many lanes of the way behind and ahead of the viewer's lane are in the view."""
 
 
 class Ways(NamedTuple):
-    """The ways of the egos, K = BEHIND + 1 + AHEAD lanes each; the lane `BEHIND` is the ego's."""
+    """The ways of vehicles, K = BEHIND + 1 + AHEAD lanes each; the lane `BEHIND` is its own."""
 
     lanes: Ints
-    """[B, K] -1 for none."""
+    """[B, N, K] -1 for none."""
     numbers: Ints
-    """[B, K] their numbers across the ego's road."""
+    """[B, N, K] their numbers across the viewer's road."""
     starts: Floats
-    """[B, K] x at their starts, m."""
+    """[B, N, K] x at their starts, m."""
     steps: Ints
-    """[B] the steps of the egos' routes from which the ways were found."""
+    """[B, N] the steps of the viewers' routes from which the ways were found."""
     targets: Ints
-    """[B] the numbers of the egos' target lanes, as the view shows them."""
+    """[B, N] the numbers of the viewers' target lanes, as the view shows them."""
     open_lanes: Ints
-    """[B] how many lanes of the ego's road, from the left, may be driven on."""
+    """[B, N] how many lanes of the viewer's road, from the left, may be driven on."""
     speed_limits: Floats
-    """[B] those of the egos' lanes, m/s."""
+    """[B, N] those of the viewers' lanes, m/s."""
 
     @classmethod
-    def empty(cls, scenes: int) -> "Ways":
+    def empty(cls, scenes: int, vehicles: int) -> "Ways":
         """The ways of B scenes that have not been started."""
-        shape = (scenes, BEHIND + 1 + AHEAD)
+        shape = (scenes, vehicles, BEHIND + 1 + AHEAD)
         lanes, numbers, starts = np.full(shape, -1), np.zeros(shape, np.int64), np.zeros(shape)
-        steps, targets, open_lanes = np.zeros((3, scenes), np.int64)
-        return cls(lanes, numbers, starts, steps, targets, open_lanes, np.zeros(scenes))
+        steps, targets, open_lanes = np.zeros((3, *shape[:2]), np.int64)
+        return cls(lanes, numbers, starts, steps, targets, open_lanes, np.zeros(shape[:2]))
 
 
 @compiled
-def straighten(scenes: Scenes, here: Here, scene: Scene, ways: Ways, b: int) -> None:
-    """Fills scene b of a straight road from scene b of a network, whose state is `here`."""
-    find_way(scenes, b, ways)
-    lanes, numbers, starts = ways.lanes[b], ways.numbers[b], ways.starts[b]
+def straighten(
+    scenes: Scenes, here: Here, ways: Ways, b: int, viewer: int, scene: Scene, v: int
+) -> None:
+    """Fills scene v of a straight road with scene b of a network, as a vehicle sees it.
+
+    `here` is the state of scene b.
+    """
+    find_way(scenes, b, viewer, ways)
+    lanes, numbers, starts = ways.lanes[b, viewer], ways.numbers[b, viewer], ways.starts[b, viewer]
     own_road, width = lane_of(here, lanes[BEHIND]), scene.road.lane_width
     count = min(own_road.lanes, scene.road.lanes)
     for i in range(here.places):
         vehicle, best = vehicle_of(here, i), BEHIND
-        if i > 0:
-            best = place_on(here, i, ways, b, -1.5 * width, (count + 0.5) * width, width)
+        if i != viewer:
+            best = place_on(here, i, lanes, numbers, -1.5 * width, (count + 0.5) * width, width)
         if best < 0:
-            scene.present[b, i] = False
-            scene.x[b, i], scene.y[b, i] = VACANT_X_M - 1000.0 * i, 0.0
-            scene.lane[b, i] = scene.target_lane[b, i] = 0
-            scene.speed[b, i] = scene.heading[b, i] = 0.0
-            scene.direction_x[b, i], scene.direction_y[b, i] = 1.0, 0.0
-            scene.crashed[b, i] = vehicle.crashed
+            scene.present[v, i] = False
+            scene.x[v, i], scene.y[v, i] = VACANT_X_M - 1000.0 * i, 0.0
+            scene.lane[v, i] = scene.target_lane[v, i] = 0
+            scene.speed[v, i] = scene.heading[v, i] = 0.0
+            scene.acceleration[v, i] = scene.target_speed[v, i] = 0.0
+            scene.direction_x[v, i], scene.direction_y[v, i] = 1.0, 0.0
+            scene.crashed[v, i] = vehicle.crashed
             continue
         y = numbers[best] * width + coordinates_of(here, i, lanes[best]).r
         at = coordinates_of(here, i, lanes[best])
-        scene.present[b, i] = True
-        scene.x[b, i], scene.y[b, i] = starts[best] + at.s, y
+        scene.present[v, i] = True
+        scene.x[v, i], scene.y[v, i] = starts[best] + at.s, y
         heading = wrap_to_pi(vehicle.heading - line_heading(lane_of(here, lanes[best]), at.s))
-        scene.heading[b, i] = heading
-        scene.direction_y[b, i], scene.direction_x[b, i] = maths.sin_cos(heading)
-        lane = min(max(round(y / width), 0), count - 1) if i > 0 else numbers[BEHIND]
-        scene.lane[b, i] = scene.target_lane[b, i] = lane
+        scene.heading[v, i] = heading
+        scene.direction_y[v, i], scene.direction_x[v, i] = maths.sin_cos(heading)
+        lane = numbers[BEHIND] if i == viewer else min(max(round(y / width), 0), count - 1)
+        scene.lane[v, i] = scene.target_lane[v, i] = lane
         if lane_of(here, vehicle.target_lane).first == lane_of(here, vehicle.lane).first:
             target = lane + vehicle.target_lane - vehicle.lane
-            scene.target_lane[b, i] = min(max(target, 0), count - 1)
-        copy_state(scene, b, i, vehicle)
-    ways.targets[b] = scene.target_lane[b, 0]
-    ways.speed_limits[b] = own_road.speed_limit
-    ways.open_lanes[b] = numbers[BEHIND] + 1
+            scene.target_lane[v, i] = min(max(target, 0), count - 1)
+        copy_state(scene, v, i, vehicle)
+    ways.targets[b, viewer] = scene.target_lane[v, viewer]
+    ways.speed_limits[b, viewer] = own_road.speed_limit
+    open_lanes = numbers[BEHIND] + 1
     for number in range(numbers[BEHIND] + 1, count):
         if not lane_of(here, own_road.first + number).forbidden:
-            ways.open_lanes[b] = number + 1
-    sort_by_x(scene, b, b + 1)
-    find_neighbours(scene, b, b + 1)
+            open_lanes = number + 1
+    ways.open_lanes[b, viewer] = open_lanes
+    sort_by_x(scene, v, v + 1)
+    find_neighbours(scene, v, v + 1)
 
 
 @compiled
 def place_on(
-    here: Here, i: int, ways: Ways, b: int, least_y: float, largest_y: float, width: float
+    here: Here, i: int, lanes: Ints, numbers: Ints, least_y: float, largest_y: float, width: float
 ) -> int:
-    """The lane of a way that vehicle i is beside, as an index; -1 for none.
+    """The lane of a way (K,) that vehicle i is beside, as an index; -1 for none.
 
-    The ego's lane comes first, then those ahead, then those behind. A vehicle that is only just
+    The viewer's lane comes first, then those ahead, then those behind. A vehicle that is only just
     before or after some lanes is on the first of them.
     """
-    lanes, found = ways.lanes[b], -1
+    found = -1
     if vehicle_of(here, i).kind == NOTHING:
         return found
     for m in range(lanes.size):
@@ -111,7 +118,7 @@ def place_on(
             continue
         at = coordinates_of(here, i, lanes[k])
         beyond = max(at.s - lane_of(here, lanes[k]).length, 0.0 - at.s, 0.0)
-        y = ways.numbers[b, k] * width + at.r
+        y = numbers[k] * width + at.r
         if beyond <= END_MARGIN_M and least_y <= y <= largest_y:
             if beyond == 0.0:
                 return k
@@ -121,25 +128,24 @@ def place_on(
 
 
 @compiled
-def copy_state(scene: Scene, b: int, i: int, vehicle: Row) -> None:
-    """Copies what does not depend on the view; the ego's target speed is the scene's own."""
-    scene.speed[b, i], scene.crashed[b, i] = vehicle.speed, vehicle.crashed
-    scene.acceleration[b, i], scene.steering[b, i] = vehicle.acceleration, vehicle.steering
-    scene.length[b, i], scene.width[b, i] = vehicle.length, vehicle.width
-    if i > 0:
-        scene.target_speed[b, i], scene.timer_s[b, i] = vehicle.target_speed, vehicle.timer_s
+def copy_state(scene: Scene, v: int, i: int, vehicle: Row) -> None:
+    """Copies what does not depend on the view."""
+    scene.speed[v, i], scene.crashed[v, i] = vehicle.speed, vehicle.crashed
+    scene.acceleration[v, i], scene.steering[v, i] = vehicle.acceleration, vehicle.steering
+    scene.length[v, i], scene.width[v, i] = vehicle.length, vehicle.width
+    scene.target_speed[v, i], scene.timer_s[v, i] = vehicle.target_speed, vehicle.timer_s
 
 
 @compiled
-def find_way(scenes: Scenes, b: int, ways: Ways) -> None:
-    """Finds the lanes ahead of the ego where it has changed its lane, its road or its route.
+def find_way(scenes: Scenes, b: int, i: int, ways: Ways) -> None:
+    """Finds the lanes ahead of vehicle i where it has changed its lane, its road or its route.
 
-    Its x is continuous, and the lanes behind keep their places beside the ego.
+    Its x is continuous, and the lanes behind keep their places beside the vehicle.
     """
-    road, ego = scenes.road, scenes.vehicles[b, 0]
-    lanes, numbers, starts = ways.lanes[b], ways.numbers[b], ways.starts[b]
-    before, own = lanes[BEHIND], ego.lane
-    if before == own and ways.steps[b] == ego.route_step:
+    road, vehicle = scenes.road, scenes.vehicles[b, i]
+    lanes, numbers, starts = ways.lanes[b, i], ways.numbers[b, i], ways.starts[b, i]
+    before, own = lanes[BEHIND], vehicle.lane
+    if before == own and ways.steps[b, i] == vehicle.route_step:
         return
     number = own - road.lanes[own].first
     if before < 0:
@@ -148,30 +154,30 @@ def find_way(scenes: Scenes, b: int, ways: Ways) -> None:
     elif before == own:
         start = starts[BEHIND]
     else:
-        # A half circle does not say how far beyond its end the ego is; the lane after it does.
+        # A half circle does not say how far beyond its end the vehicle is; the lane after it does.
         k = BEHIND
         if lanes[k + 1] >= 0 and road.lanes[lanes[k + 1]].first == road.lanes[own].first:
             k += road.lanes[before].first != road.lanes[own].first
-        along, _ = local_coordinates(road, lanes[k], ego.x, ego.y)
-        s, _ = local_coordinates(road, own, ego.x, ego.y)
+        along, _ = local_coordinates(road, lanes[k], vehicle.x, vehicle.y)
+        s, _ = local_coordinates(road, own, vehicle.x, vehicle.y)
         start = starts[k] + along - s
         if road.lanes[before].first != road.lanes[own].first:
             numbers[: BEHIND + 1] += number - numbers[BEHIND]
             for k in range(BEHIND):
                 lanes[k], numbers[k], starts[k] = lanes[k + 1], numbers[k + 1], starts[k + 1]
     lanes[BEHIND], numbers[BEHIND], starts[BEHIND] = own, number, start
-    ways.steps[b] = step = ego.route_step
+    ways.steps[b, i] = step = vehicle.route_step
     lanes[BEHIND + 1 :] = -1
     for k in range(BEHIND + 1, lanes.size):
         lane = lanes[k - 1]
         row = road.lanes[lane]
         next_road = next_number = -1
-        if step < ego.route_end:
-            step += ego.route_roads[step] == row.first
-        if step < ego.route_end:
+        if step < vehicle.route_end:
+            step += vehicle.route_roads[step] == row.first
+        if step < vehicle.route_end:
             for following in road.successors[row.next_roads : row.next_roads + row.next_count]:
-                if following == ego.route_roads[step]:
-                    next_road, next_number = following, ego.route_numbers[step]
+                if following == vehicle.route_roads[step]:
+                    next_road, next_number = following, vehicle.route_numbers[step]
         x, y = position(road, lane, row.length, 0.0)
         found = next_lane(road, lane, next_road, next_number, x, y)
         if found == lane:

@@ -93,6 +93,17 @@ class Task(ABC):
         road = scenes.road.lanes["first"][ego["lane"]]
         return np.asarray((last >= 0) & (ego["route_roads"][each, last] == road))
 
+    def entering(self, scenes: Scenes) -> Ints:
+        """The vehicle (B,) that will enter a road on which others have the right of way.
+
+        -1 stands for none, as by default.
+        """
+        return np.full(len(scenes.vehicles), -1)
+
+    def main_lanes(self, scenes: Scenes) -> Bools:
+        """Whether, for the entering vehicle, others have the right of way on each lane (L,)."""
+        return np.zeros(scenes.road.lanes.size, dtype=np.bool_)
+
     def information(self, scenes: Scenes) -> dict[str, Any]:
         """What the info has in addition, (B,) or (B, A) by name."""
         return {}

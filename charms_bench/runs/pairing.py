@@ -66,7 +66,8 @@ def _conditions(run: FinishedRun) -> dict[str, Any]:
     """
     manifest, suite = run.folder.manifest(), run.suite
     traffics = [entry.traffic for entry in suite.traffics]
-    named = {name for traffic in traffics for name in (traffic.name, *traffic.mixture)}
+    drivers = [traffic.drivers or traffic for traffic in traffics]
+    named = {name for each in drivers for name in (each.name, *each.mixture)}
     named |= {name for each in traffics if each.scenario for name in each.scenario.agents}
     egos = {ego.agent.origin for ego in suite.egos} - named
     agents = manifest.get("agents", {})

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -12,9 +12,8 @@ from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
 from charms_bench.foundation.workers import in_processes
-from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import is_network
-from charms_bench.plugins.specs import drivers_of, networks_of
+from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun
 from charms_bench.runs.resumable_folder import RunFolder
@@ -30,6 +29,7 @@ from charms_bench.runs.shard import (
 )
 from charms_bench.runs.shards import Shard, blocks
 from charms_bench.runs.suite import Cell, Suite
+from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS
 
 T = TypeVar("T", bound=CellTask)
@@ -192,7 +192,7 @@ def plan_cell(
                 "give the suite recordings with scene.recording"
             )
     if cell.scene.network is not None:
-        _check_road(suite, cell, engine, agent_of(ego, networks))
+        _check_road(suite, cell, engine, networks)
     driver = ego.key
     if is_network(ego.name):
         driver = f"{software.agents[ego.name]['weights_sha256']}.onnx"
@@ -213,18 +213,22 @@ def plan_cell(
     return tasks
 
 
-def _check_road(suite: Suite, cell: Cell, engine: EngineName, agent: Agent) -> None:
-    """Raises a `SuiteError` if a cell's ego or the engine cannot drive on its road."""
+def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[str, Path]) -> None:
+    """Raises a `SuiteError` if a cell's agents or the engine cannot drive on its road."""
     from charms_bench.roads.settings import problem_of_driver
 
-    what = problem_of_driver(agent, cell.scene)
-    if engine != "batched":
-        what = f"the engine '{engine}' has straight roads only; `verify --road` compares the others"
-    if what:
-        raise SuiteError(
-            f"suite '{suite.suite}': agent '{cell.ego.agent.key}' cannot drive on the road "
-            f"'{cell.scene.network}': {what}"
-        )
+    others = traffic_of(cell.traffic.traffic).agents
+    seats = [(cell.ego.agent, True)]
+    seats += [(AgentSpec(name=name), False) for name in others if name != PRESCRIBED]
+    for driver, is_ego in seats:
+        what = problem_of_driver(agent_of(driver, networks), cell.scene, is_ego)
+        if engine != "batched":
+            what = f"the engine '{engine}' has straight roads only; `verify --road` compares others"
+        if what:
+            raise SuiteError(
+                f"suite '{suite.suite}': agent '{driver.key}' cannot drive on the road "
+                f"'{cell.scene.network}': {what}"
+            )
 
 
 def on_this_machine(

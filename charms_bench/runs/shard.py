@@ -244,8 +244,9 @@ def identify_agents(
         driver.origin: dict(_identity(driver.model_dump_json(), networks.get(driver.name)))
         for driver in drivers
     }
-    if traffic.name is not None and (origin := _origin_of_traffic(traffic.name)):
-        found[f"traffic {traffic.name}"] = dict(origin)
+    name = (traffic.drivers or traffic).name
+    if name is not None and (origin := _origin_of_traffic(name)):
+        found[f"traffic {name}"] = dict(origin)
     return found
 
 

@@ -70,8 +70,11 @@ class TrafficEntry(FrozenModel):
     def title(self) -> str:
         """Its name in tables."""
         spec = self.traffic
-        named = self.label or spec.name or spec.road
-        return named or " + ".join(spec.mixture) or "scenario"
+        if self.label or spec.road is None:
+            return self.label or spec.name or " + ".join(spec.mixture) or "scenario"
+        if spec.drivers is None:
+            return spec.road
+        return f"{spec.road}, {TrafficEntry(traffic=spec.drivers).title}"
 
 
 class Cell(FrozenModel):

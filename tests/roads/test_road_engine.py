@@ -11,10 +11,12 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, SuiteError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
-from charms_bench.plugins.traffic import OneAgent
+from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.engine import RoadEngine
 from charms_bench.roads.episodes import Episodes
+from charms_bench.roads.scenes import COMMANDED, OBSTACLE
 from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import plan
 from charms_bench.runs.suite import Suite
@@ -38,12 +40,19 @@ class Sequence(Policy):
         return actions, memory + 1
 
 
-def simulation(road: str, agent: str | Agent, scenes: int, **scene: Any) -> Simulation:
+def simulation(
+    road: str,
+    agent: str | Agent,
+    scenes: int,
+    traffic: Traffic = OneAgent(PRESCRIBED),  # noqa: B008  # immutable
+    **scene: Any,
+) -> Simulation:
     """Scenes that have been started with the seeds 0, 1, ..."""
     settings = on_road(SceneSettings.model_validate({"profile": FREE, **scene}), road)
     made = make_agent(agent) if isinstance(agent, str) else agent
-    traffic = OneAgent(PRESCRIBED)
-    simulation = Simulation(settings, scenes, "ego", traffic, {"ego": made}, RoadEngine)
+    agents = {name: make_agent(name) for name in traffic.agents if name != PRESCRIBED}
+    agents["ego"] = made
+    simulation = Simulation(settings, scenes, "ego", traffic, agents, RoadEngine)
     simulation.reset(np.arange(scenes, dtype=np.uint64))
     return simulation
 
@@ -138,14 +147,15 @@ def test_an_ego_that_takes_the_exit_is_on_the_ramp() -> None:
     assert ego["y"].min() > 22.0
 
 
-def suite(agent: str, road: str, **profile: object) -> Suite:
+def suite(agent: str, road: str, drivers: str = "", **profile: object) -> Suite:
+    traffic = {"road": road, **({"drivers": drivers} if drivers else {})}
     return Suite.model_validate(
         {
             "suite": "roads",
             "episodes": 2,
             "scene": {"profile": {"name": "charms", **profile}},
             "egos": [{"agent": agent}],
-            "traffic_models": [{"traffic": {"road": road}}],
+            "traffic_models": [{"traffic": traffic}],
         }
     )
 
@@ -167,6 +177,99 @@ def test_an_unknown_road_is_rejected_by_name() -> None:
         plan(suite("idm_mobil", "merge-v9"), "batched")
 
 
-def test_a_scene_on_a_road_is_not_saved() -> None:
-    with pytest.raises(InputError, match="merge-v0: episodes on this road start at their seeds"):
-        simulation("merge-v0", "idm_mobil", 1).state()
+HUMANS = OneAgent("human")
+MIXED = Mixture({"human": 0.5, "charms": 0.5})
+
+
+@pytest.mark.parametrize("traffic", [OneAgent(PRESCRIBED), HUMANS, MIXED])
+@pytest.mark.parametrize("road", ["merge-v0", "roundabout-v0"])
+def test_a_restored_state_continues_exactly(road: str, traffic: Traffic) -> None:
+    one, other = (simulation(road, "charms", 8, traffic) for _ in range(2))
+    for _ in range(10):
+        one.step()
+    one.advance()
+    state = one.state()
+    other.restore(state)
+    assert other.state() == state
+    for made in (one, other):
+        for _ in range(2):
+            made.advance()
+        while made.phase:
+            made.advance()
+            if made.phase == made.settings.steps_per_decision:
+                made.finish_step()
+        for _ in range(20):
+            made.step()
+    assert one.state() == other.state()
+    assert (one.steps > 12).any()
+
+
+def test_a_state_without_its_last_bit_is_another_state() -> None:
+    made = simulation("merge-v0", "idm_mobil", 1)
+    before = made.state()
+    on_network(made)["x"][0, 2] = np.nextafter(on_network(made)["x"][0, 2], np.inf)
+    assert made.state() != before
+
+
+def test_without_drivers_the_traffic_is_that_of_the_environment() -> None:
+    spec = TrafficSpec.model_validate({"road": "merge-v0"})
+    assert spec.make().agents == (PRESCRIBED,)
+    assert "drivers" not in spec.model_dump(mode="json")
+
+
+@pytest.mark.parametrize("traffic", [HUMANS, OneAgent("idm_mobil"), OneAgent("stackelberg")])
+@pytest.mark.parametrize("road", ["merge-v0", "exit-v0", "u-turn-v1"])
+def test_driver_models_drive_the_traffic_without_many_collisions(
+    road: str, traffic: Traffic
+) -> None:
+    made = simulation(road, "idm_mobil", 20, traffic, duration_s=15.0)
+    while made.scene.active.any():
+        made.step()
+    vehicles = on_network(made)[:, 1:]
+    is_vehicle = vehicles["kind"] == COMMANDED
+    assert is_vehicle.sum() == (vehicles["kind"] > OBSTACLE).sum() > 20
+    assert vehicles["crashed"][is_vehicle].mean() < 0.1
+
+
+def test_the_vehicle_on_the_ramp_merges_whoever_drives_it() -> None:
+    made = simulation("merge-v0", "idm_mobil", 20, OneAgent("charms"), duration_s=15.0)
+    ramp = on_network(made)["lane"][:, 4].copy()
+    while made.scene.active.any():
+        made.step()
+    ended = on_network(made)[:, 4]
+    assert (ramp == ramp[0]).all()
+    # The ramp is at y = 6.5 + 4 + 4 m, its last lane at 8 m, and the motorway at 0 and 4 m.
+    assert (ended["y"][~ended["crashed"]] < 6.0).all()
+    assert ended["crashed"].mean() < 0.5
+
+
+def test_on_a_motorway_the_views_of_two_vehicles_differ_by_a_shift_along_it() -> None:
+    made = simulation("merge-v0", "human", 10, HUMANS)
+    assert isinstance(made.engine, RoadEngine)
+    for _ in range(6):
+        made.step()
+    everyone = np.nonzero(on_network(made)["kind"] == COMMANDED)
+    seen, (views, places) = made.engine.seen_by(everyone)
+    x = on_network(made)["x"]
+    motorway = on_network(made)["y"] < 6.0
+    for b, i, v in zip(*everyone, views, strict=True):
+        others = seen.present[v] & motorway[b]
+        if motorway[b, i]:
+            shift = seen.x[v, others] - seen.x[v, i]
+            assert shift == pytest.approx(x[b, others] - x[b, i], abs=1e-9)
+    np.testing.assert_array_equal(places, everyone[1])
+
+
+def test_a_driver_of_the_traffic_that_is_too_fast_is_rejected_by_name() -> None:
+    what = "agent 'charms' cannot drive on the road 'u-turn-v0': .*slowest vehicle wants"
+    with pytest.raises(SuiteError, match=what):
+        plan(suite("idm_mobil", "u-turn-v0", drivers="charms"), "batched")
+    assert plan(suite("idm_mobil", "merge-v0", drivers="pch"), "batched")
+
+
+@pytest.mark.parametrize(
+    "given", [{"drivers": "human"}, {"road": "merge-v0", "drivers": {"road": "exit-v0"}}]
+)
+def test_drivers_are_those_of_a_road(given: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"road|drivers"):
+        TrafficSpec.model_validate(given)

@@ -5,6 +5,7 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -21,8 +22,12 @@ episodes: 3
 scene:
   profile: {name: charms, speed_min_mps: 0.0, target_speed_min_mps: 0.0}
 egos: [{agent: idm_mobil}, {agent: charms}]
-traffic_models: [{traffic: {road: merge-v0}}, {traffic: {road: u-turn-v1}, label: Bend}]
-columns: [goal_reached, time_to_goal]
+traffic_models:
+  - traffic: {road: merge-v0}
+  - traffic: {road: u-turn-v1}
+    label: Bend
+  - traffic: {road: merge-v0, drivers: {mixture: {human: 0.5, charms: 0.5}}}
+columns: [goal_reached, time_to_goal, entry_lag_gap]
 """
 
 
@@ -36,7 +41,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
     table = made.table.frame().filter(pl.col("metric") == "goal_reached")
-    assert table["traffic"].to_list() == ["merge-v0", "Bend"] * 2
+    assert table["traffic"].to_list() == ["merge-v0", "Bend", "merge-v0, human + charms"] * 2
     assert table["value"].is_between(0, 1).all()
     reached = (made.episodes["ending"] == "goal").sum()
     assert table["value"].sum() * 3 == pytest.approx(reached)
@@ -74,9 +79,36 @@ def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Pa
     assert (tmp_path / "bend.gif").stat().st_size > 10_000
 
 
-def test_another_agent_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
-    with pytest.raises(InputError, match="u-turn-v1: on this road, an episode cannot be driven"):
-        made.what_if(1, 2, agent="idm_mobil", ego="charms", traffic="Bend")
+@pytest.mark.parametrize(("traffic", "vehicle"), [("Bend", None), ("merge-v0, human + charms", 1)])
+def test_what_if_changes_nothing_before_its_decision(
+    made: Any, traffic: str, vehicle: int | None
+) -> None:
+    told = made.what_if(1, 3, "stackelberg", vehicle, ego="charms", traffic=traffic)
+    start = told.start + 1
+    assert told.other.agents[vehicle or 0] == "stackelberg"
+    for name in ("x", "y", "heading"):
+        recorded, other = getattr(told.recorded.plan, name), getattr(told.other.plan, name)
+        np.testing.assert_array_equal(recorded[:start], other[:start])
+    assert not np.array_equal(told.recorded.plan.x[start + 30], told.other.plan.x[start + 30])
+
+
+def test_a_planner_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
+    with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'u-turn-v1'"):
+        made.what_if(1, 2, agent="mpc", ego="charms", traffic="Bend")
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) -> None:
+    two = run_file(made.path.parent / "roads.yaml", tmp_path / "two", workers=2)
+    for name in ("episodes", "steps"):
+        assert getattr(two, name).equals(getattr(made, name))
+
+
+def test_the_vehicle_from_the_ramp_is_measured_on_merges_only(made: Any) -> None:
+    rows = made.episodes.with_columns(is_bend=pl.col("traffic") == "Bend")
+    entries = rows.filter(~pl.col("is_bend"))
+    assert rows.filter("is_bend")["entry_lag_gap_m"].null_count() == 6
+    assert entries["entry_lag_gap_m"].null_count() < len(entries)
+    assert entries["entry_lag_gap_m"].drop_nulls().is_between(0, 100).all()
 
 
 def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: Any) -> None:
@@ -88,7 +120,7 @@ def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: An
 def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:
     rows = {"episode": [0, 1, 2], "ending": ["goal", "time", "goal"], "steps": [3, 9, 6]}
     episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0]})
-    reached, time = ROADS.metrics
+    reached, time = ROADS.metrics[:2]
     sums = episodes.group_by("episode", maintain_order=True).agg(
         *(
             each.cast(pl.Float64).alias(f"{m.name} {k}")
