@@ -57,7 +57,8 @@ def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
         wanted = index_of(vehicle.speed, speeds) + change
         vehicle.speed_index = min(max(wanted, 0), speeds.size - 1)
         vehicle.target_speed = speeds[vehicle.speed_index]
-    follow_road(scenes.road, here, i)
+    if is_at_end(here, i):
+        take_next_lane(scenes.road, here, i)
     if action in (LANE_LEFT, LANE_RIGHT):
         target = lane_of(here, vehicle.target_lane)
         beside = target.right if action == LANE_RIGHT else target.left
@@ -76,11 +77,13 @@ def act(road: Network, here: Here) -> None:
     for i in range(here.places):
         vehicle = vehicle_of(here, i)
         if vehicle.kind == COMMANDED:
-            follow_road(road, here, i)
+            if is_at_end(here, i):
+                take_next_lane(road, here, i)
             gain = 1 / here.constants.tau_acceleration
             vehicle.acceleration = gain * (vehicle.target_speed - vehicle.speed)
         elif vehicle.kind == IDM and not vehicle.crashed:
-            follow_road(road, here, i)
+            if is_at_end(here, i):
+                take_next_lane(road, here, i)
             act_as_idm(here, i)
     steer(here)
 
@@ -101,16 +104,16 @@ def act_as_idm(here: Here, i: int) -> None:
 
 
 @inlined
-def follow_road(road: Network, here: Here, i: int) -> None:
-    """Targets the next lane at the end of the target lane [`ControlledVehicle.follow_road`]."""
+def is_at_end(here: Here, i: int) -> bool:
+    """Whether a vehicle is at the end of its target lane [`AbstractLane.after_end`]."""
     target = vehicle_of(here, i).target_lane
-    if coordinates_of(here, i, target).s > lane_of(here, target).length - END_MARGIN_M / 2:
-        take_next_lane(road, here, i)
+    end = lane_of(here, target).length - END_MARGIN_M / 2
+    return bool(coordinates_of(here, i, target).s > end)
 
 
 @compiled
 def take_next_lane(road: Network, here: Here, i: int) -> None:
-    """[`RoadNetwork.next_lane`], with the part that reads the route."""
+    """Targets the next lane by the route, where `is_at_end` [`ControlledVehicle.follow_road`]."""
     vehicle = vehicle_of(here, i)
     target, next_road, next_number = vehicle.target_lane, -1, -1
     row = lane_of(here, target)

@@ -63,20 +63,21 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
         for i in range(actions.shape[1]):
             if vehicle_of(here, i).kind == COMMANDED:
                 command(scenes, here, i, actions[b, i])
-        for _ in range(frames):
-            advance(scenes, b, here, corners)
+        advance(scenes, b, here, corners, frames)
 
 
 @compiled
-def advance(scenes: Scenes, b: int, here: Here, corners: Floats) -> None:
-    """Advances scene b by a simulation step. `corners` (2, 4, 2) is overwritten."""
-    act(scenes.road, here)
-    if here.constants.regulation_steps:
-        scenes.steps[b] += 1
-        if scenes.steps[b] % here.constants.regulation_steps == 0:
-            enforce(scenes.road, here)
-    move_all(here)
-    collide(here, corners)
+def advance(scenes: Scenes, b: int, here: Here, corners: Floats, frames: int) -> None:
+    """Advances scene b by so many simulation steps. `corners` (2, 4, 2) is overwritten."""
+    road, steps = scenes.road, scenes.steps
+    for _ in range(frames):
+        act(road, here)
+        if here.constants.regulation_steps:
+            steps[b] += 1
+            if steps[b] % here.constants.regulation_steps == 0:
+                enforce(road, here)
+        move_all(here)
+        collide(here, corners)
 
 
 @compiled
