@@ -95,4 +95,4 @@ def _bounds(row: Any, x: Floats, y: Floats, reach: float) -> Bounds:
 def _beyond(along: Floats, margin: Any, unit: float, length: float) -> Floats:
     """How far points are before or after a lane, with a margin; both in units."""
     after, before = (along + margin) * unit - length, (margin - along) * unit
-    return np.maximum(np.maximum(after, before), 0.0)
+    return np.asarray(np.maximum(np.maximum(after, before), 0.0))
