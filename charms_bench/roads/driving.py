@@ -17,16 +17,30 @@ from charms_bench.foundation.compiled import (
     wrap_to_pi,
 )
 from charms_bench.roads.linear import linear_acceleration, linear_steering
-from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known
 from charms_bench.roads.scenes import (
+    AHEAD,
+    BATCH,
     COMMANDED,
     CONTINUOUS,
+    EXPONENT,
+    HEADING,
     IDM,
+    LATERAL,
+    LENGTH,
     OBSTACLE,
+    SHARE,
+    SPEED,
+    STEERING,
     Here,
+    Row,
     Scenes,
+    batch_of,
+    batched,
     index_of,
     lane_of,
+    number_of,
+    put,
     vehicle_of,
 )
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
@@ -44,7 +58,8 @@ def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
         wanted = index_of(vehicle.speed, speeds) + change
         vehicle.speed_index = min(max(wanted, 0), speeds.size - 1)
         vehicle.target_speed = speeds[vehicle.speed_index]
-    follow_road(scenes.road, here, i)
+    if is_at_end(here, i):
+        take_next_lane(scenes.road, here, i)
     if action in (LANE_LEFT, LANE_RIGHT):
         target = lane_of(here, vehicle.target_lane)
         beside = target.right if action == LANE_RIGHT else target.left
@@ -55,30 +70,34 @@ def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
 
 @compiled
 def act(road: Network, here: Here) -> None:
-    """Has the vehicles of a scene decide, one after the other [`Road.act`]."""
+    """Has the vehicles of a scene decide, one after the other [`Road.act`].
+
+    What does not depend on the decisions of others is computed for all of them at once.
+    """
+    find_free_accelerations(here)
     for i in range(here.places):
         vehicle = vehicle_of(here, i)
         if vehicle.kind == COMMANDED:
-            follow_road(road, here, i)
-            vehicle.steering = steering(here, i)
+            if is_at_end(here, i):
+                take_next_lane(road, here, i)
             gain = 1 / here.constants.tau_acceleration
             vehicle.acceleration = gain * (vehicle.target_speed - vehicle.speed)
         elif vehicle.kind == IDM and not vehicle.crashed:
-            follow_road(road, here, i)
+            if is_at_end(here, i):
+                take_next_lane(road, here, i)
             act_as_idm(here, i)
+    steer(here)
 
 
 @compiled
 def act_as_idm(here: Here, i: int) -> None:
-    """[`IDMVehicle.act`], also of linear vehicles."""
+    """[`IDMVehicle.act`, but for the steering], also of linear vehicles."""
     vehicle, limit = vehicle_of(here, i), here.constants.acceleration_limit_mps2
     front, rear = neighbours(here, i, vehicle.lane)
-    free = free_acceleration(here, i, vehicle.exponent)
+    free = vehicle.free_acceleration
     own = own_acceleration(here, i, front, free)
     if vehicle.changes_lanes:
         choose_lane(here, i, free, own, front, rear)
-    is_linear = here.constants.is_linear
-    vehicle.steering = linear_steering(here, i) if is_linear else steering(here, i)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbours(here, i, vehicle.target_lane)
         own = min(own, own_acceleration(here, i, front, free))
@@ -86,16 +105,16 @@ def act_as_idm(here: Here, i: int) -> None:
 
 
 @inlined
-def follow_road(road: Network, here: Here, i: int) -> None:
-    """Targets the next lane at the end of the target lane [`ControlledVehicle.follow_road`]."""
+def is_at_end(here: Here, i: int) -> bool:
+    """Whether a vehicle is at the end of its target lane [`AbstractLane.after_end`]."""
     target = vehicle_of(here, i).target_lane
-    if coordinates_of(here, i, target).s > lane_of(here, target).length - END_MARGIN_M / 2:
-        take_next_lane(road, here, i)
+    end = lane_of(here, target).length - END_MARGIN_M / 2
+    return bool(coordinates_of(here, i, target).s > end)
 
 
 @compiled
 def take_next_lane(road: Network, here: Here, i: int) -> None:
-    """[`RoadNetwork.next_lane`], with the part that reads the route."""
+    """Targets the next lane by the route, where `is_at_end` [`ControlledVehicle.follow_road`]."""
     vehicle = vehicle_of(here, i)
     target, next_road, next_number = vehicle.target_lane, -1, -1
     row = lane_of(here, target)
@@ -110,22 +129,63 @@ def take_next_lane(road: Network, here: Here, i: int) -> None:
 
 
 @compiled
-def steering(here: Here, i: int) -> float:
-    """The steering angle towards the target lane [`ControlledVehicle.steering_control`]."""
-    vehicle, c = vehicle_of(here, i), here.constants
-    at, speed = coordinates_of(here, i, vehicle.target_lane), not_zero(vehicle.speed)
-    ahead = at.s + vehicle.speed * (0.5 * c.tau_heading)
-    wanted = line_heading(lane_of(here, vehicle.target_lane), ahead)
-    if at.r != 0.0:
-        lateral_speed = -(1 / c.tau_lateral) * at.r
-        angle = maths.asin(clip(lateral_speed / speed, -1.0, 1.0))
-        wanted += clip(angle, -math.pi / 4, math.pi / 4)
-    turn = wrap_to_pi(wanted - vehicle.heading)
-    if turn == 0.0:
-        return 0.0
-    heading_rate = (1 / c.tau_heading) * turn
-    slip = maths.asin(clip(vehicle.length / 2 / speed * heading_rate, -1.0, 1.0))
-    return clip(maths.atan(2 * maths.tan(slip)), -c.steering_limit, c.steering_limit)
+def steer(here: Here) -> None:
+    """Steers vehicles towards their target lanes [`ControlledVehicle.steering_control`]."""
+    c, count = here.constants, 0
+    for i in range(here.places):
+        vehicle = vehicle_of(here, i)
+        if vehicle.kind < COMMANDED or (vehicle.kind == IDM and vehicle.crashed):
+            continue
+        if vehicle.kind == IDM and c.is_linear:
+            vehicle.steering = linear_steering(here, i)
+            continue
+        at = coordinates_of(here, i, vehicle.target_lane)
+        ahead = at.s + vehicle.speed * (0.5 * c.tau_heading)
+        wanted = line_heading(lane_of(here, vehicle.target_lane), ahead)
+        if at.r == 0.0 and wanted == vehicle.heading:
+            vehicle.steering = 0.0
+            continue
+        batch, k = batch_of(here, count), count % BATCH
+        row_after(here.batched, count).place = i
+        put(batch, LATERAL, k, at.r)
+        put(batch, AHEAD, k, wanted)
+        put(batch, HEADING, k, vehicle.heading)
+        put(batch, LENGTH, k, vehicle.length)
+        put(batch, SPEED, k, not_zero(vehicle.speed))
+        count += 1
+    for n in range(0, count, BATCH):
+        turn_to_lanes(batch_of(here, n), c)
+    for n in range(count):
+        batch, k = batch_of(here, n), n % BATCH
+        put(batch, AHEAD, k, wrap_to_pi(number_of(batch, AHEAD, k)))
+    for n in range(0, count, BATCH):
+        steer_batch(batch_of(here, n), c)
+    for n in range(count):
+        steering = number_of(batch_of(here, n), STEERING, n % BATCH)
+        vehicle_of(here, batched(here, n)).steering = steering
+
+
+@compiled
+def turn_to_lanes(batch: Row, c: Row) -> None:
+    """Finds the angles to the directions that lead to the middle of the lane ahead."""
+    gain = -(1 / c.tau_lateral)
+    for k in range(BATCH):
+        share = gain * number_of(batch, LATERAL, k) / number_of(batch, SPEED, k)
+        angle = maths.asin(min(max(share, -1.0), 1.0))
+        angle = min(max(angle, -math.pi / 4), math.pi / 4)
+        put(batch, AHEAD, k, number_of(batch, AHEAD, k) + angle - number_of(batch, HEADING, k))
+
+
+@compiled
+def steer_batch(batch: Row, c: Row) -> None:
+    """Finds the steering angles with which vehicles turn by the angles `AHEAD`."""
+    gain, limit = 1 / c.tau_heading, c.steering_limit
+    for k in range(BATCH):
+        heading_rate = gain * number_of(batch, AHEAD, k)
+        rate = number_of(batch, LENGTH, k) / 2 / number_of(batch, SPEED, k) * heading_rate
+        slip = maths.asin(min(max(rate, -1.0), 1.0))
+        angle = maths.atan(2 * maths.tan(slip))
+        put(batch, STEERING, k, min(max(angle, -limit), limit))
 
 
 @inlined
@@ -143,35 +203,89 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
     [`Road.neighbour_vehicles`]
     """
     search, s = row_after(here.searches, lane), coordinates_of(here, i, lane).s
+    if search.listed != here.clock.moves:
+        list_vehicles(here, lane)
     front = rear = -1
     s_front = s_rear = 0.0
+    for k in range(search.count):
+        listed = row_after(here.listed, lane * here.places + k)
+        if listed.place == i:
+            continue
+        if s <= listed.s and (front < 0 or listed.s <= s_front):
+            front, s_front = listed.place, listed.s
+        if listed.s < s and (rear < 0 or listed.s > s_rear):
+            rear, s_rear = listed.place, listed.s
+    return front, rear
+
+
+@compiled
+def list_vehicles(here: Here, lane: int) -> None:
+    """Lists the vehicles and obstacles on a lane or on one connected with it."""
+    search = row_after(here.searches, lane)
+    search.listed, search.count = here.clock.moves, 0
     for j in range(here.places):
-        if j == i or vehicle_of(here, j).kind < OBSTACLE:
+        if vehicle_of(here, j).kind < OBSTACLE:
             continue
         for k in range(search.first, search.after):
             connected = row_after(here.connected, k)
-            row, at = lane_of(here, connected.lane), coordinates_of(here, j, connected.lane)
+            row = lane_of(here, connected.lane)
+            if not is_known(here, j, connected.lane) and is_further_beside(
+                row, vehicle_of(here, j), row.width / 2 + NEIGHBOUR_MARGIN_M
+            ):
+                continue
+            at = coordinates_of(here, j, connected.lane)
             if not abs(at.r) <= row.width / 2 + NEIGHBOUR_MARGIN_M:
                 continue
             if not -END_MARGIN_M <= at.s < row.length + END_MARGIN_M:
                 continue
-            there = at.s + connected.offset
-            if s <= there and (front < 0 or there <= s_front):
-                front, s_front = j, there
-            if there < s and (rear < 0 or there > s_rear):
-                rear, s_rear = j, there
+            listed = row_after(here.listed, lane * here.places + search.count)
+            listed.place, listed.s = j, at.s + connected.offset
+            search.count += 1
             break
-    return front, rear
+
+
+@compiled
+def find_free_accelerations(here: Here) -> None:
+    """Finds the `free_acceleration` of the vehicles that IDM drives, by their own exponents."""
+    count = 0
+    for i in range(here.places):
+        vehicle = vehicle_of(here, i)
+        if vehicle.kind == IDM and not vehicle.crashed:
+            batch, k = batch_of(here, count), count % BATCH
+            row_after(here.batched, count).place = i
+            put(batch, SHARE, k, share_of_speed(here, i))
+            put(batch, EXPONENT, k, vehicle.exponent)
+            count += 1
+    for n in range(0, count, BATCH):
+        raise_shares(batch_of(here, n))
+    for n in range(count):
+        share = number_of(batch_of(here, n), SHARE, n % BATCH)
+        free = here.constants.acceleration_mps2 * (1 - share)
+        vehicle_of(here, batched(here, n)).free_acceleration = free
+
+
+@compiled
+def raise_shares(batch: Row) -> None:
+    """Raises shares to the power of the exponents."""
+    for k in range(BATCH):
+        share = maths.power(number_of(batch, SHARE, k), number_of(batch, EXPONENT, k))
+        put(batch, SHARE, k, share)
+
+
+@inlined
+def share_of_speed(here: Here, i: int) -> float:
+    """The speed as a share of the target speed, as IDM sees them."""
+    vehicle = vehicle_of(here, i)
+    limit = lane_of(here, vehicle.lane).speed_limit
+    wanted = abs(not_zero(clip(vehicle.target_speed, 0.0, limit)))
+    return float(max(vehicle.speed, 0.0) / wanted)
 
 
 @compiled
 def free_acceleration(here: Here, i: int, exponent: float) -> float:
     """The first part of `idm`: the acceleration of a vehicle on a free road."""
-    vehicle, c = vehicle_of(here, i), here.constants
-    limit = lane_of(here, vehicle.lane).speed_limit
-    wanted = abs(not_zero(clip(vehicle.target_speed, 0.0, limit)))
-    share = max(vehicle.speed, 0.0) / wanted
-    return float(c.acceleration_mps2 * (1 - maths.power(share, exponent)))
+    share = share_of_speed(here, i)
+    return float(here.constants.acceleration_mps2 * (1 - maths.power(share, exponent)))
 
 
 @compiled

@@ -7,8 +7,23 @@ chapter 2.
 import math
 
 from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled
-from charms_bench.roads.scenes import DYNAMICAL, IDM, Row
+from charms_bench.foundation.compiled import clip, compiled, inlined
+from charms_bench.roads.scenes import (
+    BATCH,
+    COSINE,
+    DYNAMICAL,
+    HEADING,
+    IDM,
+    LENGTH,
+    SINE,
+    SPEED,
+    STEERING,
+    Row,
+    X,
+    Y,
+    number_of,
+    put,
+)
 
 TO_AXLE_M = 2.5
 """From the centre of a vehicle to each axle [`LENGTH_A`, `LENGTH_B`]."""
@@ -23,7 +38,25 @@ Rates = tuple[float, float, float, float]
 
 @compiled
 def move(vehicle: Row, dt: float) -> None:
-    """Moves a vehicle by one step [`Vehicle.clip_actions`, `Vehicle.step`].
+    """Moves a vehicle by one step [`Vehicle.clip_actions`, `Vehicle.step`]."""
+    prepare(vehicle, dt)
+    if vehicle.kind == DYNAMICAL:
+        move_with_slip(vehicle, dt)
+        return
+    if vehicle.steering == 0.0:
+        go_straight(vehicle, dt)
+    else:
+        x, y, turn = way(vehicle.heading, vehicle.steering, vehicle.speed, vehicle.length, dt)
+        vehicle.x += x
+        vehicle.y += y
+        vehicle.heading += turn
+        vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
+    finish(vehicle, dt)
+
+
+@inlined
+def prepare(vehicle: Row, dt: float) -> None:
+    """The part of a step before a vehicle moves.
 
     A crashed vehicle stops, and one that is too fast or too slow brakes or accelerates.
     """
@@ -34,26 +67,50 @@ def move(vehicle: Row, dt: float) -> None:
         vehicle.acceleration = min(vehicle.acceleration, 1.0 * (vehicle.speed_max - speed))
     elif speed < vehicle.speed_min:
         vehicle.acceleration = max(vehicle.acceleration, 1.0 * (vehicle.speed_min - speed))
-    if vehicle.kind == DYNAMICAL:
-        move_with_slip(vehicle, dt)
-        return
     if vehicle.kind == IDM:
         vehicle.timer_s += dt
-    if vehicle.steering == 0.0:  # the functions below would give 0 and the direction itself
-        vehicle.x += speed * vehicle.direction_x * dt
-        vehicle.y += speed * vehicle.direction_y * dt
-    else:
-        slip = maths.atan(1 / 2 * maths.tan(vehicle.steering))
-        sine, cosine = maths.sin_cos(vehicle.heading + slip)
-        vehicle.x += speed * cosine * dt
-        vehicle.y += speed * sine * dt
-        vehicle.heading += speed * maths.sin(slip) / (vehicle.length / 2) * dt
-        vehicle.direction_y, vehicle.direction_x = maths.sin_cos(vehicle.heading)
+
+
+@inlined
+def go_straight(vehicle: Row, dt: float) -> None:
+    """The same as `way`, whose functions would give 0 and the direction itself."""
+    vehicle.x += vehicle.speed * vehicle.direction_x * dt
+    vehicle.y += vehicle.speed * vehicle.direction_y * dt
+
+
+@inlined
+def finish(vehicle: Row, dt: float) -> None:
+    """The part of a step after a vehicle has moved."""
     if vehicle.has_impact:
         vehicle.x += vehicle.impact_x
         vehicle.y += vehicle.impact_y
         vehicle.crashed, vehicle.has_impact = True, False
     vehicle.speed += vehicle.acceleration * dt
+
+
+@inlined
+def way(
+    heading: float, steering: float, speed: float, length: float, dt: float
+) -> tuple[float, float, float]:
+    """How far a vehicle moves along x and y in a step, m, and by what angle it turns, rad."""
+    slip = maths.atan(1 / 2 * maths.tan(steering))
+    sine, cosine = maths.sin_cos(heading + slip)
+    return speed * cosine * dt, speed * sine * dt, speed * maths.sin(slip) / (length / 2) * dt
+
+
+@compiled
+def turn_batch(batch: Row, dt: float) -> None:
+    """Finds `way` for vehicles in a batch, and their next headings and directions."""
+    for k in range(BATCH):
+        heading, steering = number_of(batch, HEADING, k), number_of(batch, STEERING, k)
+        speed, length = number_of(batch, SPEED, k), number_of(batch, LENGTH, k)
+        x, y, turn = way(heading, steering, speed, length, dt)
+        sine, cosine = maths.sin_cos(heading + turn)
+        put(batch, X, k, x)
+        put(batch, Y, k, y)
+        put(batch, HEADING, k, heading + turn)
+        put(batch, COSINE, k, cosine)
+        put(batch, SINE, k, sine)
 
 
 @compiled

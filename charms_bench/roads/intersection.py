@@ -207,8 +207,7 @@ def _start(
         here = here_of(scenes, b)
         for i in range(places):
             forget(here, i)
-        for _ in range(rule.warm_up_steps):
-            advance(scenes, b, here, corners)
+        advance(scenes, b, here, corners, rule.warm_up_steps)
         enter(scenes, b, entries, routes, CHALLENGER_ALONG_M, 1.0, (0.1, 0.0), True)
         for ego in range(rule.egos):
             lane, destination = entries[ego % _SIDES], rule.destination

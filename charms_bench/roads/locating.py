@@ -28,6 +28,12 @@ def coordinates_of(here: Here, i: int, lane: int) -> Row:
     return at
 
 
+@inlined
+def is_known(here: Here, i: int, lane: int) -> bool:
+    """Whether the coordinates of vehicle i on a lane have been computed."""
+    return not math.isnan(row_after(here.coordinates, i * here.lane_count + lane).s)
+
+
 @compiled
 def compute(at: Row, lane: Row, vehicle: Row) -> None:
     """[`AbstractLane.local_coordinates`]"""
@@ -37,6 +43,7 @@ def compute(at: Row, lane: Row, vehicle: Row) -> None:
 @inlined
 def forget(here: Here, i: int) -> None:
     """Forgets the coordinates of a vehicle that has moved."""
+    here.clock.moves += 1
     for lane in range(here.lane_count):
         row_after(here.coordinates, i * here.lane_count + lane).s = math.nan
 
@@ -45,19 +52,36 @@ def forget(here: Here, i: int) -> None:
 def locate(here: Here, i: int) -> None:
     """Finds the nearest lane of a vehicle that has moved [`RoadNetwork.get_closest_lane_index`].
 
-    Lanes that are further away than the lane before, whatever their heading, are left out.
+    Only lanes that can be the nearest one are asked; see `nearby`. Those that are further away than
+    the lane before, whatever their heading, are left out.
     """
     forget(here, i)
     vehicle = vehicle_of(here, i)
     shortest = distance_with_heading(here, i, vehicle.lane, math.inf)
-    best = vehicle.lane
-    for lane in range(here.lane_count):
-        if lane == vehicle.lane or is_further(lane_of(here, lane), vehicle, shortest):
+    before = best = vehicle.lane
+    k = first_near(here, vehicle)
+    while True:
+        lane = row_after(here.near, k).lane
+        k += 1
+        if lane < 0:
+            break
+        if lane == before or is_further(lane_of(here, lane), vehicle, shortest):
             continue
         distance = distance_with_heading(here, i, lane, shortest)
         if distance < shortest or (distance == shortest and lane < best):
             best, shortest = lane, distance
     vehicle.lane = best
+
+
+@inlined
+def first_near(here: Here, vehicle: Row) -> int:
+    """Where the list of the lanes begins that can be the nearest ones of a vehicle."""
+    squares = here.squares
+    column = (vehicle.x - squares.x) * squares.per_metre
+    row = (vehicle.y - squares.y) * squares.per_metre
+    if 0 <= column < squares.columns and 0 <= row < squares.rows:
+        return int(row_after(here.nearest, int(row) * squares.columns + int(column)).first)
+    return 0
 
 
 @inlined
@@ -74,12 +98,21 @@ def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
 @inlined
 def is_further(lane: Row, vehicle: Row, bound: float) -> bool:
     """Whether a lane is certainly further away than a bound, without its elementary functions."""
+    if lane.kind == SINE:
+        x, y = vehicle.x - lane.x, vehicle.y - lane.y
+        s = x * lane.direction_x + y * lane.direction_y
+        if s - lane.length > bound or -s > bound:
+            return True
+    return is_further_beside(lane, vehicle, bound)
+
+
+@inlined
+def is_further_beside(lane: Row, vehicle: Row, bound: float) -> bool:
+    """Whether a vehicle is certainly further beside a lane than a bound, in the same way."""
     x, y = vehicle.x - lane.x, vehicle.y - lane.y
     if lane.kind == CIRCULAR:
         return bool(abs(lane.radius - math.sqrt(x * x + y * y)) > bound)
     if lane.kind == SINE:
-        s = x * lane.direction_x + y * lane.direction_y
         r = x * -lane.direction_y + y * lane.direction_x
-        beside = abs(r) - abs(lane.amplitude) - 1e-6
-        return bool(beside > bound or s - lane.length > bound or -s > bound)
+        return bool(abs(r) - abs(lane.amplitude) - 1e-6 > bound)
     return False

@@ -11,6 +11,7 @@ from charms_bench.foundation import maths
 from charms_bench.foundation.arrays import Floats, Ints
 from charms_bench.foundation.compiled import Unpacked, compiled, inlined, row_after, woven
 from charms_bench.foundation.generator import State
+from charms_bench.roads.nearby import map_of
 from charms_bench.world.profile import Constants, IdmMobilParameters
 from charms_bench.world.road import closest_lane, position
 from charms_bench.world.road_network import Network
@@ -23,6 +24,8 @@ that it was given [`Vehicle`]; a dynamical one also slips [`BicycleVehicle`]."""
 NOTHING, LANDMARK, OBSTACLE, DYNAMICAL, CONTINUOUS, COMMANDED, IDM = range(len(KINDS))
 ROUTE_STEPS = 12
 """The most steps of a route."""
+BATCH = 8
+"""For so many vehicles at once, elementary functions are computed; see `BATCHES`."""
 OBSTACLE_SIZE_M = 2.0
 """The length and the width of an obstacle [`RoadObject`]."""
 GAINS = 5
@@ -38,12 +41,13 @@ def _table(**names: str) -> "np.dtype[Any]":
     kinds = {"floats": "f8", "integers": "i8", "booleans": "?"}
     kinds |= {"routes": f"{ROUTE_STEPS}i8", "gains": f"{GAINS}f8"}
     fields = [(name, kinds[kind]) for kind, each in names.items() for name in each.split()]
-    return np.dtype((np.record, fields))
+    return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
 VEHICLE = _table(
     floats="x y heading direction_x direction_y speed acceleration steering length width "
-    "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate",
+    "target_speed timer_s exponent impact_x impact_y speed_min speed_max lateral_speed yaw_rate "
+    "free_acceleration",
     integers="kind lane target_lane speed_index route_step route_end",
     booleans="crashed has_impact changes_lanes checks_collisions is_yielding",
     routes="route_roads route_numbers",
@@ -56,7 +60,8 @@ VEHICLE = _table(
 says whether MOBIL is asked [`IDMVehicle.enable_lane_change`]. Two vehicles collide if one of them
 `checks_collisions`. A vehicle that `is_yielding` stops for another one; see
 `right_of_way`. Outside of `speed_min` to `speed_max`, a vehicle brakes or accelerates. Only a
-dynamical vehicle has a `lateral_speed` and a `yaw_rate`. A route is a list of steps: the first lane
+dynamical vehicle has a `lateral_speed` and a `yaw_rate`. `free_acceleration` is the first part of
+IDM, of an IDM vehicle in the present step. A route is a list of steps: the first lane
 of a road between two nodes, and the number of the lane on it, -1 if it is open. The vehicle's next
 step is `route_step`, and before `route_end` is the last."""
 COORDINATES = _table(floats="s r")
@@ -65,9 +70,30 @@ CONNECTED = _table(integers="lane", floats="offset")
 """A lane on which neighbours are sought, and how far its start is along the lane in question."""
 ORDER = _table(integers="place")
 """The place of a vehicle or an obstacle in the table of a scene."""
-SEARCH = _table(integers="first after")
+SEARCH = _table(integers="first after listed count")
 """The rows of `Scenes.connected` for a lane: the lane itself, then those that start at its end or
-end at its start [`Road.neighbour_vehicles`]."""
+end at its start [`Road.neighbour_vehicles`]. The vehicles on them, so many, were `listed` after so
+many `moves`."""
+LISTED = _table(integers="place", floats="s")
+"""A vehicle or an obstacle on a lane or on one connected with it, and how far along it."""
+SQUARES = _table(floats="x y per_metre", integers="columns rows")
+"""The map of `nearby`: its corner, squares per metre, and their number."""
+NEAREST = _table(integers="first")
+"""A square of the map: where the list begins of the lanes that can be the nearest ones."""
+NEAR = _table(integers="lane")
+"""A lane of such a list, -1 at its end. The first list is that of all lanes."""
+BODY = _table(floats="x y reach", integers="place checks")
+"""A vehicle or an obstacle as the search for collisions sees it: how far its corners reach, at
+most, and whether it checks collisions."""
+CLOCK = _table(integers="moves")
+"""How often vehicles have moved, so that what was found before is known to be obsolete."""
+NUMBER = _table(floats="value")
+"""A number of a vehicle in a batch."""
+COLUMNS = SPEED, LENGTH, HEADING, STEERING, LATERAL, AHEAD, SHARE, EXPONENT, X, Y, COSINE, SINE = (
+    *range(12),
+)
+"""The numbers of a batch, each of them for `BATCH` vehicles side by side, so that a loop computes
+all of them at once."""
 CONSTANTS = _table(
     floats=" ".join((*Constants._fields[:-1], *IdmMobilParameters._fields)),
     integers="regulation_steps is_linear",
@@ -104,13 +130,29 @@ class _Fields(NamedTuple):
     """Rows of `CONNECTED`."""
     searches: NDArray[np.void]
     """[L] rows of `SEARCH`."""
+    squares: NDArray[np.void]
+    """[1] the row of `SQUARES`."""
+    nearest: NDArray[np.void]
+    """Rows of `NEAREST`, for each square."""
+    near: NDArray[np.void]
+    """Rows of `NEAR`, list after list."""
     constants: NDArray[np.void]
     """[1] the row of `CONSTANTS`."""
     gains: Floats
     """[3, GAINS] of a linear vehicle for which none are drawn, the least, and how much larger the
     largest are."""
     coordinates: NDArray[np.void]
-    """[N L] rows of `COORDINATES`, for the scene that is being advanced."""
+    """[N L] rows of `COORDINATES`, for the scene that is being advanced, as are all below."""
+    listed: NDArray[np.void]
+    """[L N] rows of `LISTED`."""
+    batched: NDArray[np.void]
+    """[N] rows of `ORDER`: the vehicles in the batches."""
+    batches: NDArray[np.void]
+    """[N / BATCH, COLUMNS, BATCH] rows of `NUMBER`."""
+    bodies: NDArray[np.void]
+    """[N] rows of `BODY`."""
+    clock: NDArray[np.void]
+    """[1] the row of `CLOCK`."""
 
 
 class Scenes(_Fields):
@@ -138,6 +180,7 @@ class Scenes(_Fields):
         `connects` says whether neighbours are also sought on connected lanes
         [`neighbour_vehicles_connected_lanes`]. With `gains`, vehicles are linear.
         """
+        squares, nearest, near = map_of(road)
         numbers = *constants[:-1], *constants.idm_mobil, regulation_steps, gains is not None
         order = np.zeros((scenes, places), ORDER)
         order["place"] = np.arange(places)
@@ -150,9 +193,17 @@ class Scenes(_Fields):
             target_speeds=target_speeds,
             road=road,
             **_searches(road, connects),
+            squares=np.array([tuple(squares)], SQUARES),
+            nearest=nearest.astype(NEAREST),
+            near=near.astype(NEAR),
             constants=np.array([numbers], CONSTANTS),
             gains=np.zeros((3, GAINS)) if gains is None else gains,
             coordinates=np.zeros(places * road.lanes.size, COORDINATES),
+            listed=np.zeros(road.lanes.size * places, LISTED),
+            batched=np.zeros(places, ORDER),
+            batches=np.zeros((-(-places // BATCH), len(COLUMNS), BATCH), NUMBER),
+            bodies=np.zeros(places, BODY),
+            clock=np.zeros(1, CLOCK),
         )
 
 
@@ -170,7 +221,7 @@ def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
             if row["first"] in _following(road, before):
                 previous = _same_number(table, before, number)
                 connected.append((previous, -table["length"][previous]))
-        searches.append((first, len(connected)))
+        searches.append((first, len(connected), -1, 0))
     return {"connected": np.array(connected, CONNECTED), "searches": np.array(searches, SEARCH)}
 
 
@@ -197,6 +248,14 @@ class Here(NamedTuple):
     lane_count: int
     connected: Row
     searches: Row
+    listed: Row
+    batched: Row
+    batches: Row
+    bodies: Row
+    clock: Row
+    squares: Row
+    nearest: Row
+    near: Row
     constants: Row
 
 
@@ -212,6 +271,14 @@ def here_of(scenes: Scenes, b: int) -> Here:
         scenes.road.lanes.size,
         scenes.connected[0],
         scenes.searches[0],
+        scenes.listed[0],
+        scenes.batched[0],
+        scenes.batches[0, 0, 0],
+        scenes.bodies[0],
+        scenes.clock[0],
+        scenes.squares[0],
+        scenes.nearest[0],
+        scenes.near[0],
         scenes.constants[0],
     )
 
@@ -226,6 +293,30 @@ def vehicle_of(here: Here, i: int) -> Row:
 def place_of(here: Here, k: int) -> int:
     """The place of the k-th vehicle or obstacle in highway-env's order."""
     return int(row_after(here.order, k).place)
+
+
+@woven
+def batch_of(here: Here, n: int) -> Row:
+    """The batch of the n-th of some vehicles, in which its place is `n % BATCH`."""
+    return row_after(here.batches, n // BATCH * (len(COLUMNS) * BATCH))
+
+
+@inlined
+def number_of(batch: Row, column: int, k: int) -> float:
+    """A number of the k-th vehicle of a batch."""
+    return float(row_after(batch, column * BATCH + k).value)
+
+
+@inlined
+def put(batch: Row, column: int, k: int, value: float) -> None:
+    """Writes a number of the k-th vehicle of a batch."""
+    row_after(batch, column * BATCH + k).value = value
+
+
+@inlined
+def batched(here: Here, n: int) -> int:
+    """The place of the n-th vehicle in the batches."""
+    return int(row_after(here.batched, n).place)
 
 
 @woven

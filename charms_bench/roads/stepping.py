@@ -6,22 +6,45 @@ import numpy as np
 
 from charms_bench.engine.collision_detection import fill_polygon, polygons_intersect
 from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, row_after
 from charms_bench.roads.driving import act, command
-from charms_bench.roads.dynamics import move
+from charms_bench.roads.dynamics import (
+    finish,
+    go_straight,
+    move_with_slip,
+    prepare,
+    turn_batch,
+)
 from charms_bench.roads.locating import forget, locate
 from charms_bench.roads.right_of_way import enforce
 from charms_bench.roads.scenes import (
+    BATCH,
     COMMANDED,
     CONTINUOUS,
+    COSINE,
+    DYNAMICAL,
+    HEADING,
+    LENGTH,
     OBSTACLE,
+    SINE,
+    SPEED,
+    STEERING,
     Here,
     Row,
     Scenes,
+    X,
+    Y,
+    batch_of,
+    batched,
     here_of,
+    number_of,
     place_of,
+    put,
     vehicle_of,
 )
+
+MARGIN_M = 1e-6
+"""So that rounding does not decide whether two vehicles are certainly apart."""
 
 
 @compiled_of_scenes
@@ -40,23 +63,62 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
         for i in range(actions.shape[1]):
             if vehicle_of(here, i).kind == COMMANDED:
                 command(scenes, here, i, actions[b, i])
-        for _ in range(frames):
-            advance(scenes, b, here, corners)
+        advance(scenes, b, here, corners, frames)
 
 
 @compiled
-def advance(scenes: Scenes, b: int, here: Here, corners: Floats) -> None:
-    """Advances scene b by a simulation step. `corners` (2, 4, 2) is overwritten."""
-    act(scenes.road, here)
-    if here.constants.regulation_steps:
-        scenes.steps[b] += 1
-        if scenes.steps[b] % here.constants.regulation_steps == 0:
-            enforce(scenes.road, here)
+def advance(scenes: Scenes, b: int, here: Here, corners: Floats, frames: int) -> None:
+    """Advances scene b by so many simulation steps. `corners` (2, 4, 2) is overwritten."""
+    road, steps = scenes.road, scenes.steps
+    for _ in range(frames):
+        act(road, here)
+        if here.constants.regulation_steps:
+            steps[b] += 1
+            if steps[b] % here.constants.regulation_steps == 0:
+                enforce(road, here)
+        move_all(here)
+        collide(here, corners)
+
+
+@compiled
+def move_all(here: Here) -> None:
+    """Moves the vehicles of a scene by a step and finds their nearest lanes.
+
+    Those that turn are moved at once.
+    """
+    dt, count = here.constants.dt, 0
     for i in range(here.places):
-        if vehicle_of(here, i).kind > OBSTACLE and not is_at_rest(vehicle_of(here, i)):
-            move(vehicle_of(here, i), here.constants.dt)
-            locate(here, i)
-    collide(here, corners)
+        vehicle = vehicle_of(here, i)
+        if vehicle.kind <= OBSTACLE or is_at_rest(vehicle):
+            continue
+        prepare(vehicle, dt)
+        if vehicle.kind == DYNAMICAL:
+            move_with_slip(vehicle, dt)
+        elif vehicle.steering == 0.0:
+            go_straight(vehicle, dt)
+            finish(vehicle, dt)
+        else:
+            batch, k = batch_of(here, count), count % BATCH
+            row_after(here.batched, count).place = i
+            put(batch, HEADING, k, vehicle.heading)
+            put(batch, STEERING, k, vehicle.steering)
+            put(batch, SPEED, k, vehicle.speed)
+            put(batch, LENGTH, k, vehicle.length)
+            count += 1
+            continue
+        locate(here, i)
+    for n in range(0, count, BATCH):
+        turn_batch(batch_of(here, n), dt)
+    for n in range(count):
+        batch, k = batch_of(here, n), n % BATCH
+        vehicle = vehicle_of(here, batched(here, n))
+        vehicle.x += number_of(batch, X, k)
+        vehicle.y += number_of(batch, Y, k)
+        vehicle.heading = number_of(batch, HEADING, k)
+        vehicle.direction_x = number_of(batch, COSINE, k)
+        vehicle.direction_y = number_of(batch, SINE, k)
+        finish(vehicle, dt)
+        locate(here, batched(here, n))
 
 
 @inlined
@@ -73,36 +135,72 @@ def collide(here: Here, corners: Floats) -> None:
 
     `corners` (2, 4, 2) is overwritten.
     """
-    dt = here.constants.dt
+    dt, count = here.constants.dt, 0
     for k in range(here.places):
-        own = vehicle_of(here, place_of(here, k))
-        if own.kind <= OBSTACLE:
+        vehicle = vehicle_of(here, place_of(here, k))
+        if vehicle.kind >= OBSTACLE:
+            body = row_after(here.bodies, count)
+            body.place, body.x, body.y = place_of(here, k), vehicle.x, vehicle.y
+            body.checks = vehicle.checks_collisions
+            body.reach = (vehicle.length + vehicle.width) / 2 + MARGIN_M
+            count += 1
+    for k in range(count):
+        body = row_after(here.bodies, k)
+        own = vehicle_of(here, body.place)
+        if own.kind == OBSTACLE:
             continue
-        diagonal = math.sqrt(own.length**2 + own.width**2)
-        for m in range(k + 1, here.places):
-            other = vehicle_of(here, place_of(here, m))
-            if other.kind < OBSTACLE or not (own.checks_collisions or other.checks_collisions):
-                continue
-            dx, dy = other.x - own.x, other.y - own.y
-            sizes = own.length + own.width + other.length + other.width
-            if abs(dx) > sizes + abs(own.speed) * dt:
+        reach = body.reach + abs(own.speed) * dt
+        for m in range(k + 1, count):
+            other = row_after(here.bodies, m)
+            near = reach + other.reach
+            if abs(other.x - body.x) > near or abs(other.y - body.y) > near:
                 continue  # before the square roots, which would say the same
-            reach = (diagonal + math.sqrt(other.length**2 + other.width**2)) / 2 + own.speed * dt
-            if math.sqrt(dx * dx + dy * dy) > reach:
-                continue
-            for n, each in enumerate((own, other)):
-                direction = each.direction_x, each.direction_y
-                size = each.length, each.width
-                fill_polygon(each.x, each.y, *direction, *size, corners[n])
-            relative_x = own.speed * own.direction_x * dt - other.speed * other.direction_x * dt
-            relative_y = own.speed * own.direction_y * dt - other.speed * other.direction_y * dt
-            now, soon, part_x, part_y = polygons_intersect(
-                corners[0], corners[1], relative_x, relative_y
-            )
-            if soon and other.kind == OBSTACLE:
-                own.impact_x, own.impact_y, own.has_impact = part_x, part_y, True
-            elif soon:
-                own.impact_x, own.impact_y, own.has_impact = part_x / 2, part_y / 2, True
-                other.impact_x, other.impact_y, other.has_impact = -part_x / 2, -part_y / 2, True
-            if now:
-                own.crashed = other.crashed = True
+            if body.checks or other.checks:
+                collide_pair(own, vehicle_of(here, other.place), dt, corners)
+
+
+@compiled
+def collide_pair(own: Row, other: Row, dt: float, corners: Floats) -> None:
+    """The part of `handle_collisions` for a pair that is close to each other."""
+    dx, dy = other.x - own.x, other.y - own.y
+    reach = (diagonal_of(own) + diagonal_of(other)) / 2 + own.speed * dt
+    if math.sqrt(dx * dx + dy * dy) > reach:
+        return
+    relative_x = own.speed * own.direction_x * dt - other.speed * other.direction_x * dt
+    relative_y = own.speed * own.direction_y * dt - other.speed * other.direction_y * dt
+    if are_apart(own, other, relative_x, relative_y):
+        return
+    for n, each in enumerate((own, other)):
+        direction = each.direction_x, each.direction_y
+        fill_polygon(each.x, each.y, *direction, each.length, each.width, corners[n])
+    now, soon, part_x, part_y = polygons_intersect(corners[0], corners[1], relative_x, relative_y)
+    if soon and other.kind == OBSTACLE:
+        own.impact_x, own.impact_y, own.has_impact = part_x, part_y, True
+    elif soon:
+        own.impact_x, own.impact_y, own.has_impact = part_x / 2, part_y / 2, True
+        other.impact_x, other.impact_y, other.has_impact = -part_x / 2, -part_y / 2, True
+    if now:
+        own.crashed = other.crashed = True
+
+
+@inlined
+def diagonal_of(vehicle: Row) -> float:
+    """The length of a vehicle's diagonal, m."""
+    return math.sqrt(vehicle.length**2 + vehicle.width**2)
+
+
+@inlined
+def are_apart(own: Row, other: Row, relative_x: float, relative_y: float) -> bool:
+    """Whether a direction of the first vehicle certainly separates two, now and within the step.
+
+    `polygons_intersect` would say the same.
+    """
+    dx, dy = other.x - own.x, other.y - own.y
+    cos, sin = own.direction_x, own.direction_y
+    with_own = abs(cos * other.direction_x + sin * other.direction_y)
+    across_own = abs(cos * other.direction_y - sin * other.direction_x)
+    along = abs(cos * dx + sin * dy) - abs(cos * relative_x + sin * relative_y)
+    beside = abs(cos * dy - sin * dx) - abs(cos * relative_y - sin * relative_x)
+    length = own.length + other.length * with_own + other.width * across_own
+    width = own.width + other.length * across_own + other.width * with_own
+    return bool(along > length / 2 + MARGIN_M or beside > width / 2 + MARGIN_M)
