@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
@@ -141,8 +142,9 @@ class RoadEngine:
             self._shown_views = self._views.read_only()
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
-        kept = (array[rows].reshape(rows.size, array[0].size) for array in self._kept)
-        return np.concatenate([each.view(np.uint8) for each in kept], axis=1)
+        kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)
+        each = [array.reshape(rows.size, array[0].size) for array in kept]
+        return np.concatenate([array.view(np.uint8) for array in each], axis=1)
 
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
@@ -150,8 +152,9 @@ class RoadEngine:
         assert saved is not None
         start = 0
         for array in self._kept:
-            end = start + array[:1].nbytes
-            part = np.ascontiguousarray(saved[:, start:end]).view(array.dtype)
+            kind = packed(array.dtype)
+            end = start + array[0].size * kind.itemsize
+            part = np.ascontiguousarray(saved[:, start:end]).view(kind)
             array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
         vehicles, scene = self.episodes.scenes.vehicles, self.scene
         had_targets = vehicles["kind"][rows] != CONTINUOUS
@@ -319,6 +322,11 @@ def decides_lane(here: Here, vehicle: Row) -> bool:
         return True
     row = lane_of(here, vehicle.lane)
     return bool(row.forbidden and row.lanes > 1)
+
+
+def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
+    """The type without the bytes between fields, which hold anything."""
+    return np.dtype(repack_fields(kind)) if kind.names else kind
 
 
 @compiled_of_scenes

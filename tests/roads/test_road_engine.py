@@ -228,7 +228,7 @@ def test_driver_models_drive_the_traffic_without_many_collisions(
     vehicles = on_network(made)[:, 1:]
     is_vehicle = vehicles["kind"] == COMMANDED
     assert is_vehicle.sum() == (vehicles["kind"] > OBSTACLE).sum() > 20
-    assert vehicles["crashed"][is_vehicle].mean() < 0.1
+    assert vehicles["crashed"][is_vehicle].mean() < 0.2
 
 
 def test_the_vehicle_on_the_ramp_merges_whoever_drives_it() -> None:
