@@ -112,7 +112,11 @@ def first_difference(stored: pl.DataFrame, again: pl.DataFrame) -> str:
     """Says where rows first differ from those of a new simulation; empty if nowhere."""
     if len(stored) != len(again):
         return f"has {len(stored):,} rows; simulated again, {len(again):,}"
-    again = again.select(stored.columns)
+    # On the straight road, rows are written without the columns of the others.
+    lacking = [
+        pl.lit(None, kind).alias(name) for name, kind in stored.schema.items() if name not in again
+    ]
+    again = again.with_columns(lacking).select(stored.columns)
     unequal = [~stored[name].eq_missing(again[name]) for name in stored.columns]
     wrong = np.any([each.to_numpy() for each in unequal], axis=0)
     if not wrong.any():

@@ -4,6 +4,7 @@ They do what highway-env's own scripts and its readme do, with fewer training st
 with highway-env's id, too. `tox -e libraries` also records their videos.
 """
 
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import charms_bench.envs  # noqa: F401  # registers the environments
+from charms_bench.roads.episodes import unchanged_idm
 
 RENDERING = {
     "screen_width": 800,
@@ -25,6 +27,13 @@ RENDERING = {
     "offscreen_rendering": True,
     "real_time_rendering": True,
 }
+
+
+@pytest.fixture(autouse=True)
+def idm_of_highway_env() -> Iterator[None]:
+    """Without it, the other roads would differ after highway-env's `intersection`."""
+    with unchanged_idm():
+        yield
 
 
 @pytest.fixture(params=["", "charms_bench.envs:charms_bench/"], ids=["highway-env", "charms-bench"])
