@@ -19,6 +19,12 @@ INTERACTION_RANGE_M = 30.0
 INDICES = ("action", "leader", "follower")
 """The columns in which -1 stands for none in memory; a number that does not exist is NaN."""
 
+_WHOLE = np.dtype((np.void, STEP_RECORD.itemsize))
+"""A row as one piece of memory, which NumPy copies ten times as fast as field by field."""
+_NO_ROW = np.array(
+    tuple(np.nan if kind.is_float() else 0 for kind in STEP_SCHEMA.values()), dtype=STEP_RECORD
+).view(_WHOLE)
+
 
 class StepRows:
     """The rows of the egos of a simulation."""
@@ -26,9 +32,8 @@ class StepRows:
     def __init__(self, simulation: Simulation) -> None:
         shape = (simulation.seeds.size, simulation.settings.decisions)
         self._simulation = simulation
-        self._rows = np.zeros(shape, dtype=STEP_RECORD)
-        for name, kind in STEP_SCHEMA.items():
-            self._rows[name] = np.nan if kind.is_float() else 0
+        self._rows = np.empty(shape, dtype=STEP_RECORD)
+        self._rows.view(_WHOLE)[:] = _NO_ROW
         self._window = imposed_decisions(1 / simulation.settings.decision_hz)
 
     def add(self, frames: Frames) -> None:
@@ -38,7 +43,7 @@ class StepRows:
 
     def table(self) -> pl.DataFrame:
         """Returns the rows (`columns.STEP`), sorted by episode and step."""
-        rows = self._rows[self._rows["step"] > 0]
+        rows = self._rows.view(_WHOLE)[self._rows["step"] > 0].view(STEP_RECORD)
         columns = {name: rows[name] for name in STEP_SCHEMA}
         indices = [pl.when(pl.col(name) >= 0).then(name) for name in INDICES]
         exists = pl.selectors.float().fill_nan(None), *indices

@@ -30,7 +30,7 @@ def _whole_modules() -> Iterator[tuple[str, ModuleType]]:
     Another thread may still be importing one, which would change its names afterwards.
     `import_module` waits for the end of that import.
     """
-    for name in [each for each in list(sys.modules) if each.partition(".")[0] == "charms_bench"]:
+    for name in [name for name in list(sys.modules) if f"{name}.".startswith("charms_bench.")]:
         with suppress(ImportError):  # one that cannot be imported changes nothing
             yield name, import_module(name)
 
