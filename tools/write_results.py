@@ -328,6 +328,7 @@ TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
     "plan-avoidability": ("seeds-main", plan_avoidability),
     "plan-likeness": ("seeds-likeness", plan_likeness),
     "plan-styles": ("seeds-styles", plan_styles),
+    "plan-second-styles": ("seeds-second-styles", plan_styles),
     "rare": ("rare", rare_estimate),
     "rare-comparison": ("rare", rare_comparison),
     "reproduction-ego": ("released-ego", reproduction),
