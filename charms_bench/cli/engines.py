@@ -45,6 +45,9 @@ def verify(
         ),
     ] = False,
     road: Road = None,
+    starts: Annotated[
+        bool, typer.Option("--starts", help="Compare only the starts of the episodes of --road.")
+    ] = False,
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
@@ -61,8 +64,10 @@ def verify(
     if road is not None:
         if suite is not None or continuous:
             raise InputError("--road excludes --suite and --continuous")
-        _verify_road(_known(road), episodes or 20, seed, workers, as_json)
+        _verify_road(_known(road), episodes or 20, seed, starts, workers, as_json)
         return
+    if starts:
+        raise InputError("--starts needs --road")
     if suite is None:
         cases, count = verification.default_cases(continuous)
     elif continuous:
@@ -100,12 +105,17 @@ def verify(
         raise typer.Exit(FAIL)
 
 
-def _verify_road(road: str, episodes: int, seed: int, workers: int | None, as_json: bool) -> None:
+def _verify_road(
+    road: str, episodes: int, seed: int, starts: bool, workers: int | None, as_json: bool
+) -> None:
     from charms_bench.report.progress import progress
-    from charms_bench.testing.road_parity import verify_road
+    from charms_bench.testing.road_parity import MOST_DECISIONS, verify_road
 
+    decisions = 0 if starts else MOST_DECISIONS
     with progress("episodes", episodes) as bar:
-        found = verify_road(road, episodes, seed, workers, lambda done: bar("", done))
+        found = verify_road(
+            road, episodes, seed, workers, lambda done: bar("", done), decisions=decisions
+        )
     record = {**asdict(found), "differing": len(found.differing)}
     forms = dict.fromkeys(("episodes", "decisions", "crashed", "differing"), ",.0f")
     forms |= {"largest": ".1e", "largest_at_start": ".1e"}

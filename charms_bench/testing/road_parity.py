@@ -50,16 +50,18 @@ def verify_road(
     workers: int | None = None,
     progress: Callable[[int], None] = lambda episodes: None,
     config: Mapping[str, Any] | None = None,
+    decisions: int = MOST_DECISIONS,
 ) -> Comparison:
     """Compares the episodes `seed` to `seed + episodes - 1` of an environment to the last bit.
 
     highway-env computes with the functions of `charms_bench.foundation.maths`; see
     `exact_maths.use_exact_maths`. In every other episode, actions are random; in the others, most
-    are IDLE, or the ego steers towards the middle of its lane. `progress` is called with the number
-    of episodes compared since the last call.
+    are IDLE, or the ego steers towards the middle of its lane. At most so many decisions are
+    compared; with 0, the starts of the episodes alone. `progress` is called with the number of
+    episodes compared since the last call.
     """
     chunks = [
-        _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}))
+        _Chunk(name, seed + start, min(_CHUNK, episodes - start), dict(config or {}), decisions)
         for start in range(0, episodes, _CHUNK)
     ]
     return _compared(name, chunks, workers, progress)
@@ -100,13 +102,15 @@ class _Chunk:
     seed: int
     episodes: int
     config: Mapping[str, Any]
+    decisions: int = MOST_DECISIONS
 
     def title(self) -> str:
         return f"{self.name}, episodes {self.seed} to {self.seed + self.episodes - 1}"
 
     def compare(self) -> Comparison:
         use_exact_maths("highway-env", environments=True)
-        return compare(self.name, range(self.seed, self.seed + self.episodes), config=self.config)
+        seeds = range(self.seed, self.seed + self.episodes)
+        return compare(self.name, seeds, self.decisions, config=self.config)
 
 
 def compare(
@@ -144,7 +148,7 @@ def _compare(
         found.episodes += 1
         for _ in range(decisions if apart <= tolerance else 0):
             vehicles = stock.unwrapped.controlled_vehicles[: ours.agents]
-            actions = tuple(_action(ours, each, rng, is_random) for each in vehicles)
+            actions = tuple(action_for(ours, each, rng, is_random) for each in vehicles)
             parts = tuple(np.asarray(each)[None] for each in actions)
             expected = list(stock.step(actions if ours.has_agents else actions[0]))
             decision = ours.step(parts if ours.has_agents else parts[0])
@@ -160,7 +164,7 @@ def _compare(
     return found
 
 
-def _action(ours: Episodes, vehicle: Any, rng: np.random.Generator, is_random: bool) -> Any:
+def action_for(ours: Episodes, vehicle: Any, rng: np.random.Generator, is_random: bool) -> Any:
     """A random action, or one that keeps highway-env's vehicle on the road."""
     actions = ours.actions
     if isinstance(actions, Controls):

@@ -369,6 +369,8 @@ def test_verify_and_bench_take_a_road_of_highway_env() -> None:
     result = charms_bench("verify", "--road", "merge-v1", "--episodes", 2, "--json")
     assert result.returncode == 0, result.stdout + result.stderr
     assert [row["differing"] for row in json.loads(result.stdout)] == [0]
+    result = charms_bench("verify", "--road", "merge-v1", "--starts", "--json")
+    assert [(row["episodes"], row["decisions"]) for row in json.loads(result.stdout)] == [(20, 0)]
     result = charms_bench("bench", "--road", "merge-v1", "--seconds", 0.1, "--rounds", 1, "--json")
     rows = json.loads(result.stdout)
     assert [row["name"] for row in rows] == ["charms_bench/merge-v1", "highway-env"]
