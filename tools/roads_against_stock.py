@@ -101,9 +101,10 @@ def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) ->
     """The largest difference between numbers of an episode; infinite if anything else differs."""
     if any(not np.array_equal(ours[each], stock[each]) for each in ("events", "lengths")):
         return np.inf
-    apart = np.abs(ours["numbers"] - stock["numbers"])
-    is_same = (ours["numbers"] == stock["numbers"]) | np.isnan(ours["numbers"] + stock["numbers"])
-    return float(np.where(is_same, 0.0, apart).max())
+    one, other = ours["numbers"], stock["numbers"]
+    is_same = (one == other) | (np.isnan(one) & np.isnan(other))
+    apart = np.abs(one[~is_same] - other[~is_same])
+    return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
 
 
 def values(contestant: str) -> dict[str, NDArray[np.float64]]:
