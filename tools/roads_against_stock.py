@@ -55,7 +55,8 @@ def simulate(road: str, contestant: str, paths: list[Path], folder: Path) -> Non
             with np.load(folder / "stock" / path.name) as stock:
                 given = stock["actions"]
         after = [(environment.reset(seed=seed)[0],)]
-        states, actions = [state_of(environment)], []
+        states = [state_of(environment)]
+        actions: list[list[Any]] = []
         while len(actions) < (MOST_DECISIONS if given is None else len(given)):
             if given is None:
                 egos = environment.unwrapped.controlled_vehicles[: episodes.agents]
