@@ -228,7 +228,20 @@ def test_driver_models_drive_the_traffic_without_many_collisions(
     vehicles = on_network(made)[:, 1:]
     is_vehicle = vehicles["kind"] == COMMANDED
     assert is_vehicle.sum() == (vehicles["kind"] > OBSTACLE).sum() > 20
-    assert vehicles["crashed"][is_vehicle].mean() < 0.2
+    assert vehicles["crashed"][is_vehicle].mean() < 0.1
+
+
+@pytest.mark.parametrize(("profile", "reverses"), [(FREE, False), ({"name": "highway-env"}, True)])
+def test_vehicles_of_agents_reverse_only_if_those_of_the_profile_do(
+    profile: dict[str, Any], reverses: bool
+) -> None:
+    # They start 10 m apart at 20 m/s, so most have to stop.
+    made = simulation("exit-v0", "human", 10, HUMANS, profile=profile)
+    least, is_vehicle = 0.0, on_network(made)["kind"] == COMMANDED
+    for _ in range(30):
+        made.step()
+        least = min(least, on_network(made)["speed"][is_vehicle].min())
+    assert (least < 0) == reverses
 
 
 def test_the_vehicle_on_the_ramp_merges_whoever_drives_it() -> None:
