@@ -1,11 +1,12 @@
 """Agents of the straight road drive the egos of highway-env's other roads."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from charms_bench import Policy
+from charms_bench import Policy, save_state
 from charms_bench.engine.endings import ENDINGS, GOAL
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, SuiteError
@@ -209,6 +210,13 @@ def test_a_state_without_its_last_bit_is_another_state() -> None:
     before = made.state()
     on_network(made)["x"][0, 2] = np.nextafter(on_network(made)["x"][0, 2], np.inf)
     assert made.state() != before
+
+
+def test_a_state_is_not_saved_to_a_file(tmp_path: Path) -> None:
+    made = simulation("merge-v0", "idm_mobil", 1)
+    with pytest.raises(InputError, match="a state on one of highway-env's roads stays in memory"):
+        save_state(made.state(), tmp_path / "state.json")
+    assert not any(tmp_path.iterdir())
 
 
 def test_without_drivers_the_traffic_is_that_of_the_environment() -> None:
