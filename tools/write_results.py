@@ -208,7 +208,6 @@ def roads(run: Path) -> str:
         "goal_reached": ("Episodes with the goal reached, %", 100.0),
         "crashed_episodes": ("Crashed episodes, %", 100.0),
         "time_to_goal": ("Time to the goal, s", 1.0),
-        "traffic_crashed": ("Other vehicles that crash, % per episode", 100.0),
     }
     for metric, (title, factor) in shown.items():
         places = [k for k, each in enumerate(table.columns) if each.name == metric]

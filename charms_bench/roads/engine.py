@@ -11,6 +11,7 @@ models before it. All vehicles of one model see the scene as it was before any o
 the vehicles of the environment decide, and all move.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -144,7 +145,7 @@ class RoadEngine:
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)
-        each = [array.reshape(rows.size, array[0].size) for array in kept]
+        each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
         return np.concatenate([array.view(np.uint8) for array in each], axis=1)
 
     def restore(

@@ -212,6 +212,13 @@ def test_a_state_without_its_last_bit_is_another_state() -> None:
     assert made.state() != before
 
 
+def test_a_state_can_be_that_of_no_scene() -> None:
+    made = simulation("merge-v0", "idm_mobil", 1)
+    state = made.state(np.zeros(0, dtype=np.int64))
+    assert len(state) == 0
+    assert state.network.shape[1] == made.state().network.shape[1]
+
+
 def test_a_state_is_not_saved_to_a_file(tmp_path: Path) -> None:
     made = simulation("merge-v0", "idm_mobil", 1)
     with pytest.raises(InputError, match="a state on one of highway-env's roads stays in memory"):
