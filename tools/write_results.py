@@ -204,9 +204,12 @@ def made_at(run: Path) -> str:
 def roads(run: Path) -> str:
     """What the egos reach on each road: roads down, egos across."""
     table, parts = tables_of(run).metrics, []
-    shown = {"goal_reached": 100.0, "crashed_episodes": 100.0, "time_to_goal": 1.0}
-    titles = "Episodes with the goal reached, %", "Crashed episodes, %", "Time to the goal, s"
-    for (metric, factor), title in zip(shown.items(), titles, strict=True):
+    shown = {
+        "goal_reached": ("Episodes with the goal reached, %", 100.0),
+        "crashed_episodes": ("Crashed episodes, %", 100.0),
+        "time_to_goal": ("Time to the goal, s", 1.0),
+    }
+    for metric, (title, factor) in shown.items():
         places = [k for k, each in enumerate(table.columns) if each.name == metric]
         numbers = {row.labels: row.numbers[places[-1]].scaled(factor) for row in table.rows}
         egos, names = (tuple(dict.fromkeys(label[k] for label in numbers)) for k in (0, 1))

@@ -32,7 +32,7 @@ _TTC = pl.col("ttc_min_s")
 _DRAC = pl.col("drac_max_mps2")
 _BRAKING = pl.col("imposed_braking_mps2")
 _ABANDONED = pl.col("abandoned_changes")
-_COLLIDED = pl.col("ending") != "time"
+_COLLIDED = ~pl.col("ending").is_in(["time", "goal"])
 _MEASURES: tuple[tuple[Kind, pl.Expr], ...] = (
     ("near-miss", CONFLICT_TTC_S / (_TTC + CONFLICT_TTC_S)),
     ("near-miss", _DRAC / (_DRAC + DRAC_LIMIT_MPS2)),

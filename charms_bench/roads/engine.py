@@ -3,13 +3,15 @@
 Each of these vehicles sees the scene straightened along its own way (`straightened`); what its
 agent answers is carried out on the network. All vehicles have highway-env's controllers and limits,
 and those without an agent drive as in the environment. The profile decides between which target
-speeds agents choose, and the constants of driver models.
+speeds agents choose, the constants of driver models, and whether vehicles of agents can reverse:
+they can if its lowest speed is negative and it `can_reverse`.
 
 In a simulation step, the driver models act in their order, and each sees the target lanes of the
 models before it. All vehicles of one model see the scene as it was before any of them acted. Then
 the vehicles of the environment decide, and all move.
 """
 
+import math
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -143,7 +145,7 @@ class RoadEngine:
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)
-        each = [array.reshape(rows.size, array[0].size) for array in kept]
+        each = [array.reshape(rows.size, math.prod(array.shape[1:])) for array in kept]
         return np.concatenate([array.view(np.uint8) for array in each], axis=1)
 
     def restore(
@@ -343,6 +345,8 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
         kinds: (B, N) what drives the vehicles.
     """
     corners = np.empty((2, 4, 2))
+    profile = shown.scene.constants
+    can_reverse = profile.can_reverse and profile.speed_min < 0.0
     for b in rows:
         scene, here = shown.scene, here_of(scenes, b)
         for i in range(here.places):
@@ -365,6 +369,9 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
             vehicle = vehicle_of(here, i)
             if vehicle.kind >= CONTINUOUS:
                 move(vehicle, here.constants.dt)
+                if kinds[b, i] != BY_ENVIRONMENT and vehicle.speed < 0.0 and not can_reverse:
+                    vehicle.acceleration -= vehicle.speed / here.constants.dt
+                    vehicle.speed = 0.0
                 locate(here, i)
             if kinds[b, i] != BY_ENVIRONMENT:
                 vehicle.timer_s += here.constants.dt

@@ -79,6 +79,15 @@ def test_a_replay_is_the_recorded_episode_on_the_network(made: Any, tmp_path: Pa
     assert (tmp_path / "bend.gif").stat().st_size > 10_000
 
 
+def test_an_episode_that_ends_at_the_goal_is_not_a_collision(made: Any) -> None:
+    cases = made.edge_cases(100)
+    assert {"goal", "time"} & {case.ending for case in cases}
+    for case in cases:
+        assert (case.criticality > 4) == (case.ending not in ("goal", "time"))
+    listed = made.edge_cases(100, kind="collision")
+    assert "goal" not in {case.ending for case in listed}
+
+
 @pytest.mark.parametrize(("traffic", "vehicle"), [("Bend", None), ("merge-v0, human + charms", 1)])
 def test_what_if_changes_nothing_before_its_decision(
     made: Any, traffic: str, vehicle: int | None

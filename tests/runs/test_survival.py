@@ -39,6 +39,13 @@ scene: {duration_s: 3, traffic_vehicles: 8}
 egos: [{agent: idm_mobil}, {agent: stackelberg}]
 traffic_models: [{traffic: idm_mobil}]
 """
+ON_A_ROAD = """\
+suite: survivor
+episodes: EPISODES
+scene: {duration_s: 3, profile: {name: charms, target_speed_min_mps: 0.0}}
+egos: [{agent: idm_mobil}]
+traffic_models: [{traffic: {road: merge-v1, drivers: {mixture: {human: 0.5, charms: 0.5}}}}]
+"""
 SMALL_SHARDS = """\
 import signal
 from charms_bench.runs import shards
@@ -96,17 +103,19 @@ def suite_file(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("kills", "episodes", "workers"),
+    ("suite", "kills", "episodes", "workers"),
     [
-        (2, 50, 1),
-        pytest.param(50, 300, 1, marks=pytest.mark.slow),
-        pytest.param(20, 300, 2, marks=pytest.mark.slow),
+        (SUITE, 2, 50, 1),
+        (ON_A_ROAD, 2, 20, 2),
+        pytest.param(SUITE, 50, 300, 1, marks=pytest.mark.slow),
+        pytest.param(SUITE, 20, 300, 2, marks=pytest.mark.slow),
     ],
 )
 def test_killed_at_random_moments_a_run_ends_as_if_nothing_had_happened(
-    tmp_path: Path, suite_file: Path, kills: int, episodes: int, workers: int
+    tmp_path: Path, suite: str, kills: int, episodes: int, workers: int
 ) -> None:
-    suite_file.write_text(SUITE.replace("EPISODES", str(episodes)))
+    suite_file = tmp_path / "suite.yaml"
+    suite_file.write_text(suite.replace("EPISODES", str(episodes)))
     assert ended(start(suite_file, tmp_path / "undisturbed"))[0] == 0
     shards = finished_shards(tmp_path / "undisturbed")
     rng, killed = random.Random(0), tmp_path / "killed"
