@@ -69,7 +69,7 @@ SHORTENED = [
     (r"charms-bench verify", r"\g<0> --suite suites/ego.yaml --episodes 1"),
     (r"charms-bench bench( --road \S+)?", r"\g<0> --seconds 0.1 --rounds 1"),
     (r"(charms-bench verify --road \S+) --episodes \d+", r"\1 --episodes 2"),
-    (r"python tools/train_on_roads.py \S+", r"\g<0> --steps 200"),
+    (r"python tools/train_on_roads.py \S+( --simulator \S+)?", r"\g<0> --steps 200"),
     # 20 repetitions take minutes.
     (r"python tools/search_against_sobol.py .*", r"\g<0> --repetitions 1"),
     # The shortened run has only two episodes.
