@@ -43,7 +43,7 @@ class Training(NamedTuple):
     """What differs from the defaults of Stable-Baselines3."""
     steps_per_update: int = 0
     """One gradient step is made for so many decisions; 0 in PPO, which has other settings."""
-    config: dict[str, Any] = {}  # noqa: RUF012  # of a named tuple, which nothing changes
+    config: dict[str, Any] | None = None
     """What differs from highway-env's configuration of the road."""
 
 
