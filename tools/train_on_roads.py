@@ -4,7 +4,8 @@ The algorithm learns in the vector environment, or in environments of highway-en
 cases, what it has learnt drives the same 200 episodes here, which equal highway-env's.
 
     python tools/train_on_roads.py merge
-    python tools/train_on_roads.py merge --simulator highway-env --steps 4_000
+    python tools/train_on_roads.py merge --simulator highway-env
+    python tools/train_on_roads.py merge --steps 0  # random actions
 """
 
 import argparse
@@ -34,25 +35,28 @@ class Training(NamedTuple):
 
     road: str
     algorithm: Any
-    steps: int
+    steps: tuple[int, int]
+    """The decisions in each of `SIMULATORS`, in a few CPU minutes."""
     environments: tuple[int, int]
-    """How many of them are side by side in the simulators."""
+    """How many of them are side by side in each of `SIMULATORS`."""
     settings: dict[str, Any]
     """What differs from the defaults of Stable-Baselines3."""
     steps_per_update: int = 0
     """One gradient step is made for so many decisions; 0 in PPO, which has other settings."""
+    config: dict[str, Any] | None = None
+    """What differs from highway-env's configuration of the road."""
 
 
 _DQN = {"learning_rate": 5e-4, "learning_starts": 1_000, "buffer_size": 100_000, "gamma": 0.8}
 _DQN |= {"batch_size": 64, "target_update_interval": 250, "exploration_fraction": 0.3}
 _SAC = {"learning_rate": 1e-3, "learning_starts": 2_000, "gamma": 0.95, "tau": 0.05}
 TRAININGS = {
-    "merge": Training("merge-v1", DQN, 200_000, (100, 4), _DQN, 4),
-    "roundabout": Training("roundabout-v1", DQN, 200_000, (100, 4), _DQN, 4),
+    "merge": Training("merge-v1", DQN, (100_000, 20_000), (100, 4), _DQN, 4),
+    "roundabout": Training("roundabout-v1", DQN, (100_000, 5_000), (100, 4), _DQN, 4),
     "parking": Training(
         "parking-v0",
         SAC,
-        80_000,
+        (80_000, 20_000),
         (20, 2),
         {
             **_SAC,
@@ -60,12 +64,22 @@ TRAININGS = {
             "policy_kwargs": {"net_arch": [128, 128]},
         },
         2,
+        {"add_walls": False, "duration": 20},
     ),
     "racetrack": Training(
-        "racetrack-v1", SAC, 60_000, (40, 4), {**_SAC, "policy_kwargs": {"net_arch": [64, 64]}}, 4
+        "racetrack-v1",
+        SAC,
+        (40_000, 10_000),
+        (40, 4),
+        {**_SAC, "policy_kwargs": {"net_arch": [64, 64]}},
+        4,
     ),
     "intersection": Training(
-        "intersection-v2", PPO, 400_000, (100, 20), {"n_steps": 32, "batch_size": 640, "gamma": 0.9}
+        "intersection-v2",
+        PPO,
+        (200_000, 3_200),
+        (100, 20),
+        {"n_steps": 32, "batch_size": 640, "gamma": 0.9},
     ),
 }
 
@@ -85,10 +99,11 @@ def environments(training: Training, simulator: str, seed: int) -> VecEnv:
     """The environments in which the algorithm learns."""
     if simulator == "charms-bench":
         name, count = f"charms_bench/{training.road}", training.environments[0]
-        episodes = gymnasium.make_vec(name, num_envs=count)
+        episodes = gymnasium.make_vec(name, num_envs=count, config=training.config)
         episodes.reset(seed=seed)
         return EpisodesVecEnv(episodes)
-    return make_vec_env(training.road, n_envs=training.environments[1], seed=seed)
+    given = {"config": training.config}
+    return make_vec_env(training.road, training.environments[1], seed=seed, env_kwargs=given)
 
 
 def learn(training: Training, simulator: str, steps: int, seed: int) -> tuple[Any, float]:
@@ -104,9 +119,9 @@ def learn(training: Training, simulator: str, steps: int, seed: int) -> tuple[An
     return model, time.process_time() - began
 
 
-def evaluate(road: str, choose: Callable[[Any], Any]) -> tuple[float, float, float]:
+def evaluate(training: Training, choose: Callable[[Any], Any]) -> tuple[float, float, float]:
     """The mean return, and how many episodes end with a crash and with the goal reached, %."""
-    episodes = Episodes(road, EPISODES)
+    road, episodes = training.road, Episodes(training.road, EPISODES, training.config)
     episodes.seed(episodes.everyone, np.arange(EPISODES, dtype=np.uint64) + FIRST_SEED)
     episodes.start(episodes.everyone)
     seen: Any = episodes.observe()
@@ -139,18 +154,17 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     training = TRAININGS[given.kind]
-    steps = training.steps if given.steps is None else given.steps
+    default = training.steps[SIMULATORS.index(given.simulator)]
+    steps = default if given.steps is None else given.steps
     if steps:
         with unchanged_idm():
             model, cpu_s = learn(training, given.simulator, steps, given.seed)
         steps = model.num_timesteps
-        found = evaluate(training.road, lambda seen: model.predict(seen, deterministic=True)[0])
+        found = evaluate(training, lambda seen: model.predict(seen, deterministic=True)[0])
     else:
         space, cpu_s = Episodes(training.road, 1).actions.space, 0.0
         space.seed(given.seed)
-        found = evaluate(
-            training.road, lambda _: np.array([space.sample() for _ in range(EPISODES)])
-        )
+        found = evaluate(training, lambda _: np.array([space.sample() for _ in range(EPISODES)]))
     result = Result(given.simulator, steps, cpu_s / 60, *found)
     rounded = {k: round(v, 2) if isinstance(v, float) else v for k, v in result._asdict().items()}
     print(json.dumps({"kind": given.kind, **rounded}))

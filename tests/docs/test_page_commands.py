@@ -70,7 +70,7 @@ SHORTENED = [
     (r"charms-bench bench( --road \S+)?", r"\g<0> --seconds 0.1 --rounds 1"),
     (r"(charms-bench verify --road \S+) --episodes \d+( --starts)?", r"\1 --episodes 2\2"),
     (r"python tools/roads_against_stock.py FOLDER.*", r"\g<0> --episodes 2 --starts 2"),
-    (r"python tools/train_on_roads.py \S+", r"\g<0> --steps 200"),
+    (r"python tools/train_on_roads.py \S+( --simulator \S+)?", r"\g<0> --steps 200"),
     # 20 repetitions take minutes.
     (r"python tools/search_against_sobol.py .*", r"\g<0> --repetitions 1"),
     # The shortened run has only two episodes.
