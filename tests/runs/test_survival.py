@@ -105,10 +105,10 @@ def suite_file(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("suite", "kills", "episodes", "workers"),
     [
-        (SUITE, 2, 50, 1),
-        (ON_A_ROAD, 2, 20, 2),
-        pytest.param(SUITE, 50, 300, 1, marks=pytest.mark.slow),
-        pytest.param(SUITE, 20, 300, 2, marks=pytest.mark.slow),
+        pytest.param(SUITE, 2, 50, 1, id="twice"),
+        pytest.param(ON_A_ROAD, 2, 20, 2, id="on a road"),
+        pytest.param(SUITE, 50, 300, 1, marks=pytest.mark.slow, id="50 times"),
+        pytest.param(SUITE, 20, 300, 2, marks=pytest.mark.slow, id="20 times with two workers"),
     ],
 )
 def test_killed_at_random_moments_a_run_ends_as_if_nothing_had_happened(
