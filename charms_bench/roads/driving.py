@@ -24,6 +24,7 @@ from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
     EXPONENT,
+    FREE,
     HEADING,
     IDM,
     LATERAL,
@@ -257,19 +258,21 @@ def find_free_accelerations(here: Here) -> None:
             put(batch, EXPONENT, k, vehicle.exponent)
             count += 1
     for n in range(0, count, BATCH):
-        raise_shares(batch_of(here, n))
+        accelerate_freely(batch_of(here, n), here.constants.acceleration_mps2)
     for n in range(count):
-        share = number_of(batch_of(here, n), SHARE, n % BATCH)
-        free = here.constants.acceleration_mps2 * (1 - share)
+        free = number_of(batch_of(here, n), FREE, n % BATCH)
         vehicle_of(here, batched(here, n)).free_acceleration = free
 
 
 @compiled
-def raise_shares(batch: Row) -> None:
-    """Raises shares to the power of the exponents."""
+def accelerate_freely(batch: Row, acceleration: float) -> None:
+    """Finds the free accelerations of a batch, given that of a vehicle at rest.
+
+    A loop over the powers alone would be unrolled before it could be vectorised.
+    """
     for k in range(BATCH):
         share = maths.power(number_of(batch, SHARE, k), number_of(batch, EXPONENT, k))
-        put(batch, SHARE, k, share)
+        put(batch, FREE, k, acceleration * (1 - share))
 
 
 @inlined
