@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import (
     clip,
     compiled,
@@ -35,7 +36,6 @@ from charms_bench.roads.scenes import (
     STEERING,
     Here,
     Row,
-    Scenes,
     batch_of,
     batched,
     index_of,
@@ -51,16 +51,19 @@ from charms_bench.world.road_network import Network
 
 
 @compiled
-def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
-    """Carries out a meta-action [`MDPVehicle.act`, `ControlledVehicle.act`]."""
+def command(road: Network, speeds: Floats, here: Here, i: int, action: int) -> None:
+    """Carries out a meta-action, which chooses between target speeds or lanes.
+
+    [`MDPVehicle.act`, `ControlledVehicle.act`]
+    """
     vehicle = vehicle_of(here, i)
     if action in (FASTER, SLOWER):
-        speeds, change = scenes.target_speeds, 1 if action == FASTER else -1
+        change = 1 if action == FASTER else -1
         wanted = index_of(vehicle.speed, speeds) + change
         vehicle.speed_index = min(max(wanted, 0), speeds.size - 1)
         vehicle.target_speed = speeds[vehicle.speed_index]
     if is_at_end(here, i):
-        take_next_lane(scenes.road, here, i)
+        take_next_lane(road, here, i)
     if action in (LANE_LEFT, LANE_RIGHT):
         target = lane_of(here, vehicle.target_lane)
         beside = target.right if action == LANE_RIGHT else target.left

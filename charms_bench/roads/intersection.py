@@ -206,7 +206,7 @@ def _start(
         here = here_of(scenes, b)
         for i in range(places):
             forget(here, i)
-        advance(scenes, b, here, rule.warm_up_steps)
+        advance(scenes.road, scenes.steps, b, here, rule.warm_up_steps)
         enter(scenes, b, entries, routes, CHALLENGER_ALONG_M, 1.0, (0.1, 0.0), True)
         for ego in range(rule.egos):
             lane, destination = entries[ego % _SIDES], rule.destination

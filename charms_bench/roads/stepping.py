@@ -42,6 +42,7 @@ from charms_bench.roads.scenes import (
     put,
     vehicle_of,
 )
+from charms_bench.world.road_network import Network
 
 MARGIN_M = 1e-6
 """So that rounding does not decide whether two vehicles are certainly apart."""
@@ -54,21 +55,21 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
     The first A vehicles are given one each; those that are not commanded have been given what they
     do. [`AbstractEnv._simulate`]
     """
+    road, speeds, steps, time = scenes.road, scenes.target_speeds, scenes.steps, scenes.time
     for b in rows:
         here = here_of(scenes, b)
-        scenes.time[b] += interval
+        time[b] += interval
         for i in range(here.places):
             forget(here, i)
         for i in range(actions.shape[1]):
             if vehicle_of(here, i).kind == COMMANDED:
-                command(scenes, here, i, actions[b, i])
-        advance(scenes, b, here, frames)
+                command(road, speeds, here, i, actions[b, i])
+        advance(road, steps, b, here, frames)
 
 
 @compiled
-def advance(scenes: Scenes, b: int, here: Here, frames: int) -> None:
-    """Advances scene b by so many simulation steps."""
-    road, steps = scenes.road, scenes.steps
+def advance(road: Network, steps: Ints, b: int, here: Here, frames: int) -> None:
+    """Advances scene b by so many simulation steps; `steps` (B,) are those of `Scenes`."""
     for _ in range(frames):
         act(road, here)
         if here.constants.regulation_steps:
