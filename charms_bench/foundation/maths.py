@@ -259,7 +259,8 @@ def _exp(high: float, low: float) -> float:
     bits = np.float64(shifted).view(np.int64) + 1023
     scale = np.int64(bits << 52).view(np.float64)  # 2**k: the shift leaves the last digits of k
     value *= scale
-    return 0.0 if high < _EXP_LOWEST else (math.inf if high > _EXP_HIGHEST else value)
+    value = math.inf if high > _EXP_HIGHEST else value  # choices that are nested do not vectorise
+    return 0.0 if high < _EXP_LOWEST else value
 
 
 @inlined

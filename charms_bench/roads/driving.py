@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from charms_bench.foundation import maths
+from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import (
     clip,
     compiled,
@@ -24,6 +25,7 @@ from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
     EXPONENT,
+    FREE,
     HEADING,
     IDM,
     LATERAL,
@@ -34,7 +36,6 @@ from charms_bench.roads.scenes import (
     STEERING,
     Here,
     Row,
-    Scenes,
     batch_of,
     batched,
     index_of,
@@ -50,16 +51,19 @@ from charms_bench.world.road_network import Network
 
 
 @compiled
-def command(scenes: Scenes, here: Here, i: int, action: int) -> None:
-    """Carries out a meta-action [`MDPVehicle.act`, `ControlledVehicle.act`]."""
+def command(road: Network, speeds: Floats, here: Here, i: int, action: int) -> None:
+    """Carries out a meta-action, which chooses between target speeds or lanes.
+
+    [`MDPVehicle.act`, `ControlledVehicle.act`]
+    """
     vehicle = vehicle_of(here, i)
     if action in (FASTER, SLOWER):
-        speeds, change = scenes.target_speeds, 1 if action == FASTER else -1
+        change = 1 if action == FASTER else -1
         wanted = index_of(vehicle.speed, speeds) + change
         vehicle.speed_index = min(max(wanted, 0), speeds.size - 1)
         vehicle.target_speed = speeds[vehicle.speed_index]
     if is_at_end(here, i):
-        take_next_lane(scenes.road, here, i)
+        take_next_lane(road, here, i)
     if action in (LANE_LEFT, LANE_RIGHT):
         target = lane_of(here, vehicle.target_lane)
         beside = target.right if action == LANE_RIGHT else target.left
@@ -257,19 +261,21 @@ def find_free_accelerations(here: Here) -> None:
             put(batch, EXPONENT, k, vehicle.exponent)
             count += 1
     for n in range(0, count, BATCH):
-        raise_shares(batch_of(here, n))
+        accelerate_freely(batch_of(here, n), here.constants.acceleration_mps2)
     for n in range(count):
-        share = number_of(batch_of(here, n), SHARE, n % BATCH)
-        free = here.constants.acceleration_mps2 * (1 - share)
+        free = number_of(batch_of(here, n), FREE, n % BATCH)
         vehicle_of(here, batched(here, n)).free_acceleration = free
 
 
 @compiled
-def raise_shares(batch: Row) -> None:
-    """Raises shares to the power of the exponents."""
+def accelerate_freely(batch: Row, acceleration: float) -> None:
+    """Finds the free accelerations of a batch, given that of a vehicle at rest.
+
+    A loop over the powers alone would be unrolled before it could be vectorised.
+    """
     for k in range(BATCH):
         share = maths.power(number_of(batch, SHARE, k), number_of(batch, EXPONENT, k))
-        put(batch, SHARE, k, share)
+        put(batch, FREE, k, acceleration * (1 - share))
 
 
 @inlined

@@ -344,7 +344,6 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
         rows: (R,) the scenes to advance.
         kinds: (B, N) what drives the vehicles.
     """
-    corners = np.empty((2, 4, 2))
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0
     for b in rows:
@@ -376,7 +375,7 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
             if kinds[b, i] != BY_ENVIRONMENT:
                 vehicle.timer_s += here.constants.dt
                 find_way(scenes, b, i, ways)
-        collide(here, corners)
+        collide(here)
         straighten(scenes, here, ways, b, 0, scene, b)
 
 

@@ -196,7 +196,6 @@ def _start(
 ) -> None:
     """[`IntersectionEnv._make_vehicles`]"""
     road, places = scenes.road, scenes.vehicles.shape[1]
-    corners = np.empty((2, 4, 2))
     for b in rows:
         scenes.steps[b] = 0
         for i in range(places):
@@ -207,7 +206,7 @@ def _start(
         here = here_of(scenes, b)
         for i in range(places):
             forget(here, i)
-        advance(scenes, b, here, corners, rule.warm_up_steps)
+        advance(scenes.road, scenes.steps, b, here, rule.warm_up_steps)
         enter(scenes, b, entries, routes, CHALLENGER_ALONG_M, 1.0, (0.1, 0.0), True)
         for ego in range(rule.egos):
             lane, destination = entries[ego % _SIDES], rule.destination

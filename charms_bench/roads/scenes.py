@@ -89,9 +89,9 @@ CLOCK = _table(integers="moves")
 """How often vehicles have moved, so that what was found before is known to be obsolete."""
 NUMBER = _table(floats="value")
 """A number of a vehicle in a batch."""
-COLUMNS = SPEED, LENGTH, HEADING, STEERING, LATERAL, AHEAD, SHARE, EXPONENT, X, Y, COSINE, SINE = (
-    *range(12),
-)
+COLUMNS = tuple(range(13))
+SPEED, LENGTH, HEADING, STEERING, LATERAL, AHEAD, SHARE, EXPONENT, FREE, *_WAY = COLUMNS
+X, Y, COSINE, SINE = _WAY
 """The numbers of a batch, each of them for `BATCH` vehicles side by side, so that a loop computes
 all of them at once."""
 CONSTANTS = _table(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from charms_bench.engine.collision_detection import fill_polygon, polygons_intersect
-from charms_bench.foundation.arrays import Floats, Ints
+from charms_bench.foundation.arrays import Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, row_after
 from charms_bench.roads.driving import act, command
 from charms_bench.roads.dynamics import (
@@ -42,6 +42,7 @@ from charms_bench.roads.scenes import (
     put,
     vehicle_of,
 )
+from charms_bench.world.road_network import Network
 
 MARGIN_M = 1e-6
 """So that rounding does not decide whether two vehicles are certainly apart."""
@@ -54,22 +55,21 @@ def decide(scenes: Scenes, rows: Ints, actions: Ints, frames: int, interval: flo
     The first A vehicles are given one each; those that are not commanded have been given what they
     do. [`AbstractEnv._simulate`]
     """
-    corners = np.empty((2, 4, 2))
+    road, speeds, steps, time = scenes.road, scenes.target_speeds, scenes.steps, scenes.time
     for b in rows:
         here = here_of(scenes, b)
-        scenes.time[b] += interval
+        time[b] += interval
         for i in range(here.places):
             forget(here, i)
         for i in range(actions.shape[1]):
             if vehicle_of(here, i).kind == COMMANDED:
-                command(scenes, here, i, actions[b, i])
-        advance(scenes, b, here, corners, frames)
+                command(road, speeds, here, i, actions[b, i])
+        advance(road, steps, b, here, frames)
 
 
 @compiled
-def advance(scenes: Scenes, b: int, here: Here, corners: Floats, frames: int) -> None:
-    """Advances scene b by so many simulation steps. `corners` (2, 4, 2) is overwritten."""
-    road, steps = scenes.road, scenes.steps
+def advance(road: Network, steps: Ints, b: int, here: Here, frames: int) -> None:
+    """Advances scene b by so many simulation steps; `steps` (B,) are those of `Scenes`."""
     for _ in range(frames):
         act(road, here)
         if here.constants.regulation_steps:
@@ -77,7 +77,7 @@ def advance(scenes: Scenes, b: int, here: Here, corners: Floats, frames: int) ->
             if steps[b] % here.constants.regulation_steps == 0:
                 enforce(road, here)
         move_all(here)
-        collide(here, corners)
+        collide(here)
 
 
 @compiled
@@ -130,11 +130,8 @@ def is_at_rest(vehicle: Row) -> bool:
 
 
 @compiled
-def collide(here: Here, corners: Floats) -> None:
-    """Finds the collisions of pairs, in their order [`RoadObject.handle_collisions`].
-
-    `corners` (2, 4, 2) is overwritten.
-    """
+def collide(here: Here) -> None:
+    """Finds the collisions of pairs, in their order [`RoadObject.handle_collisions`]."""
     dt, count = here.constants.dt, 0
     for k in range(here.places):
         vehicle = vehicle_of(here, place_of(here, k))
@@ -156,11 +153,11 @@ def collide(here: Here, corners: Floats) -> None:
             if abs(other.x - body.x) > near or abs(other.y - body.y) > near:
                 continue  # before the square roots, which would say the same
             if body.checks or other.checks:
-                collide_pair(own, vehicle_of(here, other.place), dt, corners)
+                collide_pair(own, vehicle_of(here, other.place), dt)
 
 
 @compiled
-def collide_pair(own: Row, other: Row, dt: float, corners: Floats) -> None:
+def collide_pair(own: Row, other: Row, dt: float) -> None:
     """The part of `handle_collisions` for a pair that is close to each other."""
     dx, dy = other.x - own.x, other.y - own.y
     reach = (diagonal_of(own) + diagonal_of(other)) / 2 + own.speed * dt
@@ -170,6 +167,7 @@ def collide_pair(own: Row, other: Row, dt: float, corners: Floats) -> None:
     relative_y = own.speed * own.direction_y * dt - other.speed * other.direction_y * dt
     if are_apart(own, other, relative_x, relative_y):
         return
+    corners = np.empty((2, 4, 2))
     for n, each in enumerate((own, other)):
         direction = each.direction_x, each.direction_y
         fill_polygon(each.x, each.y, *direction, each.length, each.width, corners[n])

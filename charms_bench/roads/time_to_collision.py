@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from charms_bench.foundation.arrays import Floats, Ints
-from charms_bench.foundation.compiled import compiled, compiled_of_scenes, not_zero
-from charms_bench.roads.scenes import CONTINUOUS, Row, Scenes
-from charms_bench.world.road import distance_along
+from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, inlined, not_zero
+from charms_bench.roads.scenes import CONTINUOUS, Here, Row, Scenes, here_of, lane_of, vehicle_of
+from charms_bench.world.lane_geometry import line_coordinates
 from charms_bench.world.road_network import Network
 from charms_bench.world.scene import Observations
 
@@ -26,14 +26,18 @@ def observe(scenes: Scenes, rows: Ints, ego_place: int, interval: float, out: Ob
     These are the costs of a collision at each multiple of `interval`, s, by target speed and lane
     [`TimeToCollisionObservation.observe`].
     """
-    speeds, times = scenes.target_speeds.size, out.shape[3]
-    grid = np.empty((speeds, scenes.road.lanes["lanes"].max(), times))
+    road, speeds, times = scenes.road, scenes.target_speeds, out.shape[3]
+    grid = np.empty((speeds.size, road.lanes["lanes"].max(), times))
+    branches = np.empty((3, _BRANCHES), dtype=np.int64)
+    is_connected = np.empty(road.lanes.size, dtype=np.bool_)
     for b in rows:
-        fill(scenes, b, ego_place, interval, grid)
-        ego = scenes.vehicles[b, ego_place]
-        row = scenes.road.lanes[ego.lane]
+        here = here_of(scenes, b)
+        ego = vehicle_of(here, ego_place)
+        row = lane_of(here, ego.lane)
+        find_connected(road, ego, branches, is_connected)
+        fill(here, ego_place, speeds, interval, is_connected, grid)
         for k in range(SIDES):
-            speed = min(max(ego.speed_index + k - 1, 0), speeds - 1)
+            speed = min(max(ego.speed_index + k - 1, 0), speeds.size - 1)
             for m in range(SIDES):
                 lane = ego.lane - row.first + m - 1
                 for t in range(times):
@@ -42,26 +46,30 @@ def observe(scenes: Scenes, rows: Ints, ego_place: int, interval: float, out: Ob
 
 
 @compiled
-def fill(scenes: Scenes, b: int, ego_place: int, interval: float, grid: Floats) -> None:
-    """Fills a grid, by target speed, lane and time [`finite_mdp.compute_ttc_grid`]."""
-    road, ego = scenes.road, scenes.vehicles[b, ego_place]
-    own = road.lanes[ego.lane]
+def fill(
+    here: Here, ego_place: int, speeds: Floats, interval: float, is_connected: Bools, grid: Floats
+) -> None:
+    """Fills a grid, by target speed, lane and time [`finite_mdp.compute_ttc_grid`].
+
+    `is_connected` is that of `find_connected`.
+    """
+    ego = vehicle_of(here, ego_place)
+    own = lane_of(here, ego.lane)
+    s, _ = line_coordinates(own, ego.x, ego.y)
     grid[:] = 0.0
-    for j in range(scenes.vehicles.shape[1]):
-        other = scenes.vehicles[b, j]
-        if j == ego_place or other.kind < CONTINUOUS:
+    for j in range(here.places):
+        other = vehicle_of(here, j)
+        if j == ego_place or other.kind < CONTINUOUS or not is_connected[other.lane]:
             continue
-        if not is_connected(scenes, ego, other.lane):
-            continue
-        row = road.lanes[other.lane]
+        row = lane_of(here, other.lane)
         first, after = 0, own.lanes
         if row.lanes == own.lanes:
             first, after = other.lane - row.first, other.lane - row.first + 1
-        distance = distance_along(road, ego.lane, ego.x, ego.y, other.x, other.y)
+        distance = line_coordinates(own, other.x, other.y)[0] - s
         facing = other.direction_x * ego.direction_x + other.direction_y * ego.direction_y
         margin = other.length / 2 + ego.length / 2
-        for speed in range(scenes.target_speeds.size):
-            own_speed = scenes.target_speeds[speed]
+        for speed in range(speeds.size):
+            own_speed = speeds[speed]
             if own_speed == other.speed:
                 continue
             for edge, cost in ((0.0, 1.0), (-margin, 0.5), (margin, 0.5)):
@@ -75,21 +83,22 @@ def fill(scenes: Scenes, b: int, ego_place: int, interval: float, grid: Floats) 
 
 
 @compiled
-def is_connected(scenes: Scenes, ego: Row, lane: int) -> bool:
-    """Whether a lane is on the ego's road, before it, or on one of the next `DEPTH` roads.
+def find_connected(road: Network, ego: Row, branches: Ints, found: Bools) -> None:
+    """Finds the lanes (L,) on the ego's road, before it, or on one of the next `DEPTH` roads.
 
-    [`RoadNetwork.is_connected_road`, with the ego's route]
+    `branches` (3, `_BRANCHES`) is overwritten [`RoadNetwork.is_connected_road`, with the ego's
+    route].
     """
-    road = scenes.road
-    sought = road.lanes[lane].first
-    roads, steps, depths = np.empty((3, _BRANCHES), dtype=np.int64)
+    found[:] = False
+    roads, steps, depths = branches
     roads[0], steps[0], depths[0] = road.lanes[ego.lane].first, ego.route_step, DEPTH
     count = 1
     while count:
         count -= 1
         current, step, depth = roads[count], steps[count], depths[count]
-        if sought == current or leads_to(road, sought, current):
-            return True
+        for lane in range(found.size):
+            first = road.lanes[lane].first
+            found[lane] |= first == current or leads_to(road, first, current)
         has_route = step < ego.route_end
         if has_route and depth > 0 and ego.route_roads[step] == current:
             steps[count] += 1
@@ -102,10 +111,9 @@ def is_connected(scenes: Scenes, ego: Row, lane: int) -> bool:
             for k in range(row.next_roads, row.next_roads + row.next_count):
                 roads[count], steps[count], depths[count] = road.successors[k], step, depth - 1
                 count += 1
-    return False
 
 
-@compiled
+@inlined
 def leads_to(road: Network, lane: int, following: int) -> bool:
     """Whether the road with the first lane `following` starts where a lane ends."""
     row = road.lanes[lane]
