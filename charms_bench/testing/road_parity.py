@@ -241,17 +241,19 @@ def _apart(
         pairs["end"] = 0.0, 0.0 if ended == (terminated, truncated) else np.inf
         for name, value in ours.task.information(ours.scenes).items():
             pairs[name] = value[0], info[name]
-    apart = {what: _difference(*pair) for what, pair in pairs.items()}
+    apart = {what: difference(*pair) for what, pair in pairs.items()}
     what = max(apart, key=lambda name: apart[name])
     return apart[what], f"{what}: {pairs[what][0]!r} (ours), {pairs[what][1]!r} (highway-env)"
 
 
-def _difference(ours: Any, theirs: Any) -> float:
+def difference(ours: Any, theirs: Any) -> float:
+    """The largest difference of numbers in arrays of the same shape; infinite for other shapes."""
     one, other = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
     if one.shape != other.shape:
         return float("inf")
-    apart = np.where(np.isnan(one) & np.isnan(other), 0.0, np.abs(one - other))
-    return float(np.nan_to_num(apart, nan=np.inf).max())
+    is_same = (one == other) | (np.isnan(one) & np.isnan(other))  # infinities, too
+    apart = np.abs(one[~is_same] - other[~is_same])
+    return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
 
 
 def _route(vehicle: Any, names: list[Any]) -> list[Any]:

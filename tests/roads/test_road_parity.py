@@ -8,7 +8,7 @@ import pytest
 
 from charms_bench.roads import TASKS
 from charms_bench.roads.episodes import Episodes
-from charms_bench.testing.road_parity import compare, verify_configurations, verify_road
+from charms_bench.testing.road_parity import compare, difference, verify_configurations, verify_road
 
 CONFIGURATIONS: dict[str, dict[str, Any]] = {
     "highway-fast-v0": {"initial_lane_id": 1, "normalize_reward": False, "offroad_terminal": True},
@@ -278,6 +278,21 @@ def test_100_random_configurations_give_the_same_episodes(name: str) -> None:
         config = random_configuration(name, seed)
         found = verify_road(name, 1, seed, workers=1, config=config)
         assert found.differing == [], config
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "apart"),
+    [
+        (np.inf, np.inf, 0.0),
+        (np.nan, np.nan, 0.0),
+        (np.inf, np.nan, np.inf),
+        (-np.inf, np.inf, np.inf),
+    ],
+)
+def test_only_equal_numbers_without_a_value_do_not_differ(
+    ours: float, theirs: float, apart: float
+) -> None:
+    assert difference([1.0, ours], [1.0, theirs]) == apart
 
 
 @pytest.mark.parametrize("name", TASKS)
