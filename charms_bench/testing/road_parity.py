@@ -253,7 +253,7 @@ def difference(ours: Any, theirs: Any) -> float:
         return float("inf")
     is_same = (one == other) | (np.isnan(one) & np.isnan(other))  # infinities, too
     apart = np.abs(one[~is_same] - other[~is_same])
-    return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
+    return float(np.nan_to_num(apart, nan=np.inf, posinf=np.inf).max(initial=0.0))
 
 
 def _route(vehicle: Any, names: list[Any]) -> list[Any]:
