@@ -74,18 +74,21 @@ class Fault:
         is_gone = left[b, self._state["entrant"][b, i]]
         self._state["entered"][b[is_gone], i[is_gone]] = NEVER
 
-    def add(self, frames: Frames) -> None:
-        """Judges the vehicles that have collided in some frames."""
-        note_faults(self._road, *frames, self._window, self._state)
+    def add(self, frames: Frames, judges: bool) -> None:
+        """Notes how vehicles move in some frames, and judges those that have just collided."""
+        note_faults(self._road, *frames, judges, self._window, self._state)
 
 
 @compiled
-def note_faults(road: Straight, moments: Any, vehicles: Any, window: int, state: Any) -> None:
-    """Notes how vehicles move, and judges those that have collided."""
+def note_faults(
+    road: Straight, moments: Any, vehicles: Any, judges: bool, window: int, state: Any
+) -> None:
+    """Notes how vehicles move, and judges those that have just collided."""
     for moment in moments:
         b, now = index(moment.scene), vehicles[moment.now]
         note_movements(road, now, moment.decision, state[b])
-        judge(now, moment.decision - window, state[b])
+        if judges:
+            judge(now, moment.decision - window, state[b])
 
 
 @inlined

@@ -41,7 +41,7 @@ class Recording:
         self._drivers = DriverSums(simulation)
         self._fault = Fault(simulation)
         kept, fault = self._kept, self._fault
-        simulation.collision_watchers.append(lambda: fault.add(kept.at_collision()))
+        simulation.collision_watchers.append(lambda: fault.add(kept.at_collision(), judges=True))
 
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
@@ -53,7 +53,8 @@ class Recording:
             self._fault.forget(self._kept.left)
             self._drivers.forget(self._kept.left)
             self._note_places()
-        self._fault.add(frames)
+        # Only a vehicle whose place has just been another's can have missed its collision's frame.
+        self._fault.add(frames, judges=self._kept.changes)
         self._steps.add(frames)
         self._following.add(frames)
         self._drivers.add(frames, self._fault.at_fault, self._kept.changes)

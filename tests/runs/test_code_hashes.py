@@ -4,6 +4,7 @@ import ast
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ HARNESS = SOURCES / "charms_bench"
 UNRELATED = ("report", "cli", "statistics", "metrics", "episodes", "people", "envs", "testing")
 SIMULATES = """\
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
@@ -117,11 +119,33 @@ def test_every_import_in_a_row_module_is_one_that_can_be_followed(name: str) -> 
 @pytest.mark.parametrize(
     ("source", "expected"),
     [
-        ("import charms_bench.a, json", {"charms_bench.a"}),
+        ("import charms_bench.a, json", {"charms_bench.a", "json"}),
         ("def f():\n    from charms_bench.a import b", {"charms_bench.a", "charms_bench.a.b"}),
         ("if TYPE_CHECKING:\n    import charms_bench.a", set()),
         ("if TYPE_CHECKING:\n    x\nelse:\n    import charms_bench.b", {"charms_bench.b"}),
     ],
 )  # fmt: skip
 def test_imports_are_found_wherever_they_stand(source: str, expected: set[str]) -> None:
-    assert set(imported_modules(ast.parse(source))) == expected
+    assert set(imported_modules(source)) == expected
+
+
+def found_by_python(node: ast.AST) -> Iterator[str]:
+    """The dotted names of this package in the import statements of a whole module."""
+    if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        return
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    if isinstance(node, ast.ImportFrom):
+        yield from (str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names))
+    for child in ast.iter_child_nodes(node):
+        yield from found_by_python(child)
+
+
+def test_no_import_of_the_package_is_overlooked() -> None:
+    for path in HARNESS.rglob("*.py"):
+        expected = {
+            name
+            for name in found_by_python(ast.parse(path.read_bytes()))
+            if name.partition(".")[0] == HARNESS.name
+        }
+        assert expected <= set(imported_modules(path.read_text())), path
