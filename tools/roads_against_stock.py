@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 import charms_bench.envs  # noqa: F401  # registers those of charms-bench
 from charms_bench.roads import TASKS
 from charms_bench.roads.episodes import Episodes, unchanged_idm
-from charms_bench.testing.road_parity import MOST_DECISIONS, action_for, compare
+from charms_bench.testing.road_parity import MOST_DECISIONS, action_for, compare, difference
 
 TOLERANCE = 1e-6
 AT_START = 1e-9
@@ -98,14 +98,11 @@ def flat(values: Any) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64).ravel()
 
 
-def difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) -> float:
+def largest_difference(ours: dict[str, NDArray[Any]], stock: dict[str, NDArray[Any]]) -> float:
     """The largest difference between numbers of an episode; infinite if anything else differs."""
     if any(not np.array_equal(ours[each], stock[each]) for each in ("events", "lengths")):
         return np.inf
-    one, other = ours["numbers"], stock["numbers"]
-    is_same = (one == other) | (np.isnan(one) & np.isnan(other))
-    apart = np.abs(one[~is_same] - other[~is_same])
-    return float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
+    return difference(ours["numbers"], stock["numbers"])
 
 
 def values(contestant: str) -> dict[str, NDArray[np.float64]]:
@@ -151,7 +148,7 @@ def main() -> None:
         apart[name] = np.empty(given.episodes)
         for k, (path, stock) in enumerate(zip(paths[name], paths["stock"], strict=True)):
             with np.load(path) as mine, np.load(stock) as theirs:
-                apart[name][k] = difference(dict(mine), dict(theirs))
+                apart[name][k] = largest_difference(dict(mine), dict(theirs))
         same = apart[name][apart[name] <= TOLERANCE]
         print(f"  {TITLES[name]}: {counted(apart[name] > TOLERANCE)}", end="")
         print(f", {np.isinf(apart[name]).sum()} by more than numbers", end="")

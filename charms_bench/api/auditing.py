@@ -30,7 +30,8 @@ def audit(
 
     Args:
         path: The folder of an evaluation. Of other folders, it checks what it can.
-        shards: How many shards to simulate again; None is all.
+        shards: How many shards to simulate again; None is all. If one in ten is false, 10 find it
+            in 65 of 100 audits.
         seed: Chooses the shards; by default, each audit draws a new seed.
         workers: Processes; by default one per core.
         suite_folder: Where relative paths in the suite start.
@@ -42,7 +43,7 @@ def audit(
     """
     from charms_bench.report.audit import Audit, audit_tables
     from charms_bench.report.stored import holds
-    from charms_bench.runs.audit import Asked, audit_rare, audit_run
+    from charms_bench.runs.audit import audit_rare, audit_run
     from charms_bench.runs.rare import MANIFEST as RARE
     from charms_bench.runs.resumable_folder import CHECKSUMS, RunFolder
 
@@ -64,7 +65,9 @@ def audit(
         found = audit_run(
             folder,
             suite,
-            Asked(shards, seed, workers),
+            shards,
+            seed,
+            workers,
             lambda cell, episodes: tell(cell.ego.title, 1),
             notice,
         )

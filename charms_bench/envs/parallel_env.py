@@ -1,6 +1,6 @@
 """Many learners as a PettingZoo `ParallelEnv`; it needs the extra `pettingzoo`."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -15,7 +15,7 @@ from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.errors import InputError
 from charms_bench.world.action_mask import action_masks
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import ACTIONS, IDLE
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations, Vehicles
 
@@ -34,7 +34,48 @@ Step = tuple[
 ]
 
 
-class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
+class NamedAgents(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
+    """What environments share whose agents, by name, take meta-actions."""
+
+    possible_agents: list[str]
+    agents: list[str]
+    """Those that drive."""
+    observation_spaces: dict[str, Any]
+    action_spaces: dict[str, Any]
+    _place: dict[str, int]
+    """The place of each agent among `possible_agents`."""
+
+    def observation_space(self, agent: str) -> Any:
+        """The space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """The space of an agent's actions, indices into the names of the meta-actions."""
+        return self.action_spaces[agent]
+
+    def _checked(self, actions: Mapping[str, int], names: Sequence[str], idle: int) -> Ints:
+        """The actions (L,); those of agents that have left are `idle`.
+
+        Raises:
+            InputError: An action has none of the `names`, or the actions are not those of `agents`.
+        """
+        if actions.keys() != {*self.agents}:
+            missing = ", ".join(agent for agent in self.agents if agent not in actions)
+            other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
+            raise InputError(
+                "step takes one action for each agent in `agents`; "
+                f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
+            )
+        chosen = np.full(len(self.possible_agents), idle)
+        for agent, action in actions.items():
+            if action not in self.action_spaces[agent]:
+                expected = f"expected 0 to {len(names) - 1}: {', '.join(names)}"
+                raise InputError(f"{agent}: no action {action}; {expected}")
+            chosen[self._place[agent]] = action
+        return chosen
+
+
+class HighwayParallelEnv(NamedAgents):
     """One episode after another, in which the caller drives all vehicles or some of them.
 
     The agents are `vehicle_0`, the ego, and `vehicle_k`, the k-th of the other vehicles in the
@@ -75,21 +116,13 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
-        self.agents: list[str] = []
+        self.agents = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
         # Each agent has spaces of its own, because a space holds the seed of its samples.
         spaces = {agent: deepcopy(self._learners.spaces) for agent in self._place}
         self.observation_spaces = {agent: seen for agent, (seen, _) in spaces.items()}
         self.action_spaces = {agent: chosen for agent, (_, chosen) in spaces.items()}
         self._rng = np.random.default_rng()
-
-    def observation_space(self, agent: str) -> Any:
-        """The space of an agent's observations."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Any:
-        """The space of an agent's actions, indices into `ACTIONS`."""
-        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -129,7 +162,7 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
         """
         if not self.agents:
             return {}, {}, {}, {}, {}
-        outcome = self._learners.step(self._checked(actions))
+        outcome = self._learners.step(self._checked(actions, ACTIONS, IDLE))
         acted, observations, infos = self.agents, self._observe(), self._masks()
         rewards, terminated, truncated, endings = (
             {agent: values[self._place[agent]] for agent in acted}
@@ -149,23 +182,6 @@ class HighwayParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is un
     def close(self) -> None:
         """Closes the window."""
         self._learners.renderer.close()
-
-    def _checked(self, actions: Mapping[str, int]) -> Ints:
-        """The actions (L,); those of agents that have left are 0."""
-        if actions.keys() != {*self.agents}:
-            missing = ", ".join(agent for agent in self.agents if agent not in actions)
-            other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
-            raise InputError(
-                "step takes one action for each agent in `agents`; "
-                f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
-            )
-        chosen = np.zeros(len(self.possible_agents), dtype=np.int64)
-        for agent, action in actions.items():
-            if action not in self.action_spaces[agent]:
-                expected = f"expected 0 to 4: {', '.join(ACTIONS)}"
-                raise InputError(f"{agent}: no action {action}; {expected}")
-            chosen[self._place[agent]] = action
-        return chosen
 
     def _observe(self) -> dict[str, Observations]:
         """The observations of `agents`."""

@@ -198,9 +198,6 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         """Closes the window."""
         self._renderer.close()
 
-    def _observe(self) -> Any:
-        return _row(self._episodes.observe(), 0)
-
 
 class GoalRoadEnv(RoadEnv):
     """A `RoadEnv` whose observations have goals."""

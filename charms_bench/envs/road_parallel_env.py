@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.envs.parallel_env import ParallelEnv, Step
+from charms_bench.envs.parallel_env import NamedAgents, Step
 from charms_bench.envs.road_env import episodes_of, random_seeds, spaces_of
 from charms_bench.errors import InputError
 from charms_bench.world.scene import Observations
@@ -17,7 +17,7 @@ from charms_bench.world.scene import Observations
 Infos = dict[str, dict[str, Any]]
 
 
-class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
+class RoadParallelEnv(NamedAgents):
     """One episode after another of one of highway-env's environments with several agents.
 
     The agents are `vehicle_0`, `vehicle_1` and so on, in the order of highway-env's
@@ -62,7 +62,7 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
         self._episodes.seed(self._episodes.everyone, random_seeds(1))
         self.render_mode = None
         self.possible_agents = [f"vehicle_{k}" for k in range(self._episodes.agents)]
-        self.agents: list[str] = []
+        self.agents = []
         self._place = {agent: k for k, agent in enumerate(self.possible_agents)}
         seen: Any
         chosen: Any
@@ -70,14 +70,6 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
         # Each agent has spaces of its own, because a space holds the seed of its samples.
         self.observation_spaces = dict(zip(self._place, deepcopy([*seen]), strict=True))
         self.action_spaces = {agent: deepcopy(chosen[k]) for agent, k in self._place.items()}
-
-    def observation_space(self, agent: str) -> Any:
-        """The space of an agent's observations."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Any:
-        """The space of an agent's actions."""
-        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -110,7 +102,9 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
         if not self.agents:
             return {}, {}, {}, {}, {}
         episodes = self._episodes
-        decision = episodes.step(self._checked(actions))
+        names: Any = episodes.actions
+        chosen = self._checked(actions, names.names, names.names.index("IDLE"))
+        decision = episodes.step(tuple(chosen[:, None]))
         found = episodes.task.information(episodes.scenes)
         observations, infos = self._of_agents(decision.observations), self._infos()
         rewards = self._of_agents(found["agents_rewards"].T)
@@ -126,24 +120,6 @@ class RoadParallelEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyp
             truncated,
             infos,
         )
-
-    def _checked(self, actions: Mapping[str, int]) -> tuple[Any, ...]:
-        """The actions, (1,) of each agent; those of agents that have left are `IDLE`."""
-        if actions.keys() != {*self.agents}:
-            missing = ", ".join(agent for agent in self.agents if agent not in actions)
-            other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
-            raise InputError(
-                "step takes one action for each agent in `agents`; "
-                f"missing: {missing or 'none'}; unexpected: {other or 'none'}"
-            )
-        names: Any = self._episodes.actions
-        chosen = np.full((len(self.possible_agents), 1), names.names.index("IDLE"))
-        for agent, action in actions.items():
-            if action not in self.action_spaces[agent]:
-                expected = f"expected 0 to {len(names.names) - 1}: {', '.join(names.names)}"
-                raise InputError(f"{agent}: no action {action}; {expected}")
-            chosen[self._place[agent]] = action
-        return tuple(chosen)
 
     def _of_agents(self, values: Any) -> dict[str, Any]:
         """The values of `agents`, from those (1, ...) of all agents."""

@@ -50,12 +50,10 @@ class Calibration:
     """A fitted population and its predictions."""
 
     fit: Fit
+    """The most likely one of all models."""
     noise: tuple[float, float]
-    fits: tuple[Fit, ...]
-    """Of all models; the most likely one is `fit`."""
     predicted: tuple[Predicted, ...]
     """The population, the pooled point, and the uncalibrated IDMs."""
-    fitted: tuple[Trip, ...]
     held_out: tuple[Trip, ...]
 
     @property
@@ -163,4 +161,4 @@ def calibrate(trips: Sequence[Trip], tell: Callable[[str], None]) -> Calibration
         tell(f"predicting with {name}")
         errors = gap_errors(held_out, predictor)
         predicted.append(Predicted(name, errors, energy_scores(held_out, predictor, scales)))
-    return Calibration(fit, noise, tuple(fits), tuple(predicted), tuple(fitted), tuple(held_out))
+    return Calibration(fit, noise, tuple(predicted), tuple(held_out))

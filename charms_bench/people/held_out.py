@@ -30,27 +30,25 @@ def profile_idm(time_headway_s: float) -> Floats:
     return np.array([CHARMS.speed_limit_mps, time_headway_s, jam_m, *both])
 
 
-def drawn(fit: Fit, noise: tuple[float, float], draws: int = DRAWS) -> Predictor:
+def drawn(fit: Fit, noise: tuple[float, float]) -> Predictor:
     """Drivers drawn from the population in the trip's situation."""
 
     def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        p = fit.draw(rng, draws, situation_of([trip]))
-        pushes = ou_noise(rng, (draws, trip.gap.size), *noise)
+        p = fit.draw(rng, DRAWS, situation_of([trip]))
+        pushes = ou_noise(rng, (DRAWS, trip.gap.size), *noise)
         return drive(fit.model, trip, p, fit.lag_s, pushes)
 
     return predict
 
 
-def the_same(
-    p: Floats, fit: Fit, noise: tuple[float, float] | None, draws: int = DRAWS
-) -> Predictor:
+def the_same(p: Floats, fit: Fit, noise: tuple[float, float] | None) -> Predictor:
     """One set of parameters (P,) for all drivers, with noise or without."""
 
     def predict(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
         if noise is None:
             return drive(fit.model, trip, p[None], fit.lag_s)
-        pushes = ou_noise(rng, (draws, trip.gap.size), *noise)
-        return drive(fit.model, trip, np.tile(p, (draws, 1)), fit.lag_s, pushes)
+        pushes = ou_noise(rng, (DRAWS, trip.gap.size), *noise)
+        return drive(fit.model, trip, np.tile(p, (DRAWS, 1)), fit.lag_s, pushes)
 
     return predict
 

@@ -144,14 +144,6 @@ def fit_choices(choices: Choices) -> LaneChanges | None:
     return LaneChanges(**numbers, speed_mps=round(mean_mps, 4), changes=choices.recorded)
 
 
-def simulate_choices(choices: Choices, behaviour: LaneChanges, rng: np.random.Generator) -> Choices:
-    """The same choices, made by drivers with this behaviour."""
-    probability = expit((choices.gain - behaviour.threshold_mps2) / behaviour.scale_mps2)
-    probability *= choices.speed / behaviour.speed_mps
-    changed = rng.random(probability.size) < probability
-    return choices._replace(changed=changed, recorded=int(changed.sum()))
-
-
 def _i75_rows(table: pl.DataFrame) -> pl.DataFrame:
     return table.filter(pl.col("lane").is_in(I75_MAIN_LANES)).select(
         "vehicle",

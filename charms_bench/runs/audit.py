@@ -6,7 +6,6 @@ Nothing in the folder is changed.
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -24,34 +23,20 @@ from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.shards import Shard, places_of
 from charms_bench.runs.suite import Cell, Suite
 
-SHARDS = 10
-"""Shards that are simulated again by default. If one in ten is false, this finds it in 65 of 100
-audits."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What to check."""
-
-    shards: int | None = SHARDS
-    """How many shards to simulate again; None is all."""
-    seed: int | None = None
-    """Chooses the shards; by default another seed each time."""
-    workers: int | None = None
-    """Processes; by default one per core."""
-
 
 def audit_run(
     folder: RunFolder,
     suite: Suite,
-    asked: Asked,
-    progress: Callable[[Cell, int], None] = lambda cell, episodes: None,
-    notice: Callable[[str], None] = lambda what: None,
+    shards: int | None,
+    seed: int | None,
+    workers: int | None,
+    progress: Callable[[Cell, int], None],
+    notice: Callable[[str], None],
 ) -> Iterator[Finding]:
     """Yields what is found about the software, files, networks and rows of an evaluation.
 
-    `progress` is called for every shard that has been simulated, and `notice` with a message about
-    a problem that was solved.
+    `shards`, `seed` and `workers` are those of `charms_bench.audit`. `progress` is called for every
+    shard that has been simulated, and `notice` with a message about a problem that was solved.
 
     Raises:
         RunFolderError: The folder holds no run.
@@ -69,11 +54,11 @@ def audit_run(
         what = "none can be simulated again with this software; see above"
         yield Finding("rows", "", "unknown", what, undrawn=1.0)
         return
-    seed = secrets.randbits(32) if asked.seed is None else asked.seed
-    count = len(tasks) if asked.shards is None else min(asked.shards, len(tasks))
+    seed = secrets.randbits(32) if seed is None else seed
+    count = len(tasks) if shards is None else min(shards, len(tasks))
     chosen = np.random.default_rng(seed).choice(len(tasks), count, replace=False)
     sample = {task: shard for shard, task in (tasks[k] for k in sorted(chosen.tolist()))}
-    running = on_this_machine(simulate, engine, asked.workers, sample, SHARD_LIMIT_S, notice)
+    running = on_this_machine(simulate, engine, workers, sample, SHARD_LIMIT_S, notice)
     wrong = 0
     with closing(running):
         for task, files in running:
@@ -82,14 +67,14 @@ def audit_run(
             wrong += bool(found)
             yield from found
             progress(cells[shard.cell].cell, shard.episodes)
-    shards = len(places_of(suite, engine))
+    whole = len(places_of(suite, engine))
     what = (
         f"{wrong} of {count} shards that were simulated again differ"
         if wrong
-        else f"{count} of {shards} shards, simulated again, have the same rows"
+        else f"{count} of {whole} shards, simulated again, have the same rows"
     )
     verdict: Verdict = "fail" if wrong else "pass"
-    yield Finding("rows", "", verdict, f"{what} (seed {seed})", (shards - count) / shards)
+    yield Finding("rows", "", verdict, f"{what} (seed {seed})", (whole - count) / whole)
 
 
 def _differing_rows(folder: RunFolder, shard: Shard, files: ShardFiles) -> Iterator[Finding]:

@@ -23,11 +23,9 @@ from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
 
 FORMAT = 2
 MANIFEST = "rare.json"
-RUNS = 10
 LEAST_RUNS = 5
 """With fewer, the interval says nothing."""
 MOST_RUNS = 1000
-SAMPLES = 1000
 LEAST_SAMPLES = 100
 """With fewer, a level often has no episode below its threshold."""
 DRAWS_LIMIT = 2**27
@@ -53,11 +51,11 @@ def run_rare(
     suite: Suite,
     output: Path,
     event: str,
-    runs: int = RUNS,
-    samples: int = SAMPLES,
-    workers: int | None = None,
-    progress: Callable[[Cell, int], None] = lambda cell, runs: None,
-    notice: Callable[[str], None] = lambda what: None,
+    runs: int,
+    samples: int,
+    workers: int | None,
+    progress: Callable[[Cell, int], None],
+    notice: Callable[[str], None],
 ) -> list[RareCell]:
     """Estimates the probability of an event in every cell; see `charms_bench.rare`.
 

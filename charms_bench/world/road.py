@@ -110,12 +110,6 @@ def is_reachable(road: Any, lane: Any, x: Any, y: Any) -> Any:
 
 
 @_of_roads
-def is_after_end(road: Any, lane: Any, x: Any, y: Any) -> Any:
-    """Whether a vehicle is about to leave a lane at its end [`AbstractLane.after_end`]."""
-    return x > road.road_length - END_MARGIN_M / 2
-
-
-@_of_roads
 def distance(road: Any, lane: Any, x: Any, y: Any) -> Any:
     """How far a point is from a lane, beside it and along it [`AbstractLane.distance`]."""
     beyond = max(x - road.road_length, 0.0)

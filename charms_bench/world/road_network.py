@@ -244,11 +244,6 @@ def is_reachable(road: Network, lane: int, x: float, y: float) -> bool:
 
 
 @register_jitable
-def is_after_end(road: Network, lane: int, x: float, y: float) -> bool:
-    return bool(local_coordinates(road, lane, x, y)[0] > road.lanes[lane].length - END_MARGIN_M / 2)
-
-
-@register_jitable
 def distance(road: Network, lane: int, x: float, y: float) -> float:
     s, r = local_coordinates(road, lane, x, y)
     return _distance(road, lane, s, r)

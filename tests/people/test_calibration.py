@@ -6,12 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy import stats
+from scipy.special import expit
 
 from charms_bench.errors import DataError
 from charms_bench.people.calibration import fit_population, noise_of, ou_noise, situation_of
 from charms_bench.people.car_following import FVDM, IDM, drive
 from charms_bench.people.held_out import ratio_interval, starts
-from charms_bench.people.lane_choices import Choices, fit_choices, read_choices, simulate_choices
+from charms_bench.people.lane_choices import Choices, fit_choices, read_choices
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
 
@@ -101,6 +102,14 @@ def test_the_interval_of_a_ratio_contains_it():
     one = stats.expon.rvs(size=100, random_state=1)
     value, low, high = ratio_interval(one, 2 * one, root=True)
     assert low == pytest.approx(np.sqrt(0.5)) == value == pytest.approx(high)
+
+
+def simulate_choices(choices: Choices, behaviour: LaneChanges, rng: np.random.Generator) -> Choices:
+    """The same choices, made by drivers with this behaviour."""
+    probability = expit((choices.gain - behaviour.threshold_mps2) / behaviour.scale_mps2)
+    probability *= choices.speed / behaviour.speed_mps
+    changed = rng.random(probability.size) < probability
+    return choices._replace(changed=changed, recorded=int(changed.sum()))
 
 
 def test_a_threshold_is_recovered_from_37_simulated_lane_changes():

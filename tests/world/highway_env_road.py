@@ -101,7 +101,6 @@ def _answers(
         questions.local_coordinates(road, lane, x, y),
         questions.is_on_lane(road, lane, x, y, margin),
         questions.is_reachable(road, lane, x, y),
-        questions.is_after_end(road, lane, x, y),
         questions.distance(road, lane, x, y),
         questions.distance_with_heading(road, lane, x, y, heading),
     )
@@ -132,7 +131,6 @@ def of_highway_env(
         tuple(map(float, lane.local_coordinates(point))),
         lane.on_lane(point, margin=margin),
         lane.is_reachable_from(point),
-        lane.after_end(point),
         lane.distance(point),
         lane.distance_with_heading(point, heading),
     )

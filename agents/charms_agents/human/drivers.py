@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -19,8 +18,6 @@ from charms_bench.world.highd import Recording
 MEASURED = ("length", "width", "y", "speed", "lateral_speed", "acceleration")
 MOVING_MPS = 1.0
 """Slower vehicles are not compared: the values of a standing vehicle do not tell it apart."""
-
-Hashes = NDArray[np.uint64]
 
 
 def moments(recording: Recording, rows: pl.DataFrame) -> pl.Series:
