@@ -2,21 +2,25 @@
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from functools import partial
 from itertools import product
+from operator import index
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from charms_bench.envs.rendering import RENDER_MODES, Renderer
+from charms_bench.envs.rendering import RENDER_MODES, Frame, Renderer
 from charms_bench.envs.road_rendering import RoadPictures
 from charms_bench.envs.road_state import INSTEAD, RoadState, RoadVehicle, vehicles_of
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.roads.configuration import plain
 from charms_bench.roads.controls import Controls
 from charms_bench.roads.episodes import Decision, Episodes, Seen
 from charms_bench.roads.parking import Parking
@@ -58,6 +62,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
         self._renderer = _renderer(self, name, 1)
         self._vehicles: dict[int, RoadVehicle] = {}
+        self._has_started = False
 
     def __getattr__(self, name: str) -> Any:
         """Says what to use instead of what highway-env has and this environment has not."""
@@ -76,7 +81,10 @@ class RoadEnv(gymnasium.Env[Any, Any]):
 
     @property
     def road(self) -> RoadState:
-        """The vehicles on the road as they are now, which cannot be changed."""
+        """The vehicles on the road as they are now, which cannot be changed.
+
+        After a step, ask again.
+        """
         return RoadState([*self._now().values()])
 
     @property
@@ -110,19 +118,24 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             InputError: There is another option, or a value is not supported.
         """
         warn_of_torch_threads()
-        super().reset(seed=seed)
-        if unknown := sorted((options or {}).keys() - {"config"}):
-            raise InputError(f"reset takes the option 'config', got {', '.join(unknown)}")
-        self.configure((options or {}).get("config"))
-        if self.config != self._episodes.config:
+        if not isinstance(options or {}, Mapping) or {*(options or {})} - {"config"}:
+            raise InputError(f"reset takes the option 'config', got {options!r}")
+        config = (options or {}).get("config") or {}
+        if not isinstance(config, Mapping):
+            raise InputError(f"reset: option 'config': {config!r}; expected a dictionary")
+        changed = plain({**self.config, **config})
+        if changed != self._episodes.config:
             before = self._episodes.scenes.generator
-            self._episodes = episodes_of(self._name, 1, self.config)
+            self._episodes = episodes_of(self._name, 1, changed)
             self._episodes.scenes.generator[:] = before
             self.observation_space, self.action_space = spaces_of(self._episodes)
+        self.config = deepcopy(changed)
         episodes = self._episodes
         if seed is not None:
-            episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
+            episodes.seed(episodes.everyone, checked_seeds([seed]))
+        super().reset(seed=seed)
         episodes.start(episodes.everyone)
+        self._has_started = True
         self._vehicles = {}
         self._renderer.show()
         info = {name: each[0] for name, each in _facts(episodes).items()}
@@ -140,7 +153,12 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             InputError: The action is not one of `action_space`.
         """
         episodes = self._episodes
+        if not self._has_started:
+            raise ResetNeeded("step before the first reset")
         if episodes.has_agents:
+            if not isinstance(action, Sequence | np.ndarray):
+                expected = f"expected those of {episodes.agents} agents"
+                raise InputError(f"action {action!r}; {expected}")
             checked = _checked(tuple(np.asarray(each)[None] for each in action), episodes)
         else:
             checked = _checked(np.asarray(action)[None], episodes)
@@ -249,6 +267,7 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes.seed(self._episodes.everyone, random_seeds(num_envs))
         self._known = np.ones(num_envs, dtype=np.bool_)
+        self._has_started = False
 
     @property
     def config(self) -> dict[str, Any]:
@@ -275,13 +294,13 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raise InputError(f"reset takes no options, got {', '.join(map(str, options))}")
         episodes = self._episodes
         seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
-        seeds = [None] * self.num_envs if seeds is None else list(seeds)
-        if len(seeds) != self.num_envs:
-            raise InputError(f"reset: {len(seeds)} seeds; expected {self.num_envs}")
+        seeds = [None] * self.num_envs if seeds is None else seeds
+        if not isinstance(seeds, Sequence | np.ndarray) or len(seeds) != self.num_envs:
+            raise InputError(f"reset: seed {seed!r}; expected an integer, or {self.num_envs} seeds")
         rows = np.array([k for k, each in enumerate(seeds) if each is not None], dtype=np.int64)
-        given = [each for each in seeds if each is not None]
-        episodes.seed(rows, np.array(given, dtype=np.uint64))
+        episodes.seed(rows, checked_seeds([each for each in seeds if each is not None]))
         episodes.start(episodes.everyone)
+        self._has_started = True
         return episodes.observe(), self._masked(_facts(episodes), self._known)
 
     def step(self, actions: Any) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
@@ -296,6 +315,8 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             InputError: An action is not one of `action_space`.
         """
         episodes, known = self._episodes, self._known
+        if not self._has_started:
+            raise ResetNeeded("step before the first reset")
         decision = episodes.step(_checked(actions, episodes))
         ended = decision.terminated | decision.truncated
         observations = decision.observations
@@ -347,10 +368,13 @@ def episodes_of(name: str, count: int, config: Mapping[str, Any] | None) -> Epis
 
 def _renderer(env: "RoadEnv | RoadVectorEnv", name: str, scenes: int) -> Renderer:
     """What draws the scenes of an environment."""
-    pictures, hz = RoadPictures(), env.config["policy_frequency"]
-    return Renderer(
-        lambda row: pictures.frame(env._episodes, row), scenes, hz, env.render_mode, name
-    )
+    frame = partial(_frame, env, RoadPictures())
+    return Renderer(frame, scenes, env.config["policy_frequency"], env.render_mode, name)
+
+
+def _frame(env: "RoadEnv | RoadVectorEnv", pictures: RoadPictures, row: int) -> Frame:
+    """The picture of a scene as it is now; a copy of the environment draws its own."""
+    return pictures.frame(env._episodes, row)
 
 
 def spaces_of(episodes: Episodes) -> Spaces:
@@ -431,6 +455,22 @@ def _facts(episodes: Episodes) -> dict[str, NDArray[Any]]:
 def _terms(episodes: Episodes, decision: Decision, row: Any = slice(None)) -> Any:
     """The terms of the rewards by name, without their weights."""
     return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)
+
+
+def checked_seeds(seeds: Sequence[Any]) -> NDArray[np.uint64]:
+    """Seeds of episodes.
+
+    Raises:
+        InputError: One is not an integer from 0 to 2**64 - 1.
+    """
+    for seed in seeds:
+        try:
+            is_seed = 0 <= index(seed) < 2**64
+        except TypeError:
+            is_seed = False
+        if not is_seed:
+            raise InputError(f"reset: seed {seed!r}; expected an integer from 0 to 2**64 - 1")
+    return np.array(seeds, dtype=np.uint64)
 
 
 def random_seeds(count: int) -> NDArray[np.uint64]:

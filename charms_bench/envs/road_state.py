@@ -68,8 +68,10 @@ def vehicles_of(episodes: Episodes, b: int) -> dict[int, RoadVehicle]:
         row: Any = scenes.vehicles[b, place]
         if row["kind"] > OBSTACLE:
             lane, x, y = int(row["lane"]), float(row["x"]), float(row["y"])
+            position = np.array([x, y])
+            position.flags.writeable = False
             found[int(place)] = RoadVehicle(
-                position=np.array([x, y]),
+                position=position,
                 heading=float(row["heading"]),
                 speed=float(row["speed"]),
                 target_speed=float(row["target_speed"]),

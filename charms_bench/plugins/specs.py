@@ -115,6 +115,8 @@ class TrafficSpec(_Spec):
                 raise ValueError("drivers: are those of the vehicles of a road; give a road")
             if self.drivers.road is not None or self.drivers.scenario is not None:
                 raise ValueError("drivers: expected a traffic model, an agent or a mixture")
+        if self.road is not None and self.options:
+            raise ValueError("options: are those of a traffic model; a road has none")
         return self
 
     @model_serializer(mode="wrap")

@@ -1,6 +1,9 @@
 """highway-env's configuration of an environment: what is supported, and its actions."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from numbers import Real
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -19,6 +22,14 @@ _SUPPORTED: dict[str, tuple[Any, ...]] = {
     "other_vehicles_type": tuple(f"highway_env.vehicle.behavior.{name}" for name in TYPES),
 }
 """The values of keys of which not all are supported."""
+_RENDERING = (
+    *("screen_width", "screen_height", "centering_position", "scaling", "show_trajectories"),
+    *("render_agent", "offscreen_rendering", "real_time_rendering"),
+)
+_NOT_NEGATIVE = (
+    *("vehicles_count", "other_vehicles", "initial_vehicle_count"),
+    *("state_noise", "derivative_noise"),
+)
 _ACTIONS = {
     (True, True): ACTIONS,
     (True, False): ("SLOWER", "IDLE", "FASTER"),
@@ -61,18 +72,64 @@ def checked(default: Mapping[str, Any], config: Mapping[str, Any] | None) -> dic
     Raises:
         InputError: A key is unknown, or its value is not supported.
     """
-    found = {**default, **(config or {})}
+    if not isinstance(config or {}, Mapping):
+        raise InputError(f"config: {config!r}; expected a dictionary")
+    found: dict[str, Any] = plain({**default, **(config or {})})
     if found["offscreen_rendering"] is None:
         found["offscreen_rendering"] = True  # as without a window [`AbstractEnv.configure`]
-    if not found.get("controlled_vehicles", 1) >= 1:
-        raise InputError("config.controlled_vehicles: expected at least 1")
     for key, value in found.items():
         if key not in default:
-            raise InputError(f"config: no key named '{key}'. {suggestion(key, dict(default))}")
+            known = suggestion(str(key), dict(default))
+            raise InputError(f"config: no key named '{key}'. {known}")
+        is_number = isinstance(default[key], Real) and not isinstance(default[key], bool)
+        if is_number and key not in _RENDERING:
+            _check_number(key, value)
         if value not in _SUPPORTED.get(key, (value,)):
             expected = " or ".join(map(repr, _SUPPORTED[key]))
             raise InputError(f"config.{key}: {value!r} is not supported; expected {expected}")
+    if not found.get("controlled_vehicles", 1) >= 1:
+        raise InputError("config.controlled_vehicles: expected at least 1")
+    simulation, decisions = found["simulation_frequency"], found["policy_frequency"]
+    if not simulation > 0:
+        raise InputError(f"config.simulation_frequency: {simulation}; expected more than 0")
+    if not 0 < decisions <= simulation:
+        raise InputError(
+            f"config.policy_frequency: {decisions}; expected more than 0, and at most the "
+            f"simulation_frequency, {simulation}"
+        )
     return found
+
+
+def _check_number(key: str, value: Any) -> None:
+    """Raises an `InputError` unless a value is a number that the key can have."""
+    if not isinstance(value, Real) or math.isnan(value):
+        raise InputError(f"config.{key}: {value!r}; expected a number")
+    if key in _NOT_NEGATIVE and value < 0:
+        raise InputError(f"config.{key}: {value!r}; expected at least 0")
+
+
+def plain(values: Any) -> Any:
+    """The same values with lists instead of arrays and tuples, so that they can be compared."""
+    if isinstance(values, Mapping):
+        return {key: plain(value) for key, value in values.items()}
+    if isinstance(values, (list, tuple, np.ndarray)):
+        return [plain(value) for value in values]
+    return values
+
+
+@contextmanager
+def named(what: str) -> Iterator[None]:
+    """Names the part of the configuration of which a value cannot be used.
+
+    Raises:
+        InputError: Something has been raised; an `InputError` is passed on.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # whatever a value leads to
+        raise InputError(f"config{what}: not all values can be used: {error!r}") from error
 
 
 def meta_actions(config: Mapping[str, Any]) -> MetaActions:
@@ -99,10 +156,12 @@ def of_each_agent(config: Mapping[str, Any], what: str) -> tuple[dict[str, Any],
     Also returns whether each agent has one [`MultiAgentAction`, `MultiAgentObservation`].
     """
     given, name = config[what], f"MultiAgent{what.capitalize()}"
-    if given.get("type") != name:
-        return dict(config), False
-    found = options(what, given, {"type": name, f"{what}_config": {}})
-    return {**config, what: found[f"{what}_config"]}, True
+    has_agents = isinstance(given, Mapping) and given.get("type") == name
+    if has_agents:
+        given = options(what, given, {"type": name, f"{what}_config": {}})[f"{what}_config"]
+    if not isinstance(given, Mapping):
+        raise InputError(f"config.{what}: {given!r}; expected a dictionary with a 'type'")
+    return {**config, what: given}, has_agents
 
 
 def options(what: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:

@@ -72,7 +72,8 @@ class Episodes:
         """Whether an observation is one of each agent."""
         module, class_name = TASKS[name].split(":")
         task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
-        self.actions = actions_of(one, task.actions)
+        with configuration.named(".action"):
+            self.actions = actions_of(one, task.actions)
         """Those of one agent."""
         stock.configure({**self.config, **_PLAIN, "action": {"type": task.actions[0]}})
         try:
@@ -81,13 +82,15 @@ class Episodes:
         except Exception as error:  # whatever a value leads to in highway-env
             raise InputError(f"config: highway-env does not start with it: {error!r}") from error
         road = road_of(stock.road.network)
-        self.task = task(one, stock.road.network)
+        with configuration.named(""):
+            self.task = task(one, stock.road.network)
         self.agents = self.task.egos if self.has_agents else 1
         """The number of egos that are given actions."""
-        self.observers = [
-            observer_of(one, count, self.task.lanes, ego)
-            for ego in range(self.task.egos if self.sees_agents else 1)
-        ]
+        with configuration.named(".observation"):
+            self.observers = [
+                observer_of(one, count, self.task.lanes, ego)
+                for ego in range(self.task.egos if self.sees_agents else 1)
+            ]
         hz = self.config["simulation_frequency"]
         constants = HIGHWAY_ENV.constants(1 / hz)
         linear = linear_type(self.config) if self.task.takes_types else None

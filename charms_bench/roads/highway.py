@@ -50,7 +50,7 @@ class Highway(Task):
         self._rule = Rule(
             self.vehicles,
             lanes,
-            -1 if ego_lane is None else int(ego_lane),
+            -1 if ego_lane is None else range(lanes)[int(ego_lane)],
             float(config["ego_spacing"]),
             1 / config["vehicles_density"],
             maths.exp(-5 / 40 * lanes),

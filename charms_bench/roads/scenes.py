@@ -163,6 +163,9 @@ class Scenes(_Fields):
         """The scenes for compiled code, which unpacks them once."""
         return _unpacked(self)
 
+    def __getstate__(self) -> None:
+        """A copy of the scenes is unpacked anew."""
+
     @classmethod
     def empty(
         cls,

@@ -12,6 +12,12 @@ from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import OBSTACLE
 from charms_bench.world.scene import SceneSettings
 
+_OF_STRAIGHT_ROADS = (
+    *("lanes", "traffic_vehicles", "density", "ego_slots"),
+    *("inflow", "recording", "vehicle_types", "ego_type"),
+)
+"""What a suite says of its scenes, but a road decides itself."""
+
 
 class _Road(NamedTuple):
     places: int
@@ -46,9 +52,11 @@ def on_road(settings: SceneSettings, name: str) -> SceneSettings:
         InputError: There is no such road, or the settings place vehicles in another way.
     """
     road = _road(name)
-    for field in ("inflow", "recording", "vehicle_types", "ego_type"):
-        if getattr(settings, field):
-            raise InputError(f"the road '{name}' has its own vehicles; remove scene.{field}")
+    for field in _OF_STRAIGHT_ROADS:
+        if getattr(settings, field) != SceneSettings.model_fields[field].default:
+            raise InputError(
+                f"the road '{name}' has its own lanes and vehicles; remove scene.{field}"
+            )
     changes = {"network": name, "lanes": road.lanes, "traffic_vehicles": road.places - 1}
     return settings.model_copy(update={**changes, "ego_slots": 1})
 

@@ -1,5 +1,7 @@
 """The environments of highway-env's other roads, alone and as vectors."""
 
+import copy
+import pickle
 from collections.abc import Iterator
 from typing import Any
 
@@ -7,6 +9,7 @@ import gymnasium
 import highway_env  # noqa: F401  # registers its environments
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from PIL import ImageColor
@@ -383,3 +386,88 @@ def test_a_wrong_change_of_the_configuration_is_rejected_at_the_next_reset() -> 
     env.configure({"lanes": 3})
     with pytest.raises(InputError, match="merge-v0: config: no key named 'lanes'"):
         env.reset()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", ["merge-v1", "intersection-v1"])
+def test_a_copy_continues_like_its_original(name: str, copied: Any) -> None:
+    original = RoadEnv(name, render_mode="rgb_array")
+    original.reset(seed=3)
+    original.action_space.seed(0)
+    first, *actions = (original.action_space.sample() for _ in range(4))
+    original.step(first)
+    other = copied(original)
+    steps = [original.step(action) for action in actions]
+    picture = original.render()
+    for expected, action in zip(steps, actions, strict=True):
+        found = other.step(action)
+        assert np.array_equal(found[0], expected[0])
+        assert found[1:4] == expected[1:4]
+    assert np.array_equal(other.render(), picture)
+
+
+def test_a_rejected_configuration_leaves_the_environment_as_it_was() -> None:
+    env = RoadEnv("highway-fast-v0")
+    expected, _ = env.reset(seed=0)
+    for wrong in ({"lanes_cont": 3}, {"lanes_count": 0}):
+        with pytest.raises(InputError, match="highway-fast-v0: config"):
+            env.reset(seed=5, options={"config": wrong})
+    assert np.array_equal(env.reset(seed=0)[0], expected)
+
+
+def test_a_lane_may_be_counted_from_the_right_as_in_highway_env() -> None:
+    action = {"type": "DiscreteMetaAction", "target_speeds": np.linspace(20, 30, 5)}
+    config = {"initial_lane_id": -1, "action": action}
+    stock: Any = gymnasium.make("highway-fast-v0", config=config)
+    ours = RoadEnv("highway-fast-v0", config)
+    assert np.array_equal(ours.reset(seed=1)[0], stock.reset(seed=1)[0])
+    assert ours.vehicle.lane_index == stock.unwrapped.vehicle.lane_index
+
+
+@pytest.mark.parametrize(
+    ("config", "what"),
+    [
+        ("x", "config: 'x'; expected a dictionary"),
+        ({1: 2}, "config: no key named '1'"),
+        ({"observation": None}, "config.observation: None; expected a dictionary"),
+        ({"action": "meta"}, "config.action: 'meta'; expected a dictionary"),
+        ({"collision_reward": "bad"}, "config.collision_reward: 'bad'; expected a number"),
+        ({"duration": float("nan")}, "config.duration: nan; expected a number"),
+        ({"vehicles_count": -3}, "config.vehicles_count: -3; expected at least 0"),
+        ({"simulation_frequency": 0}, "config.simulation_frequency: 0; expected more than 0"),
+        (
+            {"policy_frequency": 30},
+            "config.policy_frequency: 30; expected more than 0, and at most",
+        ),
+        (
+            {"observation": {"type": "OccupancyGrid", "grid_step": [0, 0]}},
+            "config.observation: not all values can be used",
+        ),
+    ],
+)
+def test_a_value_of_the_wrong_kind_is_rejected_by_name(config: Any, what: str) -> None:
+    with pytest.raises(InputError, match=f"^highway-v0: {what}"):
+        RoadEnv("highway-v0", config)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "a", 2**64])
+def test_a_seed_that_is_none_is_rejected(seed: Any) -> None:
+    one: Any = RoadEnv("merge-v1")
+    several: Any = gymnasium.make_vec("charms_bench/merge-v1", num_envs=2)
+    for env, given in ((one, seed), (several, [seed, 1])):
+        with pytest.raises(InputError, match="expected an integer from 0"):
+            env.reset(seed=given)
+
+
+def test_a_step_needs_a_reset_before_it() -> None:
+    several: Any = gymnasium.make_vec("charms_bench/merge-v1", num_envs=2)
+    for env, action in ((RoadEnv("merge-v1"), 1), (several, np.array([1, 1]))):
+        with pytest.raises(ResetNeeded):
+            env.step(action)
+
+
+def test_a_vehicle_of_the_moment_cannot_be_changed() -> None:
+    env = RoadEnv("merge-v1")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="read-only"):
+        env.vehicle.position[0] = 300.0

@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from pydantic import ValidationError
 
 from charms_bench.api import open_run
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.errors import InputError
 from charms_bench.metrics import ROADS
+from charms_bench.plugins.specs import TrafficSpec
+from charms_bench.roads.settings import on_road
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
+from charms_bench.world.scene import SceneSettings
 
 TEXT = """
 suite: small-roads
@@ -153,3 +157,14 @@ def test_suites_without_roads_keep_their_fingerprint() -> None:
     )
     assert "road" not in suite.model_dump(mode="json")["traffics"][0]["traffic"]
     assert "network" not in suite.model_dump(mode="json")["scene"]
+
+
+@pytest.mark.parametrize("field", ["lanes", "traffic_vehicles", "density", "ego_slots"])
+def test_a_scene_says_nothing_that_a_road_decides(field: str) -> None:
+    with pytest.raises(InputError, match=f"merge-v0.*remove scene.{field}"):
+        on_road(SceneSettings.model_validate({field: 7}), "merge-v0")
+
+
+def test_a_road_has_no_options() -> None:
+    with pytest.raises(ValidationError, match="a road has none"):
+        TrafficSpec.model_validate({"road": "merge-v0", "options": {"a": 1}})
