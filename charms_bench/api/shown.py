@@ -63,7 +63,8 @@ class ShownReplay(Replay):
             path: The file; its name ends in `.xml`.
 
         Raises:
-            InputError: The file's name does not end in `.xml`, or the file cannot be written.
+            InputError: The file's name does not end in `.xml`, the file cannot be written, or the
+                episode is on a road of highway-env that is not straight.
         """
         from charms_bench.episodes.commonroad import write_commonroad
 

@@ -150,6 +150,7 @@ def compile_engine() -> None:
 
 @app.command()
 def bench(
+    context: typer.Context,
     vehicles: Annotated[
         int, typer.Option(min=6, max=2001, help="Vehicles per scene, including the ego.")
     ] = 21,
@@ -200,6 +201,7 @@ def bench(
         err().print(f"[dim]{name}[/]", highlight=False)
 
     if road is not None:
+        _check_excluded(context, "--road", "vehicles", "traffic", "learners", "scale")
         from charms_bench.testing.road_bench import bench_road
 
         found = bench_road(_known(road), seconds, rounds, tell, environments or 100)
@@ -210,6 +212,8 @@ def bench(
         forms = dict.fromkeys(("decisions_per_s", "low", "high", "times_highway_env"), ",.1f")
         print_records("name", records, {"environments": ",.0f", **forms}, as_json)
         return
+    if scale is not None:
+        _check_excluded(context, "--scale", "vehicles", "traffic", "environments", "learners")
     warm_up()
     forms = {"vehicles": ",.0f", "threads": ".0f", "steps_per_s": ",.0f"}
     forms |= {"vehicle_updates_per_s": ",.0f", "ns_per_vehicle_step": ",.1f"}
@@ -249,3 +253,11 @@ def bench(
     forms["times_highway_env"] = ",.1f"
     forms |= {} if learners else {"times_envpool": ".2f"}
     print_records("name", records, forms, as_json)
+
+
+def _check_excluded(context: typer.Context, option: str, *others: str) -> None:
+    """Raises an `InputError` if one of the others is given, which would have no effect."""
+    for other in others:
+        source = context.get_parameter_source(other)
+        if source is not None and source.name == "COMMANDLINE":
+            raise InputError(f"{option} excludes --{other}")

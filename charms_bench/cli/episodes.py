@@ -154,13 +154,14 @@ def replay(
     # Beside a file of the user's choice, this name is no other file's.
     trajectories = animation.with_suffix(".trajectories.parquet" if output else ".parquet")
     what = replayed.what_happened()
+    if commonroad is not None:  # first, because it is not possible of every episode
+        replayed.write_commonroad(commonroad)
     table = BytesIO()  # polars cannot write to every name that a file can have
     replayed.trajectories().write_parquet(table)
     write_bytes(trajectories, table.getvalue())
     replayed.animate(animation)
     files = {"animation": str(animation), "trajectories": str(trajectories)}
     if commonroad is not None:
-        replayed.write_commonroad(commonroad)
         files["commonroad"] = str(commonroad)
     if as_json:
         facts = {"ego": driver, "traffic": around, "episode": episode, "ending": replayed.ending}

@@ -34,6 +34,7 @@ def check_commonroad(path: Path) -> None:
 def write_commonroad(replay: Replay, path: Path) -> None:
     """Writes an episode, one time step per simulation step; see `ShownReplay.write_commonroad`."""
     check_commonroad(path)
+    replay.cell.scene.check_straight("CommonRoad scenarios are written of")
     root = ElementTree.Element(
         "commonRoad",
         commonRoadVersion="2020a",

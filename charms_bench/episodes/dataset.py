@@ -47,6 +47,8 @@ def write_dataset(
     """
     if kind not in FORMATS:
         raise InputError(f"no format '{kind}'. {suggestion(kind, dict.fromkeys(FORMATS))}")
+    if kind == "highd":
+        recorded.cell.scene.check_straight("highD's format describes")
     suite = recorded.run.suite
     if count is not None and not 1 <= count <= suite.episodes:
         raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")

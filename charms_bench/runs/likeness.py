@@ -68,8 +68,11 @@ def standard(
     What is chosen by the drivers of one `half` can be reported on those of the other.
 
     Raises:
+        InputError: A traffic model of the suite is a road.
         DataError: The recordings cannot be used, or hold no situation that the profile allows.
     """
+    for cell in suite.cells:
+        cell.scene.check_straight("likeness is measured on")
     fitted, held_out = split(read_trips(recordings))
     held_out = of_half(held_out, half)
     parts = _some(fitting(starts(held_out), suite.scene.profile))

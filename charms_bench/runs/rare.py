@@ -72,8 +72,8 @@ def run_rare(
             f"{most:,}"
         )
     event_of(event)
-    if any(cell.scene.network for cell in suite.cells):
-        raise InputError("rare events are estimated on the straight road, not on a `road`")
+    for cell in suite.cells:
+        cell.scene.check_straight("rare events are estimated on")
 
     def finished(tasks: Mapping[Place, RareTask]) -> dict[Place, SubsetRun]:
         """The runs or pilots of some tasks, from the folder if they are there."""

@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from charms_bench.errors import DataError, suggestion
+from charms_bench.errors import DataError, InputError, suggestion
 from charms_bench.foundation.arrays import Bools as Bools
 from charms_bench.foundation.arrays import Floats as Floats
 from charms_bench.foundation.arrays import Ints as Ints
@@ -212,6 +212,11 @@ class SceneSettings(FrozenModel):
         changes = {"scenario": scenario, "traffic_vehicles": len(scenario.vehicles), "ego_slots": 1}
         changes |= {"vehicle_types": (), "ego_type": None, "inflow": None}
         return self.model_copy(update=changes)
+
+    def check_straight(self, what: str) -> None:
+        """Raises an `InputError` on a road of highway-env, where something is not possible."""
+        if self.network is not None:
+            raise InputError(f"{what} the straight road, not `road: {self.network}`")
 
     @property
     def vehicles(self) -> int:

@@ -374,6 +374,8 @@ def test_verify_and_bench_take_a_road_of_highway_env() -> None:
     result = charms_bench("bench", "--road", "merge-v1", "--seconds", 0.1, "--rounds", 1, "--json")
     rows = json.loads(result.stdout)
     assert [row["name"] for row in rows] == ["charms_bench/merge-v1", "highway-env"]
+    result = charms_bench("bench", "--road", "merge-v1", "--vehicles", 50)
+    assert (result.returncode, result.stderr) == (2, "error: --road excludes --vehicles\n")
     result = charms_bench("verify", "--road", "merg-v1")
     assert result.returncode == 2
     assert "no environment named 'merg-v1'" in result.stderr

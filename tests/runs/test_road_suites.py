@@ -1,6 +1,6 @@
 """Suites on highway-env's roads: rows, tables, resumed runs and replays."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,17 @@ import polars as pl
 import pytest
 from pydantic import ValidationError
 
-from charms_bench.api import open_run
+from charms_bench.api import open_run, rare
 from charms_bench.api.evaluation import run as run_file
 from charms_bench.errors import InputError
 from charms_bench.metrics import ROADS
+from charms_bench.people.population import read_population
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.roads.settings import on_road
+from charms_bench.runs.likeness import standard
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
+from charms_bench.testing.verify import cases_of
 from charms_bench.world.scene import SceneSettings
 
 TEXT = """
@@ -108,6 +111,24 @@ def test_what_if_changes_nothing_before_its_decision(
 def test_a_planner_in_a_recorded_episode_is_rejected_by_the_name_of_the_road(made: Any) -> None:
     with pytest.raises(InputError, match="agent 'mpc' cannot drive on the road 'u-turn-v1'"):
         made.what_if(1, 2, agent="mpc", ego="charms", traffic="Bend")
+
+
+@pytest.mark.parametrize(
+    "describe_as_straight",
+    [
+        lambda made, path: made.dataset("highd", ego="charms", traffic="Bend", output=path),
+        lambda made, path: made.replay(1, "charms", "Bend").write_commonroad(path / "a.xml"),
+        lambda made, path: cases_of(made.suite),
+        lambda made, path: rare(made.path.parent / "roads.yaml", output=path),
+        lambda made, path: standard(made.suite, path, read_population("i75")),
+    ],
+)
+def test_what_knows_only_the_straight_road_rejects_others(
+    made: Any, tmp_path: Path, describe_as_straight: Callable[[Any, Path], object]
+) -> None:
+    with pytest.raises(InputError, match=r"the straight road, not `road: (merge-v0|u-turn-v1)`"):
+        describe_as_straight(made, tmp_path / "new")
+    assert not list(tmp_path.glob("*.xml"))
 
 
 def test_rows_do_not_depend_on_the_number_of_workers(made: Any, tmp_path: Path) -> None:
