@@ -8,6 +8,9 @@ from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
 COLLISIONS = ("none", "striking", "struck", "side")
 """How a vehicle has collided: with the rear of another vehicle, with the front, or at its side."""
+ANY_ANGLE, REAR_END_COS = -2.0, 0.9
+"""The least cosine of the angle between vehicles in a rear-end collision: on the straight road,
+where all vehicles drive the same way, and on others. 0.9 is 26 degrees, this project's choice."""
 NO_COLLISION, STRIKING, STRUCK, SIDE_COLLISION = range(len(COLLISIONS))
 
 
@@ -40,13 +43,19 @@ def are_noted(crashed: Bools, collision: Ints) -> bool:
 
 
 @compiled_of_scenes
-def note_collisions(scene: Scene, collision: Ints) -> None:
-    """Sets how vehicles [B, N] have just collided, as indices into `COLLISIONS`."""
+def note_collisions(scene: Scene, collision: Ints, least_cos: float) -> None:
+    """Sets how vehicles [B, N] have just collided, as indices into `COLLISIONS`.
+
+    Where the cosine of the angle between two vehicles is less, it is a side collision.
+    """
     x, y, length, width = scene.x, scene.y, scene.length, scene.width
     for b in range(x.shape[0]):
         for i in range(x.shape[1]):
             if scene.crashed[b, i] and collision[b, i] == NO_COLLISION:
                 other, is_rear_end = vehicle_hit(x[b], y[b], length[b], width[b], i)
+                cos = scene.direction_x[b, i] * scene.direction_x[b, other]
+                cos += scene.direction_y[b, i] * scene.direction_y[b, other]
+                is_rear_end &= cos >= least_cos
                 is_behind = x[b, i] < x[b, other]
                 at_an_end = STRIKING if is_behind else STRUCK
                 collision[b, i] = at_an_end if is_rear_end else SIDE_COLLISION

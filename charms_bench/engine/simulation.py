@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from charms_bench.engine import EngineName, MakeEngine, make_engine
 from charms_bench.engine.collision_kinds import (
+    ANY_ANGLE,
     NO_COLLISION,
+    REAR_END_COS,
     SIDE_COLLISION,
     are_noted,
     note_collisions,
@@ -136,6 +138,7 @@ class Simulation:
         steps |= {k: outside_steps_mps for k, name in enumerate(self.agents) if not name}
         self.own_steps = {k: tuple(map(float, own)) for k, own in steps.items() if own}
         """The speed steps of agents that have their own, by the index of the agent."""
+        self._follows_recording = [k for k, model in models.items() if model.follows_recording]
         self._kept_widths = {k: kept_width(policy) for k, policy in self._policies.items()}
         widths = (*self._kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
@@ -149,6 +152,11 @@ class Simulation:
         if settings.inflow and not self._egos_end_episodes:
             raise InputError(
                 "scene.inflow: vehicles that enter need a driver; expected an ego only"
+            )
+        if settings.recording and not self._egos_end_episodes:
+            raise InputError(
+                "scene.recording: recorded vehicles that come and go cannot be driven from "
+                "outside; expected an ego only"
             )
         self._open_road = OpenRoad(self) if settings.inflow else None
         self.playback: Playback | None = None
@@ -205,6 +213,12 @@ class Simulation:
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
             drivers[r, 1:] = [index[name] for name in self._assigned(rng, int(seed), others)]
+        if self.settings.recording is None:
+            for k in self._follows_recording:
+                if (drivers == k).any():
+                    raise InputError(
+                        f"agent '{self.agents[k]}' drives as recorded; give the scene recordings"
+                    )
         self.scene.present[rows] = True
         self.scene.entry[rows] = np.arange(self.settings.vehicles)
         if self.playback is not None:
@@ -358,7 +372,8 @@ class Simulation:
         scene = self.scene
         if are_noted(scene.crashed, self.collision):
             return
-        note_collisions(scene, self.collision)
+        least_cos = ANY_ANGLE if self.settings.network is None else REAR_END_COS
+        note_collisions(scene, self.collision, least_cos)
         for watch in self.collision_watchers:
             watch()
         if not self._egos_end_episodes:

@@ -123,6 +123,8 @@ def _usable(settings: SceneSettings) -> tuple[str, ...]:
     for name in plugins(AGENTS):
         with suppress(InputError):
             agent = make_agent(name)
+            if getattr(agent, "follows_recording", False):
+                continue
             Simulation(settings, 1, name, OneAgent(name), {name: agent})
             if settings.network is not None:
                 check_guests({name: agent}, settings)
@@ -158,14 +160,16 @@ class _Chunk:
                     f"{cell.run.folder.path}: episode {each.episode} does not end with a collision "
                     f"of the ego, but with '{each.ending}'"
                 )
-        # The last collision may be so late that 2 s after it the episode would be over.
+        # The last collision may be so late that 2 s after it the episode would be over. Recordings
+        # decide how long an episode is, and the duration decides which recorded moments there are.
         more = {"duration_s": scene.duration_s + AFTERWARDS_S + 1 / scene.decision_hz}
-        self._settings = scene.model_copy(update=more)
+        self._settings = scene if scene.recording else scene.model_copy(update=more)
         self._simulation = partial(cell.simulation, settings=self._settings)
         self._last = np.array([each.steps.height for each in self._replays])
         frames = [int(each.crashed[:, each.ego].argmax()) for each in self._replays]
         beyond = AFTERWARDS_S * scene.simulation_hz
-        self._until = np.array([ceil((k + beyond) / scene.steps_per_decision) for k in frames])
+        until = [ceil((k + beyond) / scene.steps_per_decision) for k in frames]
+        self._until = np.minimum(until, self._settings.decisions)
         simulation = self._simulation(len(episodes))
         simulation.reset(np.array(episodes, dtype=np.uint64))
         self._kept = [simulation.state()]
@@ -274,8 +278,15 @@ class _Chunk:
                     was, instead = taken[place], others[int(avoids.argmax())]
                     is_ego = bool(place == state.ego[0])
                     said = (agent, ACTIONS[was], ACTIONS[instead])
-                    return Replacement(step, int(place), is_ego, *said)
+                    return Replacement(step, self._number(state, place), is_ego, *said)
         return None
+
+    def _number(self, state: SceneState, place: int) -> int:
+        """The index of the vehicle at a place in the order in which vehicles appear."""
+        inflow, number = self._settings.inflow, int(state.entry[0, place])
+        if inflow is None:
+            return int(place)
+        return number - (number > self._settings.traffic_vehicles) * inflow.capacity
 
     def _deciding(self, state: SceneState) -> Ints:
         """The vehicles near the ego that decide on a meta-action now, the nearest first."""

@@ -13,12 +13,13 @@ import polars as pl
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.recorded_cell import RecordedCell
+from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
-from charms_bench.world.plan import Plan, lines_of
+from charms_bench.world.plan import OF_VEHICLES, Plan, lines_of
 from charms_bench.world.scenario import PRESCRIBED
-from charms_bench.world.scene import Floats, SceneSettings
+from charms_bench.world.scene import VACANT_X_M, Floats, Ints, SceneSettings
 from charms_bench.world.tracks import Motion
 
 TRAJECTORY_SCHEMA = pl.Schema(
@@ -34,7 +35,7 @@ TRAJECTORY_SCHEMA = pl.Schema(
         "width": pl.Float64(),  # m
         "speed": pl.Float64(),  # m/s
         "acceleration": pl.Float64(),  # m/s2, as commanded
-        "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost
+        "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost; null on highway-env's roads
         "target_lane": pl.Int8(),
         "action": pl.Int8(),  # index into ACTIONS; null before the first and under a driver model
         "crashed": pl.Boolean(),
@@ -85,7 +86,7 @@ class Replay(Motion):
         frames, vehicles = self.x.shape
         place = np.tile(np.arange(vehicles), frames)
         action = pl.Series(self.action.ravel())
-        columns = {
+        columns: dict[str, Any] = {
             "t_s": np.repeat(self.t_s, vehicles),
             "vehicle": place,
             "agent": list(self.agents) * frames,
@@ -93,6 +94,10 @@ class Replay(Motion):
             **{name: getattr(self, name).ravel() for name in _OF_SCENE},
             "action": action.set(pl.Series(~self.has_action.ravel()), None),
         }
+        if self.plan is not None:
+            columns |= {name: getattr(self.plan, name).ravel() for name in OF_VEHICLES}
+            columns["present"] &= ~self.plan.is_obstacle.ravel()
+            columns |= {"lane": None, "target_lane": None}
         rows = pl.DataFrame(columns).filter(pl.Series(self.present.ravel()))
         return rows.select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
 
@@ -130,7 +135,7 @@ class Seat(NamedTuple):
     step: int
     """Its first decision; an episode's decisions are counted from 1."""
     vehicle: int | None
-    """The vehicle's index in the order of spawning; None is the ego."""
+    """The vehicle's index in the order in which vehicles appear; None is the ego."""
     agent: str
 
 
@@ -160,13 +165,19 @@ def simulate(
     frames = [_frame(simulation, kept)]
     plans = _Plans(simulation, kept)
     plans.note()
+    if seat is not None:
+        driver = simulation.made.get(simulation.agents.index(seat.agent))
+        if getattr(driver, "follows_recording", False):
+            raise InputError(
+                f"agent '{seat.agent}' puts vehicles where they were recorded, so it cannot take "
+                "over a vehicle; choose another agent"
+            )
     interval = simulation.settings.steps_per_decision
     decisions = 0
     while simulation.scene.active.any():
         decisions += 1
         if seat is not None and decisions == seat.step:
-            places = simulation.scene.ego if seat.vehicle is None else seat.vehicle
-            seats = np.broadcast_to(places, len(together))
+            seats = _places(simulation, seat.vehicle)
             simulation.restore(simulation.state().seated(seats, seat.agent))
         for _ in range(interval):
             simulation.advance()
@@ -179,26 +190,57 @@ def simulate(
     for place, (b, episode) in enumerate(zip(kept, episodes, strict=True)):
         mine = pl.col("episode") == episode
         length = int(simulation.steps[b]) * interval + 1
+        arrays = {k: np.stack([frame[k][place] for frame in frames[:length]]) for k in frames[0]}
+        ego = int(simulation.scene.ego[b])
+        if settings.inflow is not None:
+            ego, arrays = int(arrays["entry"][0, ego]), _by_vehicle(arrays)
+        del arrays["entry"]
         replays.append(
             Replay(
                 cell=cell.cell,
                 settings=settings,
                 episode=episode,
-                ego=int(simulation.scene.ego[b]),
-                agents=_agents(simulation, b),
+                ego=ego,
+                agents=_agents(simulation, arrays.pop("driver")),
                 t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
                 plan=plans.of(place, length),
-                **{k: np.stack([frame[k][place] for frame in frames[:length]]) for k in frames[0]},
+                **arrays,
             )
         )
     return replays
 
 
-def _agents(simulation: Simulation, b: int) -> tuple[str, ...]:
-    """Returns the names of the agents of a scene."""
-    names = list(map(str, simulation.drivers[b]))
+def _places(simulation: Simulation, vehicle: int | None) -> Ints:
+    """The place of a vehicle in each scene (B,); with None, that of the ego."""
+    scene, settings = simulation.scene, simulation.settings
+    if vehicle is None:
+        return scene.ego
+    if settings.inflow is None:
+        return np.full(scene.ego.size, vehicle)
+    if vehicle > settings.traffic_vehicles:  # numbers of those that enter follow the last place
+        vehicle += settings.inflow.capacity
+    return np.asarray((scene.present & (scene.entry == vehicle)).argmax(axis=1))
+
+
+def _by_vehicle(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Arrays [T + 1, N] of places as arrays of vehicles, of which a place can have had several."""
+    frame, place = np.nonzero(arrays["present"])
+    _, vehicle = np.unique(arrays["entry"][frame, place], return_inverse=True)
+    shape = len(arrays["present"]), vehicle.max() + 1
+    found = {name: np.zeros(shape, dtype=array.dtype) for name, array in arrays.items()}
+    found["x"][:] = VACANT_X_M - 1000.0 * np.arange(shape[1])
+    for name in ("length", "width", "driver"):  # also before it enters and after it has left
+        found[name][:, vehicle] = arrays[name][frame, place]
+    for name, array in arrays.items():
+        found[name][frame, vehicle] = array[frame, place]
+    return found
+
+
+def _agents(simulation: Simulation, drivers: Ints) -> tuple[str, ...]:
+    """The names of the agents of some vehicles, given by their indices [T + 1, N], at the end."""
+    names = [simulation.agents[k] for k in drivers[-1]]
     is_road = simulation.settings.network is not None
     return tuple("IDM of highway-env" if is_road and name == PRESCRIBED else name for name in names)
 
@@ -235,5 +277,6 @@ class _Plans:
 
 def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:
     """Returns copies of the arrays `[S, N]` that a replay of S scenes keeps."""
-    frame = {name: getattr(simulation.scene, name)[scenes] for name in _OF_SCENE}
+    frame = {name: getattr(simulation.scene, name)[scenes] for name in (*_OF_SCENE, "entry")}
+    frame["driver"] = simulation.engine.drivers[scenes]
     return frame | {name: getattr(simulation, name)[scenes] for name in ("action", "has_action")}

@@ -112,7 +112,9 @@ def what_if(cell: RecordedCell, episode: int, step: int, agent: str, vehicle: in
     if recorded.plan is not None and recorded.plan.is_obstacle[start, place]:
         raise InputError(f"vehicle {place} of episode {episode} is an obstacle; choose a vehicle")
     (other,) = simulate(cell, [episode], seat)
-    if not np.array_equal(recorded.x[: start + 1], other.x[: start + 1]):  # see `replay`
+    both = min(vehicles, len(other.agents))  # of those that enter later, there can be more in one
+    if not np.array_equal(recorded.x[: start + 1, :both], other.x[: start + 1, :both]):
+        # See `replay`.
         (other,) = simulate(cell, [episode], seat, among=cell.shard_of(episode))
     return WhatIf(recorded, other, step, place, agent)
 

@@ -6,6 +6,8 @@ from charms_bench.metrics.metric import EPISODES, Metric, per_episode
 
 ENDING = pl.first("ending")
 STRUCK = pl.first("struck")
+IS_JUDGED = pl.first("traffic_vehicles").is_not_null()
+"""Fault is not judged on highway-env's roads, where the traffic is not counted either."""
 ENDED_BADLY = ENDING.is_in(["rear_end", "side", "off_road"])
 
 
@@ -34,6 +36,7 @@ OF_EGO = (
         pl.first("at_fault"),
         "proportion of episodes in which the ego crashes and is at fault: it leaves the road, "
         "strikes a vehicle ahead, cuts in, or began last to move out of its lane",
+        counts=IS_JUDGED,
         interval="wilson",
     ),
     _per_1000km("crashes", "collisions of the ego and departures from the road", ENDED_BADLY),

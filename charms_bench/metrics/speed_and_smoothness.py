@@ -20,7 +20,11 @@ TRAFFIC_SPEED_MEAN = Metric(
     unit="m/s",
     description="distance of the other vehicles divided by their time, including crashed vehicles",
     rests_on="vehicles",
-    sums=(VEHICLES, VEHICLES * pl.first("duration_s"), pl.first("traffic_distance_m")),
+    sums=(
+        VEHICLES,
+        pl.coalesce(pl.first("traffic_time_s"), VEHICLES * pl.first("duration_s")),
+        pl.first("traffic_distance_m"),
+    ),
 )
 
 

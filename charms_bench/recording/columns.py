@@ -95,7 +95,8 @@ EPISODE: Mapping[str, Column] = {
         dtype=pl.Boolean(),
     ),
     "at_fault": Column(
-        "Whether the ego is at fault for its crash (`recording.fault`); null if it did not crash.",
+        "Whether the ego is at fault for its crash (`recording.fault`); null if it did not crash, "
+        "and on highway-env's roads, where nobody judges who had the right of way.",
         dtype=pl.Boolean(),
     ),
     "steps": Column("Decisions of the ego."),
@@ -105,6 +106,11 @@ EPISODE: Mapping[str, Column] = {
     "traffic_crashed": Column("Vehicles of the traffic that collided or left the road; the same."),
     "traffic_distance_m": Column(
         "Distance driven by all vehicles of the traffic together; the same.", "m", pl.Float64()
+    ),
+    "traffic_time_s": Column(
+        "Time that they were there, together; null where nobody comes or goes: the whole episode.",
+        "s",
+        pl.Float64(),
     ),
     "entry_lead_gap_m": Column(
         "On one of highway-env's roads: the gap to the leader when a vehicle enters "
@@ -128,9 +134,11 @@ EPISODE: Mapping[str, Column] = {
         pl.Float64(),
     ),
 }
-"""One row per episode. On the straight road, files do not have the columns `entry_*`."""
+"""One row per episode. On the straight road, files do not have the columns `entry_*`, and where
+nobody comes or goes, no `traffic_time_s`."""
 OF_TRAFFIC = tuple(name for name in EPISODE if name.startswith("traffic_"))
 OF_ROADS = tuple(name for name in EPISODE if name.startswith("entry_"))
+TIME_OF_TRAFFIC = "traffic_time_s"
 
 COUNT: Mapping[str, Column] = {
     "episode": _SEED,

@@ -10,12 +10,19 @@ import polars as pl
 from charms_bench.engine.collision_kinds import STRUCK
 from charms_bench.engine.endings import ENDINGS, OFF_ROAD, REAR_END
 from charms_bench.engine.simulation import Simulation
-from charms_bench.recording.columns import EPISODE_SCHEMA, OF_ROADS, OF_TRAFFIC, table
+from charms_bench.recording.columns import (
+    EPISODE_SCHEMA,
+    OF_ROADS,
+    OF_TRAFFIC,
+    TIME_OF_TRAFFIC,
+    table,
+)
 from charms_bench.recording.driver_sums import DriverSums
 from charms_bench.recording.fault import Fault
 from charms_bench.recording.following_counts import FollowingCounts
 from charms_bench.recording.primitives import Primitives
 from charms_bench.recording.step_rows import StepRows
+from charms_bench.world.scene import Bools
 
 
 class Recording:
@@ -34,6 +41,8 @@ class Recording:
         self._gone = np.zeros(simulation.seeds.size, dtype=np.int64)
         self._gone_m = np.zeros(simulation.seeds.size)
         """Vehicles (B,) whose places others have taken, and how far they drove."""
+        self._traffic_decisions = np.zeros(simulation.seeds.size, dtype=np.int64)
+        """(B,) decision intervals of the traffic while it was there, where vehicles come and go."""
         self._left_lost = np.zeros(simulation.seeds.size, dtype=np.int64)
         """Vehicles (B,) that left after they had crashed or left the lanes."""
         self._steps = StepRows(simulation)
@@ -46,24 +55,28 @@ class Recording:
     def note(self) -> None:
         """Keeps the end of the decision interval that has just ended."""
         was_lost = self._kept.last("lost") if self._kept.changes else None
+        was_running = self._was_running
         frames = self._kept.at_decision(np.nonzero(self._was_running)[0])
         self._was_running = self._simulation.scene.active.copy()
         if was_lost is not None:
             self._left_lost += (self._kept.left & was_lost).sum(axis=1)
             self._fault.forget(self._kept.left)
             self._drivers.forget(self._kept.left)
-            self._note_places()
+            self._note_places(was_running)
         # Only a vehicle whose place has just been another's can have missed its collision's frame.
         self._fault.add(frames, judges=self._kept.changes)
         self._steps.add(frames)
         self._following.add(frames)
         self._drivers.add(frames, self._fault.at_fault, self._kept.changes)
 
-    def _note_places(self) -> None:
+    def _note_places(self, was_running: Bools) -> None:
         """Notes where vehicles are, from the decision after they have appeared until they leave."""
         scene, x = self._simulation.scene, self._kept.last("x")
         has_appeared = scene.present & (scene.entry != self._seen)
         is_gone = has_appeared & (self._seen >= 0)
+        stayed = scene.present & ~has_appeared & was_running[:, None]
+        stayed[self._simulation.ego_vehicles] = False
+        self._traffic_decisions += stayed.sum(axis=1)
         self._gone += is_gone.sum(axis=1)
         self._gone_m += np.where(is_gone, self._end_x - self._start_x, 0.0).sum(axis=1)
         self._start_x = np.where(has_appeared, x, self._start_x)
@@ -98,9 +111,15 @@ class Recording:
             "traffic_distance_m": np.where(is_traffic, driven, 0.0).sum(axis=1) + self._gone_m,
         }
         schema = EPISODE_SCHEMA.copy()
+        if self._kept.changes:
+            decision_s = 1 / simulation.settings.decision_hz
+            columns[TIME_OF_TRAFFIC] = self._traffic_decisions * decision_s
+        else:
+            del schema[TIME_OF_TRAFFIC]
         if self._on_network:
             measures = simulation.engine.measures.items()
-            columns |= dict.fromkeys(OF_TRAFFIC)
+            # Nobody judges who had the right of way.
+            columns |= dict.fromkeys(("at_fault", *OF_TRAFFIC))
             columns |= {name: pl.Series(values).fill_nan(None) for name, values in measures}
         else:
             for name in OF_ROADS:

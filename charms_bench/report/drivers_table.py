@@ -32,11 +32,14 @@ def part_of(suite: Suite, cell: CellRows) -> pl.DataFrame:
     The suite's seed is that of the resamples.
     """
     sums = _sums(cell)
+    roads = [each.title for each in suite.traffics if each.traffic.road is not None]
     metrics = OF_DRIVERS * len(sums)
     every = [each for of_driver in sums.values() for each in of_driver]
     estimates = estimate(metrics, every, suite.seed)
     records = []
     for (driver, metric), found in zip(product(sums, OF_DRIVERS), estimates, strict=True):
+        if metric.name == "crashed_at_fault" and cell.traffic in roads:
+            continue  # see `recording.recording`
         numbers = (found.value, found.low, found.high, found.n)
         records.append((cell.agent, cell.traffic, driver, metric.name, *numbers))
     return long_frame(records, KEYS, LONG)

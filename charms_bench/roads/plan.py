@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from charms_bench.roads.scenes import LANDMARK, NOTHING, OBSTACLE, Scenes
-from charms_bench.world.plan import Lines, Plan
+from charms_bench.world.plan import OF_VEHICLES, Lines, Plan
 
 
 def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
@@ -15,12 +15,12 @@ def plan_of(lines: Lines, scenes: Scenes, b: int) -> Plan:
         lines,
         present=vehicles["kind"] != NOTHING,
         is_obstacle=np.isin(vehicles["kind"], (LANDMARK, OBSTACLE)),
-        **{name: vehicles[name].copy() for name in ("x", "y", "heading")},
+        **{name: vehicles[name].copy() for name in OF_VEHICLES[1:]},
     )
 
 
 def plan_over_time(plans: Sequence[Plan]) -> Plan:
     """The plan of all moments, from the plan of each."""
-    names = ("present", "is_obstacle", "x", "y", "heading")
+    names = ("is_obstacle", *OF_VEHICLES)
     stacked = {name: np.stack([getattr(plan, name) for plan in plans]) for name in names}
     return Plan(plans[0].lines, **stacked)

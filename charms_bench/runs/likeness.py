@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from charms_bench.errors import InputError
 from charms_bench.people.behind import REPETITIONS, count_lanes, drive_behind, fitting
 from charms_bench.people.calibration import ou_noise, own_parameters
 from charms_bench.people.car_following import IDM, MODELS, drive
@@ -68,11 +69,18 @@ def standard(
     What is chosen by the drivers of one `half` can be reported on those of the other.
 
     Raises:
-        InputError: A traffic model of the suite is a road.
+        InputError: A traffic model of the suite is a road or a scenario, or the scene has
+            recordings or an inflow.
         DataError: The recordings cannot be used, or hold no situation that the profile allows.
     """
     for cell in suite.cells:
         cell.scene.check_straight("likeness is measured on")
+    scene, traffics = suite.scene, suite.traffics
+    if scene.recording or scene.inflow or any(each.traffic.scenario for each in traffics):
+        raise InputError(
+            "likeness places the vehicles itself; expected a suite without scene.recording, "
+            "scene.inflow and scenarios"
+        )
     fitted, held_out = split(read_trips(recordings))
     held_out = of_half(held_out, half)
     parts = _some(fitting(starts(held_out), suite.scene.profile))

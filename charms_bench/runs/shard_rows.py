@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import RunFolderError
-from charms_bench.recording.columns import DRIVER_KEYS, LENGTHS, OF_ROADS, SCHEMAS
+from charms_bench.recording.columns import DRIVER_KEYS, LENGTHS, OF_ROADS, SCHEMAS, TIME_OF_TRAFFIC
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import DECISIONS_LIMIT
@@ -58,7 +58,8 @@ def rows_in(data: bytes, kind: str, shard: Shard, path: Path) -> pl.DataFrame:
     try:
         # Later versions may add columns; earlier ones recorded no lengths and no entries.
         held = pl.read_parquet_schema(BytesIO(data)) if kind in ("steps", "episodes") else schema
-        lacking = [name for name in (*LENGTHS, *OF_ROADS) if name in schema and name not in held]
+        optional = (*LENGTHS, TIME_OF_TRAFFIC, *OF_ROADS)
+        lacking = [name for name in optional if name in schema and name not in held]
         names = [name for name in schema if name not in lacking]
         rows = pl.read_parquet(BytesIO(data), columns=names, n_rows=ROWS_LIMIT + 1)
         if lacking:

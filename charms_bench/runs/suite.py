@@ -167,8 +167,8 @@ class Suite(FrozenModel):
             raise ValueError("a reference is given twice")
         if self.scene.recording and any(each.traffic.scenario for each in self.traffics):
             raise ValueError("a scenario and scene.recording both place vehicles; remove one")
-        if self.scene.scenario is not None:
-            raise ValueError("scene.scenario: give the scenario as a traffic model")
+        if self.scene.inflow and any(each.traffic.scenario for each in self.traffics):
+            raise ValueError("a scenario places all vehicles; remove scene.inflow")
         labels = [ego.title for ego in self.egos]
         for name in self.preventable_by:
             if name not in labels:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from charms_bench.engine.collision_kinds import note_collisions
+from charms_bench.engine.collision_kinds import ANY_ANGLE, note_collisions
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.stepping import advance
@@ -37,7 +37,7 @@ def _start(agent: str = "") -> Simulation:
 def _recording() -> None:
     simulation = _simulation()
     Recording(simulation).note()
-    note_collisions(simulation.scene, simulation.collision)
+    note_collisions(simulation.scene, simulation.collision, ANY_ANGLE)
 
 
 def _observation() -> None:

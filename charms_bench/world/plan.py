@@ -55,6 +55,13 @@ def lines_of(road: Network) -> Lines:
     return Lines(tuple(surfaces), tuple(continuous), tuple(striped))
 
 
+OF_VEHICLES = (
+    *("present", "x", "y", "heading", "length", "width"),
+    *("speed", "acceleration", "crashed"),
+)
+"""What a plan has of each vehicle."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """N vehicles on a network, [..., N]; x and y are those of the network."""
@@ -65,8 +72,13 @@ class Plan:
     x: Floats
     y: Floats
     heading: Floats
+    length: Floats
+    width: Floats
+    speed: Floats
+    acceleration: Floats
+    crashed: Bools
 
     def at(self, frame: int) -> "Plan":
         """The plan at one moment of several."""
-        names = ("present", "is_obstacle", "x", "y", "heading")
+        names = ("is_obstacle", *OF_VEHICLES)
         return replace(self, **{name: getattr(self, name)[frame] for name in names})

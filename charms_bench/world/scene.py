@@ -103,7 +103,8 @@ class SceneSettings(FrozenModel):
     simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
     """Simulation steps per second."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
-    """Rows per second: how often the ego's decisions are recorded."""
+    """Rows per second: how often the ego's decisions are recorded and, with the `ego_control_rate`
+    `decision`, how often its control changes, whatever the rate of its agent."""
     duration_s: Positive = 20.0
     """Duration of an episode, unless the ego crashes first."""
     vehicle_types: Annotated[tuple[VehicleType, ...], Field(max_length=100, strict=False)] = ()
@@ -132,6 +133,10 @@ class SceneSettings(FrozenModel):
         info: ValidationInfo,
     ) -> "SceneSettings":
         """With what the recordings decide, when they are first read."""
+        for name in ("network", "scenario") if isinstance(value, dict) else ():
+            if name in value:  # the traffic model decides these
+                unknown = InitErrorDetails(type="extra_forbidden", loc=(name,), input=value[name])
+                raise ValidationError.from_exception_data(cls.__name__, [unknown])
         settings = handler(value)
         source = settings.recording
         if source is None or source.sha256:

@@ -149,6 +149,10 @@ def test_nothing_is_recorded_of_an_empty_place() -> None:
                 recording.note()
     for rows in ("steps", "episodes", "drivers", "counts"):
         found, expected = (getattr(recording, rows)() for recording in recordings)
+        if rows == "episodes":
+            time_s = found.drop_in_place("traffic_time_s")
+            before_s = state.steps / made.settings.decision_hz
+            np.testing.assert_allclose(time_s, 8 * (found["duration_s"] - before_s))
         assert found.equals(expected), rows
 
 

@@ -12,7 +12,7 @@ from scenes import scene_of
 
 from charms_bench import ACTIONS, Mixture, Policy
 from charms_bench.engine import EngineName
-from charms_bench.engine.collision_kinds import COLLISIONS, are_noted, note_collisions
+from charms_bench.engine.collision_kinds import ANY_ANGLE, COLLISIONS, are_noted, note_collisions
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.recording.columns import DRIVER_SCHEMA, DRIVER_SUMS
@@ -185,7 +185,7 @@ def test_the_vehicle_behind_strikes_and_the_one_ahead_is_struck() -> None:
     )
     collision = np.zeros((1, 5), dtype=np.int8)
     assert not are_noted(scene.crashed.ravel(), collision.ravel())
-    note_collisions(scene, collision)
+    note_collisions(scene, collision, ANY_ANGLE)
     names = [COLLISIONS[each] for each in collision[0]]
     assert names == ["striking", "struck", "side", "side", "none"]
     assert are_noted(scene.crashed.ravel(), collision.ravel())

@@ -3,12 +3,18 @@
 import re
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import polars as pl
 import pytest
-from command_line import charms_bench
+from command_line import charms_bench as command_line
 from trios import flowing_road, write_trio
 
-from charms_bench.errors import SuiteError
+import charms_bench.envs  # noqa: F401  # registers the environments
+from charms_bench.episodes.avoidability import BUDGET, _Chunk, collisions
+from charms_bench.episodes.recorded_cell import find_cell
+from charms_bench.errors import InputError, SuiteError
+from charms_bench.runs.runner import run as run_suite
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.highd import read_folder
 
@@ -45,7 +51,7 @@ def rows(run: Path, kind: str) -> pl.DataFrame:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = written(tmp_path_factory.mktemp("recorded"))
-    called = charms_bench("run", "small.yaml", "--workers", 1, "--output", "run", cwd=folder)
+    called = command_line("run", "small.yaml", "--workers", 1, "--output", "run", cwd=folder)
     assert called.returncode == 0, called.stderr
     assert "Recorded driver" in called.stdout
     return folder / "run"
@@ -54,30 +60,30 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_workers_and_an_interruption_change_no_row(run: Path, tmp_path: Path) -> None:
     folder = written(tmp_path)
     command = ("run", "small.yaml", "--output", "run", "--workers")
-    assert charms_bench(*command, 1, cwd=folder).returncode == 0
+    assert command_line(*command, 1, cwd=folder).returncode == 0
     for path in sorted((folder / "run" / "checksums").iterdir())[::2]:
         path.unlink()  # as if these shards had not been finished
-    assert charms_bench(*command, 2, cwd=folder).returncode == 0
+    assert command_line(*command, 2, cwd=folder).returncode == 0
     for kind in ("episodes", "steps", "drivers", "counts"):
         assert rows(folder / "run", kind).equals(rows(run, kind))
 
 
 def test_the_recorded_driver_among_replayed_vehicles_never_crashes(run: Path) -> None:
-    found = charms_bench("show", run, "--json").stdout
+    found = command_line("show", run, "--json").stdout
     assert '"Recorded driver"' in found
     first = min(run.glob("episodes/*.parquet"))  # the first cell
     assert pl.read_parquet(first)["ending"].unique().to_list() == ["time"]
 
 
 def test_an_audit_simulates_recorded_episodes_again(run: Path) -> None:
-    called = charms_bench("audit", run)
+    called = command_line("audit", run)
     assert called.returncode == 0, called.stdout
     assert "have the same rows" in called.stdout
 
 
 def test_a_replay_has_vehicles_only_while_they_are_there(run: Path, tmp_path: Path) -> None:
     cell = ("--ego", "Imitation", "--traffic", "Replayed")
-    called = charms_bench("replay", run, 0, *cell, "--output", tmp_path / "replay.gif",
+    called = command_line("replay", run, 0, *cell, "--output", tmp_path / "replay.gif",
                           "--commonroad", tmp_path / "replay.xml")  # fmt: skip
     assert called.returncode == 0, called.stderr
     found = pl.read_parquet(tmp_path / "replay.trajectories.parquet")
@@ -92,7 +98,7 @@ def test_a_replay_has_vehicles_only_while_they_are_there(run: Path, tmp_path: Pa
 
 def test_exported_episodes_are_recordings_again(run: Path, tmp_path: Path) -> None:
     cell = ("--ego", "Recorded driver", "--traffic", "Replayed")
-    called = charms_bench("dataset", run, "--format", "highd", *cell, "--output", tmp_path / "out")
+    called = command_line("dataset", run, "--format", "highd", *cell, "--output", tmp_path / "out")
     assert called.returncode == 0, called.stderr
     again = next(iter(read_folder(tmp_path / "out")))
     (original,) = read_folder(run.parent / "people")
@@ -103,20 +109,39 @@ def test_exported_episodes_are_recordings_again(run: Path, tmp_path: Path) -> No
 def test_another_agent_can_take_over_a_recorded_vehicle(run: Path, tmp_path: Path) -> None:
     cell = ("--ego", "Recorded driver", "--traffic", "Replayed", "--at", 2, "--agent", "idm_mobil")
     output = ("--output", tmp_path / "what_if.html")
-    called = charms_bench("what-if", run, 0, *cell, "--vehicle", 8, *output)
+    called = command_line("what-if", run, 0, *cell, "--vehicle", 8, *output)
     assert called.returncode == 0, called.stderr
-    absent = charms_bench("what-if", run, 0, *cell, "--vehicle", 14, *output)
+    absent = command_line("what-if", run, 0, *cell, "--vehicle", 14, *output)
     assert absent.returncode == 2
     assert "vehicle 14 is not there before decision 2 of episode 0" in absent.stderr
 
 
+def test_the_recorded_driver_takes_over_no_vehicle(run: Path, tmp_path: Path) -> None:
+    cell = ("--ego", "Imitation", "--traffic", "Replayed", "--at", 2, "--agent", "recorded")
+    called = command_line("what-if", run, 0, *cell, "--output", tmp_path / "what_if.html")
+    assert called.returncode == 2
+    assert "agent 'recorded' puts vehicles where they were recorded" in called.stderr
+
+
+def test_a_search_for_escapes_starts_at_the_moments_of_the_run(tmp_path: Path) -> None:
+    text = SUITE.replace("duration_s: 2.0", "duration_s: 3.0")
+    finished = run_suite(load_suite(written(tmp_path, text) / "small.yaml"), tmp_path / "run")
+    cell = find_cell(finished, tmp_path, "Recorded driver", "Reactive")
+    searched = _Chunk(cell, collisions(cell), BUDGET)
+    assert searched._replays
+    for k, replayed in enumerate(searched._replays):
+        there = replayed.present[0]
+        np.testing.assert_array_equal(searched._kept[0].present[k], there)
+        np.testing.assert_array_equal(searched._kept[0].x[k, there], replayed.x[0, there])
+
+
 def test_without_the_recordings_tables_are_shown_but_nothing_is_simulated(tmp_path: Path) -> None:
     folder = written(tmp_path, SUITE.replace("  - {agent: imitation, label: Imitation}\n", ""))
-    assert charms_bench("run", "small.yaml", "--output", "run", cwd=folder).returncode == 0
+    assert command_line("run", "small.yaml", "--output", "run", cwd=folder).returncode == 0
     (folder / "people").rename(folder / "elsewhere")
-    assert charms_bench("show", folder / "run").returncode == 0
-    again = charms_bench("run", "small.yaml", "--output", "again", cwd=folder)
-    audit = charms_bench("audit", folder / "run")
+    assert command_line("show", folder / "run").returncode == 0
+    again = command_line("run", "small.yaml", "--output", "again", cwd=folder)
+    audit = command_line("audit", folder / "run")
     assert (again.returncode, audit.returncode) != (0, 0)
     assert "small.yaml:4: scene.recording" in again.stderr
     assert "people: cannot be read: No such file or directory" in again.stderr
@@ -143,9 +168,12 @@ def test_mistakes_lead_to_their_lines(
 
 def test_recorded_drivers_need_a_recording(tmp_path: Path) -> None:
     text = SUITE.replace("  recording: people\n", "")
-    called = charms_bench("run", "small.yaml", cwd=written(tmp_path, text))
+    called = command_line("run", "small.yaml", cwd=written(tmp_path, text))
     assert called.returncode == 2
     assert "agent 'recorded' drives as recorded; give the suite recordings" in called.stderr
+    environment = gymnasium.make("charms_bench/Ego-v0", traffic="recorded")
+    with pytest.raises(InputError, match="agent 'recorded' drives as recorded; give the scene"):
+        environment.reset(seed=0)
 
 
 def test_a_scenario_and_a_recording_exclude_each_other(tmp_path: Path) -> None:
@@ -156,6 +184,6 @@ def test_a_scenario_and_a_recording_exclude_each_other(tmp_path: Path) -> None:
 
 
 def test_rare_refuses_recordings(tmp_path: Path) -> None:
-    called = charms_bench("rare", "small.yaml", cwd=written(tmp_path))
+    called = command_line("rare", "small.yaml", cwd=written(tmp_path))
     assert called.returncode == 2
     assert "small.yaml:4: scene.recording: rare draws where vehicles start" in called.stderr

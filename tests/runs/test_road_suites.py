@@ -9,9 +9,17 @@ import numpy as np
 import polars as pl
 import pytest
 from pydantic import ValidationError
+from scenes import scene_of
 
 from charms_bench.api import open_run, rare
 from charms_bench.api.evaluation import run as run_file
+from charms_bench.engine.collision_kinds import (
+    ANY_ANGLE,
+    REAR_END_COS,
+    STRIKING,
+    note_collisions,
+)
+from charms_bench.engine.collision_kinds import SIDE_COLLISION as SIDE
 from charms_bench.errors import InputError
 from charms_bench.metrics import ROADS
 from charms_bench.people.population import read_population
@@ -143,6 +151,43 @@ def test_the_vehicle_from_the_ramp_is_measured_on_merges_only(made: Any) -> None
     assert rows.filter("is_bend")["entry_lag_gap_m"].null_count() == 6
     assert entries["entry_lag_gap_m"].null_count() < len(entries)
     assert entries["entry_lag_gap_m"].drop_nulls().is_between(0, 100).all()
+
+
+def test_trajectories_are_those_of_all_vehicles_on_the_network(made: Any) -> None:
+    replay = made.replay(1, ego="charms", traffic="Bend")
+    rows = replay.trajectories()
+    vehicles = replay.plan.present & ~replay.plan.is_obstacle
+    assert rows.height == vehicles.sum()
+    np.testing.assert_array_equal(rows["x"], replay.plan.x[vehicles])
+    moved = rows.group_by("vehicle", maintain_order=True).agg(
+        (pl.col("x").diff().pow(2) + pl.col("y").diff().pow(2)).sqrt().max().alias("step_m"),
+        (pl.col("speed").abs().max() / 15).alias("most_m"),
+    )
+    assert (moved["step_m"] <= 1.2 * moved["most_m"] + 0.1).all()
+    assert rows["lane"].is_null().all()
+
+
+def test_nobody_judges_faults_on_roads(made: Any) -> None:
+    crashed = made.episodes.filter(pl.col("ending").is_in(["rear_end", "side"]))
+    assert made.episodes["at_fault"].is_null().all()
+    assert crashed["struck"].null_count() == (crashed["ending"] == "side").sum()
+    frames = [each.frame() for each in made.tables.values() if each.name != "small-roads-drivers"]
+    found = [each.filter(pl.col("metric") == "crashed_at_fault") for each in frames]
+    assert sum(each.height for each in found) > 0
+    assert all(each["value"].is_null().all() for each in found)
+    drivers = made.tables["small-roads-drivers"].frame()
+    assert "crashed_at_fault" not in drivers["metric"].to_list()
+
+
+@pytest.mark.parametrize(("heading", "kind"), [(0.0, STRIKING), (0.4, STRIKING), (0.5, SIDE)])
+def test_vehicles_at_an_angle_collide_at_their_sides(heading: float, kind: int) -> None:
+    scene = scene_of(x=[0.0, 4.9], y=[4.0, 4.0], heading=[0.0, heading], crashed=True)
+    scene.direction_x[:], scene.direction_y[:] = np.cos(scene.heading), np.sin(scene.heading)
+    collision = np.zeros((1, 2), dtype=np.int8)
+    for least_cos, expected in ((ANY_ANGLE, STRIKING), (REAR_END_COS, kind)):
+        collision[:] = 0
+        note_collisions(scene, collision, least_cos)
+        assert collision[0, 0] == expected
 
 
 def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: Any) -> None:
