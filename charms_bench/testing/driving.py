@@ -5,6 +5,7 @@ import numpy as np
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import made_traffic
 from charms_bench.metrics.missing_lanes import missing_lanes
+from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
@@ -15,14 +16,17 @@ EPISODES = 50
 def remark_on(name: str) -> str:
     """A remark on the decisions of an agent as the ego among IDM+MOBIL, without its subject.
 
-    It is empty if there is nothing to remark; see `metrics.missing_lanes`.
+    It is empty if there is nothing to remark, as of every driver model, which takes no actions; see
+    `metrics.missing_lanes`.
 
     Raises:
         CharmsBenchError: The agent cannot drive.
     """
-    settings = SceneSettings()
+    agent, settings = make_agent(name), SceneSettings()
+    if isinstance(agent, DriverModel):
+        return ""
     around, drivers = made_traffic("idm_mobil")
-    drivers[name] = make_agent(name)
+    drivers[name] = agent
     simulation = Simulation(settings, EPISODES, name, around, drivers)
     simulation.reset(EVALUATION_SEEDS + np.arange(EPISODES, dtype=np.uint64))
     recording = Recording(simulation)
