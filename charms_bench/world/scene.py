@@ -87,6 +87,10 @@ class Inflow(FrozenModel):
     """How many vehicles that have entered can be on the road at once; more are an error."""
 
 
+_OF_TRAFFIC = {"network": {"what": "a `road`"}, "scenario": {"what": "the scenario"}}
+"""Fields that the traffic model of a cell decides, and no key of a scene."""
+
+
 class SceneSettings(FrozenModel):
     """What every scene of a suite has in common."""
 
@@ -133,9 +137,10 @@ class SceneSettings(FrozenModel):
         info: ValidationInfo,
     ) -> "SceneSettings":
         """With what the recordings decide, when they are first read."""
-        for name in ("network", "scenario") if isinstance(value, dict) else ():
-            if name in value:  # the traffic model decides these
-                unknown = InitErrorDetails(type="extra_forbidden", loc=(name,), input=value[name])
+        for name, what in _OF_TRAFFIC.items() if isinstance(value, dict) else ():
+            if name in value:
+                kind = PydanticCustomError("of_traffic", "give {what} as a traffic model", what)
+                unknown = InitErrorDetails(type=kind, loc=(name,), input=value[name])
                 raise ValidationError.from_exception_data(cls.__name__, [unknown])
         settings = handler(value)
         source = settings.recording

@@ -91,7 +91,7 @@ def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
 
 @pytest.mark.parametrize("key", ["network", "scenario"])
 def test_what_the_traffic_model_decides_is_no_key_of_a_scene(key: str) -> None:
-    with pytest.raises(ValidationError, match="extra"):
+    with pytest.raises(ValidationError, match="as a traffic model"):
         SceneSettings.model_validate({key: "roundabout-v0"})
 
 
