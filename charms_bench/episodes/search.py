@@ -5,8 +5,8 @@ not. The search minimises the agent's margin to a collision (`severity`); where 
 larger one of its margin and the negative of the reference drivers' largest margin, which is below 0
 in a failure only. So the reference drivers are simulated only where the agent collides.
 
-An agent that draws its actions draws others in each episode. So its failure is noted only if it
-collides in the episode of the suite of failures, too.
+Agents that draw their actions, the ego, other vehicles or reference drivers, draw others in each
+episode. So a failure is noted only if it is one in the episode of the suite of failures, too.
 
 The margins of all points that are simulated together are kept in a file. A search that was
 interrupted is done again from its beginning, with these margins instead of simulations.
@@ -14,6 +14,7 @@ interrupted is done again from its beginning, with these margins instead of simu
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count
 from pathlib import Path
 
@@ -132,21 +133,37 @@ class Search:
             if (names or not self.references) and points[k] not in self.failures
         ]
         for point, names in new:
-            if self._collides_again(point):
+            avoided = self._avoided_again(point) if self._draws else names
+            if avoided is not None:
                 self.failures.append(point)
-                self.preventable_by.append(names)
+                self.preventable_by.append(avoided)
                 self.simulations_to_first = self.simulations_to_first or self.simulations
         if new and self.failures:
             self.found()
         return found
 
-    def _collides_again(self, point: Point) -> bool:
-        """Whether the ego also collides in this point's episode of the suite of failures."""
-        ego, episode = self.cell.ego.agent, len(self.failures)
-        made = ego.make(networks_of(ego, self.cell.traffic.traffic.make(), self.folder))
-        if not getattr(made, "noise_draws", 0):
-            return True
-        return bool(self._margins(ego, [point], episode)[0] < 0)
+    @cached_property
+    def _draws(self) -> bool:
+        """Whether the ego, another vehicle of the scenario or a reference driver draws."""
+        traffic = self.cell.traffic.traffic.make()
+        egos = [self.cell.ego.agent, *(each.agent for each in self.references)]
+        return any(
+            getattr(driver.make(networks_of(ego, traffic, self.folder)), "noise_draws", 0)
+            for ego in egos
+            for driver in drivers_of(ego, traffic)
+        )
+
+    def _avoided_again(self, point: Point) -> list[str] | None:
+        """Who avoids this point's episode of the suite of failures; None if it is no failure."""
+        episode = len(self.failures)
+        if self._margins(self.cell.ego.agent, [point], episode)[0] >= 0:
+            return None
+        avoided = [
+            each.title
+            for each in self.references
+            if self._margins(each.agent, [point], episode)[0] >= 0
+        ]
+        return avoided if avoided or not self.references else None
 
     def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
         """The margins at points, which are those of the episodes from `first` on."""

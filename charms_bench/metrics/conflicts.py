@@ -23,7 +23,7 @@ PLANAR_TTC = pl.col("planar_ttc")
 
 
 def _often(
-    driving: Sample, kind: str, close: pl.Expr, begins: pl.Expr, what: str
+    driving: Sample, kind: str, close: pl.Expr, begins: pl.Expr, ttc: str, threshold_s: float
 ) -> tuple[Metric, Metric]:
     """The proportion of episodes with conflicts of a kind, and their rate."""
     return (
@@ -31,10 +31,15 @@ def _often(
             f"{kind}_episodes",
             "",
             driving.only(close).any(),
-            f"proportion of episodes in which {what}",
+            f"proportion of episodes in which the {ttc} TTC is below {threshold_s:g} s",
             interval="wilson",
         ),
-        driving.per_km(f"{kind}s_per_1000km", begins, f"number of times that {what}", km=1000),
+        driving.per_km(
+            f"{kind}s_per_1000km",
+            begins,
+            f"number of times that the {ttc} TTC falls below {threshold_s:g} s",
+            km=1000,
+        ),
     )
 
 
@@ -44,9 +49,8 @@ def of_conflicts(driving: Sample, threshold_s: float) -> tuple[Metric, ...]:
     close = is_below.fill_null(False)
     begins = close & (pl.col("leader_changed") | ~close.shift(fill_value=False))
     conflicts = driving.among("conflicts", begins)
-    what = f"the bumper-to-bumper TTC falls below {threshold_s:g} s"
     return (
-        *_often(driving, "conflict", is_below, begins, what),
+        *_often(driving, "conflict", is_below, begins, "bumper-to-bumper", threshold_s),
         conflicts.proportion(
             "conflicts_by_ego",
             CHANGER == EGO,
@@ -73,9 +77,8 @@ def of_planar_conflicts(driving: Sample, threshold_s: float) -> tuple[Metric, ..
     close = is_below.fill_null(False)
     begins = close & ~close.shift(fill_value=False)
     smallest = driving.only(PLANAR_TTC).min().fill_null(HORIZON_S)
-    what = f"the planar TTC falls below {threshold_s:g} s"
     return (
-        *_often(driving, "planar_conflict", is_below, begins, what),
+        *_often(driving, "planar_conflict", is_below, begins, "planar", threshold_s),
         per_episode(
             "planar_ttc_min",
             "s",

@@ -23,6 +23,7 @@ from charms_agents.training import sb3_export
 from charms_agents.training.network_file import read_network
 from charms_agents.training.sb3_export import export_zip
 from handmade_weights import dqn_weights, ppo_weights
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from typer.testing import CliRunner
 
 from charms_bench.cli import app
@@ -116,6 +117,20 @@ def refused(path: Path, message: str) -> None:
     assert str(caught.value).startswith(str(path))
     assert not output.exists()
     assert not list(path.parent.glob(".*.partial"))
+
+
+class Halved(FlattenExtractor):
+    """Changes what the network sees, without weights."""
+
+    def forward(self, observations: Any) -> Any:
+        return super().forward(observations) / 2
+
+
+def test_a_features_extractor_without_weights_is_refused(tmp_path: Path) -> None:
+    _, path = saved_ppo(tmp_path, features_extractor_class=Halved)
+    refused(path, "has the features extractor .*Halved.*; expected MlpPolicy without one")
+    _, path = saved_ppo(tmp_path, features_extractor_class=FlattenExtractor)
+    export_zip(path, tmp_path / "out.onnx", FACTS)
 
 
 def test_the_file_acts_as_the_model_that_was_saved(tmp_path: Path) -> None:

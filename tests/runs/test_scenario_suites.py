@@ -8,8 +8,10 @@ import pytest
 
 import charms_bench
 from charms_bench.engine.simulation import Simulation
+from charms_bench.episodes.search import Point, Search
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, RunFolderError, SuiteError
+from charms_bench.plugins.specs import AgentSpec
 from charms_bench.report.preventable_table import crashed
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.points import values_at
@@ -149,6 +151,25 @@ def test_a_search_finds_failures_that_run_as_a_suite(tmp_path: Path) -> None:
     cells = {cell.agent: crashed(cell) for cell in again.cells}
     assert cells["Level 0"].tolist() == [True] * 3
     assert cells["Careful"].tolist() == [False] * 3
+
+
+class Drawing(Search):
+    """The ego always collides; the reference driver only from the second episode of failures on."""
+
+    _draws = True
+
+    def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
+        is_avoided = agent.name == "careful_human" and first == 0
+        return np.full(len(points), 1.0 if is_avoided else -1.0)
+
+
+def test_a_failure_among_agents_that_draw_is_one_in_its_own_episode(tmp_path: Path) -> None:
+    suite = load_suite(written(tmp_path))
+    (cell,) = (each for each in suite.cells if each.title == "Level 0 in Braking")
+    search = Drawing(cell, [suite.egos[0]], tmp_path)
+    search.values(np.linspace(0.1, 0.9, 6).reshape(3, 2))
+    assert search.preventable_by == [["Careful"]]
+    assert len(search.failures) == 1
 
 
 def test_every_failure_of_the_project_cut_in_is_one_again_and_only_once(tmp_path: Path) -> None:

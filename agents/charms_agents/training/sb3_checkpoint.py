@@ -107,6 +107,18 @@ def activation_of(data: bytes, usual: str) -> str | None:
     return match[1]
 
 
+def check_features_extractor(data: bytes) -> None:
+    """Refuses a features extractor of one's own, which need not have weights."""
+    try:
+        said = json.loads(data)["policy_kwargs"].get("features_extractor_class")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return
+    if said is not None and "stable_baselines3.common.torch_layers.Flatten" not in str(said):
+        raise Refusal(
+            f"has the features extractor {str(said)[:80]}; expected MlpPolicy without one"
+        )
+
+
 def is_maskable(data: bytes) -> bool:
     """Whether `data` names a policy of sb3-contrib's `MaskablePPO`."""
     try:

@@ -18,6 +18,7 @@ from charms_agents.training.sb3_checkpoint import (
     Tensors,
     activation_of,
     check_action_space,
+    check_features_extractor,
     is_maskable,
     read_checkpoint,
     tensors_of,
@@ -99,6 +100,7 @@ def export_zip(
         tensors = tensors_of(weights)
         found = _deciding(tensors)
         said = activation_of(data, found.activation)
+        check_features_extractor(data)
         if found.actions == "continuous":
             check_action_space(data)
         if stochastic and not found.samples:
