@@ -85,7 +85,7 @@ class Replay(Motion):
         """Returns one row per frame and vehicle there, sorted by both (`TRAJECTORY_SCHEMA`)."""
         frames, vehicles = self.x.shape
         place = np.tile(np.arange(vehicles), frames)
-        action = pl.Series(self.action.ravel())
+        action, present = pl.Series(self.action.ravel()), self.present
         columns: dict[str, Any] = {
             "t_s": np.repeat(self.t_s, vehicles),
             "vehicle": place,
@@ -95,10 +95,10 @@ class Replay(Motion):
             "action": action.set(pl.Series(~self.has_action.ravel()), None),
         }
         if self.plan is not None:
+            present = self.plan.present & ~self.plan.is_obstacle
             columns |= {name: getattr(self.plan, name).ravel() for name in OF_VEHICLES}
-            columns["present"] &= ~self.plan.is_obstacle.ravel()
             columns |= {"lane": None, "target_lane": None}
-        rows = pl.DataFrame(columns).filter(pl.Series(self.present.ravel()))
+        rows = pl.DataFrame(columns).filter(pl.Series(present.ravel()))
         return rows.select(TRAJECTORY_SCHEMA.names()).cast(TRAJECTORY_SCHEMA)
 
 
