@@ -1,10 +1,13 @@
 """How the project compiles, and the arithmetic that compiled code shares."""
 
 import math
+import re
 import sys
 from contextlib import suppress
 from functools import cache, update_wrapper
 from hashlib import sha256
+from importlib.util import resolve_name
+from inspect import getfile
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
@@ -13,7 +16,7 @@ import numba
 import numpy as np
 from numba import types
 from numba.core import cgutils
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.experimental import structref
 from numba.extending import intrinsic
 
@@ -25,16 +28,55 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # made from the envi
     raise InputError("NUMBA_DISABLE_JIT is set, but the engine has to be compiled; unset it")
 
 
+_IMPORT = re.compile(r"^(?:from +([\w.]+) +import +(\([^)]*\)|.*)|import +(.*))", re.MULTILINE)
+"""An import statement that runs when its module does, on one line or in parentheses."""
+
+
 @cache
-def _compiled_code(package: str) -> str:
-    """The hash of the modules of a package that compile functions; empty outside packages."""
-    digest = sha256()
+def _source(name: str, file: Path) -> tuple[bytes, list[str]]:
+    """The hash of a module's source, and the names of what it imports."""
+    code, found = file.read_bytes(), []
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    for origin, members, plain in _IMPORT.findall(code.decode(errors="replace")):
+        names = [
+            words[0]
+            for each in (members or plain).strip("()").split(",")
+            if (words := each.split())
+        ]
+        if origin:
+            origin = resolve_name(origin, package)
+            names = [origin, *(f"{origin}.{each}" for each in names)]
+        found += names
+    return sha256(code).digest(), found
+
+
+@cache
+def _file_of(name: str) -> Path | None:
+    """The file of a module, found through the package that it is part of; None if it has none."""
+    package, *parts = name.split(".")
     for folder in getattr(sys.modules.get(package), "__path__", ()):
-        for path in sorted(Path(folder).rglob("*.py")):
-            code = path.read_bytes()
-            if b"compiled" in code:
-                digest.update(code)
-    return digest.hexdigest()
+        path = Path(folder, *parts)
+        for file in (path / "__init__.py", path.with_suffix(".py")):
+            if file.is_file():
+                return file
+    return None
+
+
+@cache
+def _code_hash(module: str, file: str) -> str:
+    """The hash of a module's source and of all that it imports from its own package and this one.
+
+    A compiled function contains those that it calls, and the constants that it names.
+    """
+    packages = {each.partition(".")[0] for each in (__name__, module)}
+    waiting, digests = {module: Path(file)}, {}
+    while waiting:
+        name, path = waiting.popitem()
+        digests[name], imported = _source(name, path)
+        for each in imported:
+            if each.partition(".")[0] in packages and each not in digests:
+                waiting |= {each: found} if (found := _file_of(each)) else {}
+    return sha256(b"".join(digests[name] for name in sorted(digests))).hexdigest()
 
 
 class _Cache(FunctionCache):
@@ -46,9 +88,15 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
-        packages = {__name__.partition(".")[0], (function.__module__ or "").partition(".")[0]}
-        hashes = *map(_compiled_code, sorted(packages)), self._cache_file._source_stamp
-        self._cache_file._source_stamp = hashes
+        module = function.__module__
+        # In place of numba's stamp, which may be the file's time.
+        stamp = _code_hash(module, getfile(function))
+        folder, locator = self._cache_path, self._impl.locator
+        if numba.config.CACHE_DIR:  # type: ignore[attr-defined]  # made from the environment
+            # The same code has the same folder, wherever it is installed.
+            folder = str(Path(folder).with_name(f"{module}-{stamp[:16]}"))
+            self._cache_path = locator._cache_path = folder
+        self._cache_file = IndexDataCacheFile(folder, self._impl.filename_base, stamp)  # type: ignore[no-untyped-call]
 
     def load_overload(self, *of: Any) -> Any:
         """The function as it was compiled; None if it has to be compiled."""

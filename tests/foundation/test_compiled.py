@@ -9,9 +9,10 @@ import weakref
 from copy import deepcopy
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
-from numba.core.caching import CacheImpl, CompileResultCacheImpl
+from numba.core.caching import InTreeCacheLocator, UserWideCacheLocator
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
@@ -139,8 +140,12 @@ def test_an_engine_that_may_not_be_compiled_names_the_variable(tmp_path: Path) -
 
 
 def test_code_that_cannot_be_kept_names_the_variable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(CacheImpl, "_locator_classes", [])
-    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    def read_only(_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(InTreeCacheLocator, "ensure_cache_path", read_only)
+    monkeypatch.setattr(UserWideCacheLocator, "ensure_cache_path", read_only)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     with pytest.raises(InputError, match="set NUMBA_CACHE_DIR to a folder that can"):
         compiled(lambda: 0)
 
@@ -177,30 +182,48 @@ def test_python_and_compiled_code_call_the_same_function_also_from_the_cache(
     assert len(list((tmp_path / "cache").rglob("program.twice-*.nbc"))) == 2
 
 
-def test_a_function_is_compiled_again_when_one_that_it_calls_has_changed(tmp_path: Path) -> None:
-    package = tmp_path / "package"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    inner = "from charms_bench.foundation.compiled import compiled\n\n@compiled\n"
-    (package / "outer.py").write_text(
-        f"from package.inner import one\n{inner}def two():\n    return one() + one()\n"
+def two(package: Path, cache: Path, **modules: str) -> str:
+    """What `outer.two` of a package prints, after some of its modules are written, and its hits."""
+    package.mkdir(parents=True, exist_ok=True)
+    for name, code in ({"__init__": ""} | modules).items():
+        (package / f"{name}.py").write_text(code)
+    ran = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from package.outer import two; print(two(), sum(two.stats.cache_hits.values()))",
+        ],
+        capture_output=True,
+        text=True,
+        # Python takes old bytecode for a file of the same size and the same second.
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONDONTWRITEBYTECODE": "1"},
+        cwd=package.parent,
     )
-    printed = []
-    for one in (1, 1, 5):
-        (package / "inner.py").write_text(f"{inner}def one():\n    return {one}\n")
-        ran = subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                "from package.outer import two; print(two(), sum(two.stats.cache_hits.values()))",
-            ],
-            capture_output=True,
-            text=True,
-            # Python takes old bytecode for a file of the same size and the same second.
-            env=os.environ
-            | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"},
-            cwd=tmp_path,
-        )
-        assert ran.stderr == ""
-        printed.append(ran.stdout.strip())
-    assert printed == ["2 0", "2 1", "10 0"]
+    assert ran.stderr == ""
+    return ran.stdout.strip()
+
+
+COMPILED = "from charms_bench.foundation.compiled import compiled\n\n@compiled\n"
+OUTER = f"from .inner import one\n{COMPILED}def two():\n    return one() + one()\n"
+
+
+def inner(one: str) -> str:
+    return f"from package.constants import ONE\n{COMPILED}def one():\n    return {one}\n"
+
+
+def test_a_function_is_compiled_again_when_something_that_it_uses_has_changed(
+    tmp_path: Path,
+) -> None:
+    package, cache = tmp_path / "package", tmp_path / "cache"
+    assert two(package, cache, constants="ONE = 1", inner=inner("ONE"), outer=OUTER) == "2 0"
+    assert two(package, cache, unrelated=f"{COMPILED}def one():\n    return 3\n") == "2 1"
+    assert two(package, cache, inner=inner("5")) == "10 0"
+    assert two(package, cache, inner=inner("ONE")) == "2 1"
+    assert two(package, cache, constants="ONE = 4") == "8 0"
+
+
+def test_two_installations_of_the_same_code_share_what_is_compiled(tmp_path: Path) -> None:
+    modules = {"constants": "ONE = 1", "inner": inner("ONE"), "outer": OUTER}
+    cache = tmp_path / "cache"
+    assert two(tmp_path / "here" / "package", cache, **modules) == "2 0"
+    assert two(tmp_path / "there" / "package", cache, **modules) == "2 1"
