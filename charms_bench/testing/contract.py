@@ -164,7 +164,7 @@ def policy_does_not_change_its_observations(policy: Policy) -> None:
 
 def model_returns_one_acceleration_and_lane_per_vehicle(model: DriverModel) -> None:
     """`drive` returns possible accelerations and lanes of the road, one of each per vehicle."""
-    scene = example_scene(model=model)
+    scene = example_scene(model=model).read_only()
     for vehicles in (_everyone(scene), (np.array([0]), np.array([3]))):
         acceleration, lane = map(np.asarray, model.drive(scene, vehicles))
         shapes = (acceleration.shape, lane.shape)
@@ -192,8 +192,12 @@ def model_drives_each_scene_independently(model: DriverModel) -> None:
 
 def model_does_not_change_the_scene(model: DriverModel) -> None:
     """`drive` writes to `timer_s` and `memory` only."""
-    scene, before = example_scene(model=model), example_scene(model=model)
-    model.drive(scene, _everyone(scene))
+    scene = example_scene(model=model).read_only()
+    before = copied(scene)
+    try:
+        model.drive(scene, _everyone(scene))
+    except ValueError as error:
+        raise AssertionError(f"drive changed the scene: {error}") from error
     for name in set(ARRAYS) - set(WRITABLE):
         same = np.array_equal(getattr(scene, name), getattr(before, name))
         _require(same, f"drive changed scene.{name}")
@@ -284,7 +288,7 @@ def _asked(agent: Agent, seed: int = 0) -> Callable[[], NDArray[Any]]:
         everyone = np.arange(len(asked[0]))
         return lambda: answer_of(agent, asked, agent.decide(*part_of(asked, everyone)))[0].T
     scene = example_scene(seed, agent)
-    return lambda: _answer(agent, copied(scene), _everyone(scene))
+    return lambda: _answer(agent, copied(scene).read_only(), _everyone(scene))
 
 
 def _everyone(scene: Scene) -> Vehicles:

@@ -27,7 +27,7 @@ def driven(**fields: list[float]) -> tuple[Scene, Ints]:
         parameters=np.random.default_rng(0).random((*shape, len(Human.parameters))),
         memory=np.zeros((*shape, Human.memory_width)),
     )
-    return scene, Human(str(DRIVER)).drive(scene, all_vehicles(scene))[1]
+    return scene, Human(str(DRIVER)).drive(scene.read_only(), all_vehicles(scene))[1]
 
 
 @pytest.mark.parametrize(("gap_m", "speed"), [(12.0, 24.0), (35.0, 28.0), (70.0, 31.0)])

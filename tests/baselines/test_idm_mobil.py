@@ -12,7 +12,7 @@ from charms_bench.world.scene import Scene
 
 
 def drive(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    return IdmMobil().drive(scene, all_vehicles(scene))
+    return IdmMobil().drive(scene.read_only(), all_vehicles(scene))
 
 
 @settings(derandomize=True, deadline=None, max_examples=100)
@@ -79,7 +79,7 @@ def test_a_lane_change_is_aborted_when_another_takes_the_gap_ahead(
     scene = scene_of(
         x=[0.0, rival_x], y=[0.0, 8.0], speed=[20.0, 20.0], target_lane=[1, 1], timer_s=[0.0, 0.0]
     )
-    _, target_lane = IdmMobil().drive(scene, (np.array([0]), np.array([0])))
+    _, target_lane = IdmMobil().drive(scene.read_only(), (np.array([0]), np.array([0])))
     assert target_lane[0] == lane
 
 

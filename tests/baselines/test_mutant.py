@@ -26,7 +26,7 @@ def test_headway_and_imposed_braking_are_those_of_the_model(
         constants=scene.constants._replace(idm_mobil=p), timer_s=scene.timer_s.copy()
     )
     accelerations, targets = naive.idm_mobil(same)
-    found = Mutant(headway=headway, imposes_mps2=imposes).drive(scene, all_vehicles(scene))
+    found = Mutant(headway=headway, imposes_mps2=imposes).drive(scene.read_only(), all_vehicles(scene))
     assert list(found[1]) == targets
     np.testing.assert_allclose(found[0], accelerations, rtol=0, atol=1e-9)
 
@@ -38,7 +38,7 @@ def test_with_a_delay_accelerations_are_those_of_earlier_decisions() -> None:
     assert late.memory_width == 2
     for speed in (0.0, 15.0, 30.0, 30.0):
         scene.speed[:] = speed
-        found.append(late.drive(scene, all_vehicles(scene))[0][0])
+        found.append(late.drive(scene.read_only(), all_vehicles(scene))[0][0])
     # On a free road, a (1 - (v / v0)^4) with a = 3; before, nothing.
     assert found == pytest.approx([0.0, 0.0, 3.0, 3 * (1 - 0.5**4)])
 
@@ -55,7 +55,7 @@ def test_a_vehicle_beside_it_is_not_seen_up_to_the_length_of_the_blind_spot(
         target_speed=[30.0, 15.0, 30.0],
         timer_s=[2.0, 0.0, 0.0],
     )
-    assert Mutant(blind_m=blind_m).drive(scene, all_vehicles(scene))[1][0] == lane
+    assert Mutant(blind_m=blind_m).drive(scene.read_only(), all_vehicles(scene))[1][0] == lane
 
 
 @pytest.mark.parametrize(

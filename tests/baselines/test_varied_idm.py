@@ -22,8 +22,8 @@ def test_a_driver_is_idm_mobil_with_its_parameters(
     same = scene._replace(
         constants=scene.constants._replace(idm_mobil=constants), timer_s=scene.timer_s.copy()
     )
-    found = VariedIdmMobil().drive(own, all_vehicles(own))
-    expected = IdmMobil().drive(same, all_vehicles(same))
+    found = VariedIdmMobil().drive(own.read_only(), all_vehicles(own))
+    expected = IdmMobil().drive(same.read_only(), all_vehicles(same))
     np.testing.assert_array_equal(found, expected)
 
 
@@ -36,5 +36,5 @@ def test_two_drivers_in_the_same_place_differ_by_their_parameters() -> None:
         speed=[20.0] * 4,
         parameters=[hasty, hasty, calm, calm],
     )
-    found = VariedIdmMobil().drive(scene, all_vehicles(scene))[0]
+    found = VariedIdmMobil().drive(scene.read_only(), all_vehicles(scene))[0]
     np.testing.assert_allclose(found[[0, 2]], [-((22 / 40) ** 2), -((50 / 40) ** 2)])

@@ -149,7 +149,7 @@ def assert_same_answers(road: Road, number: int, lane: Any, draw: st.DataObject)
 
 @pytest.mark.parametrize("kind", LANES)
 def test_a_lane_gives_the_same_bits(kind: str) -> None:
-    @settings(derandomize=True, deadline=None, max_examples=200)
+    @settings(derandomize=True, deadline=None, max_examples=100)
     @given(LANES[kind], st.data())
     def compare(lane: Any, draw: st.DataObject) -> None:
         network = RoadNetwork()
@@ -168,7 +168,7 @@ STRAIGHT_ROADS = st.builds(
 )
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(STRAIGHT_ROADS, st.data())
 def test_a_straight_road_gives_the_same_bits(road: Straight, draw: st.DataObject) -> None:
     lanes = highway_env_network(road).lanes_list()
@@ -176,7 +176,7 @@ def test_a_straight_road_gives_the_same_bits(road: Straight, draw: st.DataObject
     assert_same_answers(road, number, lanes[number], draw)
 
 
-@settings(derandomize=True, deadline=None, max_examples=200)
+@settings(derandomize=True, deadline=None, max_examples=100)
 @given(STRAIGHT_ROADS, st.floats(0, 1), st.floats(-10, 40))
 def test_the_nearest_lane_of_a_straight_road_is_the_same(
     road: Straight, along: float, y: float
@@ -206,7 +206,7 @@ def near(network: RoadNetwork, count: int) -> tuple[Any, Any, Any]:
 
 
 def test_the_closest_lanes_of_an_environment_are_the_same(network: RoadNetwork) -> None:
-    x, y, heading = near(network, 2000)
+    x, y, heading = near(network, 300)
     found, names = np.empty(x.size, dtype=np.int64), list(network.lanes_dict())
     _closest_lanes(road_of(network), x, y, heading, found)
     for i, lane in enumerate(found):
@@ -217,7 +217,7 @@ def test_the_closest_lanes_of_an_environment_are_the_same(network: RoadNetwork) 
 def test_the_lanes_of_an_environment_give_the_same_bits(network: RoadNetwork) -> None:
     road, rng = road_of(network), np.random.default_rng(1)
     for number, lane in enumerate(network.lanes_list()):
-        x, y, heading = near(network, 40)
+        x, y, heading = near(network, 10)
         for point in zip(x, y, heading, strict=True):
             s, r = rng.uniform(-10, lane.length + 10), rng.normal(0, 3)
             asked = (s, r, *map(float, point), 1.0)
@@ -228,7 +228,7 @@ def test_the_lanes_of_an_environment_give_the_same_bits(network: RoadNetwork) ->
 def test_the_next_lanes_of_an_environment_are_the_same(
     network: RoadNetwork, has_route: bool
 ) -> None:
-    x, y, _ = near(network, 1000)
+    x, y, _ = near(network, 300)
     rng, names = np.random.default_rng(2), list(network.lanes_dict())
     lane = rng.integers(0, len(names), x.size)
     next_road, next_id, found = np.full((3, x.size), -1)
