@@ -34,6 +34,8 @@ TOOLS = Path(__file__).parent
 SOURCES = ("charms_bench", "baselines", "agents")
 EQUIVALENT = TOOLS / "mutation" / "equivalent.txt"
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS")
+COMPILING_S = 300
+"""How long it may take to compile what a fault concerns, on top of three times the usual time."""
 KILLER = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 UNCOMPILED = re.compile(r"numba\.core\.errors|Failed in nopython mode")
 
@@ -249,7 +251,7 @@ def evaluate(runner: Runner, todo: Sequence[Mutation], options: argparse.Namespa
     futures = {}
     for mutation, tests in of_each.items():
         if key(tests, mutation) not in known:
-            limit_s = 60 + 2 * known[key(tests)].seconds
+            limit_s = COMPILING_S + 3 * known[key(tests)].seconds
             futures[pool.submit(runner.mutated, mutation, tests, limit_s)] = mutation
     try:
         for future in as_completed(futures):
@@ -268,4 +270,5 @@ def evaluate(runner: Runner, todo: Sequence[Mutation], options: argparse.Namespa
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     main()

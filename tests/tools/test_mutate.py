@@ -109,8 +109,8 @@ def test_kernels_are_compiled_functions_and_the_constants_that_they_read() -> No
 
 
 def test_each_mutation_of_the_project_parses_and_differs_in_one_place() -> None:
-    every = source_mutations(ROOT, ["charms_bench/roads", "charms_bench/statistics"])
-    for mutation in drawn(every, 3, 200):
+    every = source_mutations(ROOT, ["charms_bench/recording", "charms_bench/statistics"])
+    for mutation in drawn(every, 3, 100):
         code = (ROOT / mutation.path).read_bytes()
         after = mutation.applied(code)
         assert ast.dump(ast.parse(after)) != ast.dump(ast.parse(code))
@@ -120,13 +120,21 @@ def test_each_mutation_of_the_project_parses_and_differs_in_one_place() -> None:
 
 
 def test_a_draw_depends_on_its_seed_and_is_spread() -> None:
-    every = source_mutations(ROOT, ["charms_bench/roads"])
+    every = source_mutations(ROOT, ["charms_bench/recording", "charms_bench/metrics"])
     first = drawn(every, 1, 40)
     assert drawn(every[::-1], 1, 40) == first
     assert drawn(every, 2, 40) != first
     operators = Counter(each.operator for each in first)
     assert max(operators.values()) - min(operators.values()) <= 1
     assert max(Counter(each.path for each in first).values()) <= 3
+
+
+def test_what_is_listed_as_equivalent_is_a_mutation_and_has_a_reason() -> None:
+    for line in mutate.EQUIVALENT.read_text(encoding="utf-8").splitlines():
+        key, _, reason = line.partition("  # ")
+        path = key.partition(" ")[0]
+        assert key in {each.key for each in mutations(path, (ROOT / path).read_bytes())}
+        assert reason
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import re
 from collections.abc import Iterator
 from itertools import accumulate
 
-DECORATORS = {"compiled", "inlined", "woven", "compiled_of_scenes", "register_jitable"}
+DECORATORS = {"compiled", "inlined", "woven", "compiled_of_scenes"}
+DECORATORS |= {"register_jitable", "_of_roads"}
 UNTOUCHED = {"annotation", "returns", "decorator_list", "bases", "type_params"}
 DESCRIBING = {"__repr__", "__str__", "_repr_html_", "title"}
 """Functions whose results are only read."""
