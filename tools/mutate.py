@@ -44,7 +44,7 @@ class Ran(NamedTuple):
     """How a run of pytest ended."""
 
     verdict: str
-    """SURVIVED, killed, timed out, or `not compiled`, of code that cannot be run."""
+    """SURVIVED, killed, timed out, or `not compiled`; passed, without a mutation."""
     by: str
     """The test that failed, or how pytest ended."""
     seconds: float
@@ -142,7 +142,8 @@ class Runner:
             )
         self._processes.add(process)
         try:
-            verdict = "killed" if process.wait(limit_s) else "SURVIVED"
+            passed = "SURVIVED" if module else "passed"
+            verdict = "killed" if process.wait(limit_s) else passed
         except subprocess.TimeoutExpired:
             verdict = "timed out"
         finally:
@@ -244,7 +245,7 @@ def evaluate(runner: Runner, todo: Sequence[Mutation], options: argparse.Namespa
     for tests in sorted({tuple(each) for each in of_each.values()}):
         if key([*tests]) not in known:
             ran = runner.run(runner.base, [*tests])
-            if ran is None or ran.verdict != "SURVIVED":
+            if ran is None or ran.verdict != "passed":
                 sys.exit(f"{' '.join(tests)} fails without a mutation: {ran and ran.by}")
             keep(key([*tests]), ran, f"{' '.join(tests)}, without a mutation")
     pool = ThreadPoolExecutor(options.workers)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -12,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
 import mutate  # noqa: E402
 from mutation.draw import drawn, mutations, source_mutations  # noqa: E402
+from mutation.first import pytest_collection_modifyitems  # noqa: E402
 
 sys.path.remove(str(ROOT / "tools"))
 
@@ -129,6 +132,20 @@ def test_a_draw_depends_on_its_seed_and_is_spread() -> None:
     assert max(Counter(each.path for each in first).values()) <= 3
 
 
+@pytest.mark.parametrize(
+    ("module", "expected"),
+    [("roads/u_turn.py", "dcab"), ("engine/motion.py", "bacd"), ("", "abcd")],
+)
+def test_tests_that_are_named_like_a_module_run_first(
+    module: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = {"a": "[other]", "b": "_straight[5]", "c": "[merge-v0]", "d": "[u-turn-v1]"}
+    items: list[Any] = [SimpleNamespace(nodeid=name, letter=each) for each, name in names.items()]
+    monkeypatch.setenv("MUTATED", f"charms_bench/{module}" if module else "")
+    pytest_collection_modifyitems(items)
+    assert "".join(item.letter for item in items) == expected
+
+
 def test_what_is_listed_as_equivalent_is_a_mutation_and_has_a_reason() -> None:
     for line in mutate.EQUIVALENT.read_text(encoding="utf-8").splitlines():
         key, _, reason = line.partition("  # ")
@@ -164,6 +181,7 @@ def test_a_fault_is_killed_if_a_test_notices_it_and_survives_if_none_does(
     before = (checkout / "charms_bench/toy/speeds.py").read_bytes()
     mutate.main([*command, "--workers", "2"])
     lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("tests/toy, without a mutation: passed")
     killed, survived = sorted(lines[1:3])
     assert "speeds.py:2, slower, extreme: min -> max: killed tests/toy/test_speeds.py::" in killed
     assert "speeds.py:6, unseen, sign: -gap -> (gap): SURVIVED" in survived
