@@ -1,0 +1,275 @@
+"""Whether the tests notice faults in the code: `python tools/mutate.py kernels --folder FOLDER`.
+
+It draws small changes of the source code, applies each to a copy of the checkout, and runs tests
+there. `kernels` are changes of compiled code, and tests/golden has to notice them; `rest` are all
+others, which the tests of their own room have to notice. `--tests CHECKOUT` takes the tests and the
+settings of pytest from another checkout, to compare two sets of tests.
+
+FOLDER keeps the copies and `results.jsonl`. Mutations that have a result for the same code and
+tests do not run again. Those in tools/mutation/equivalent.txt, which nothing can notice, never run.
+"""
+
+import argparse
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mutation.draw import Mutation, drawn, source_mutations
+
+TOOLS = Path(__file__).parent
+SOURCES = ("charms_bench", "baselines", "agents")
+EQUIVALENT = TOOLS / "mutation" / "equivalent.txt"
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS")
+COMPILING_S = 300
+"""How long it may take to compile what a fault concerns, on top of three times the usual time."""
+KILLER = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
+UNCOMPILED = re.compile(r"numba\.core\.errors|Failed in nopython mode")
+
+
+class Ran(NamedTuple):
+    """How a run of pytest ended."""
+
+    verdict: str
+    """SURVIVED, killed, timed out, or `not compiled`; passed, without a mutation."""
+    by: str
+    """The test that failed, or how pytest ended."""
+    seconds: float
+
+
+def files(checkout: Path) -> Iterator[str]:
+    """The files of a checkout that git does not ignore."""
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=checkout, check=True, capture_output=True, text=True)
+    names = sorted(set(listed.stdout.split("\0")[:-1]))
+    return (name for name in names if (checkout / name).is_file())
+
+
+def copied(source: Path, tests: Path, folder: Path) -> Path:
+    """A copy of a checkout with the tests of another, and the folder of its compiled code."""
+    taken = [(source, name) for name in files(source) if not _is_of_tests(name)]
+    taken += [(tests, name) for name in files(tests) if _is_of_tests(name)]
+    digest = sha256()
+    for checkout, name in taken:
+        digest.update(name.encode() + sha256((checkout / name).read_bytes()).digest())
+    base = folder / digest.hexdigest()[:12]
+    if not base.exists():
+        unfinished = Path(tempfile.mkdtemp(dir=folder))
+        (unfinished / "cache").mkdir()
+        for checkout, name in taken:
+            path = unfinished / "checkout" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(checkout / name, path)
+        unfinished.rename(base)
+    return base
+
+
+def _is_of_tests(name: str) -> bool:
+    return name == "pyproject.toml" or name.startswith("tests/")
+
+
+def tests_of(path: str, checkout: Path) -> list[str]:
+    """The tests of the room that a module is in; those of the whole package if it is in none."""
+    top, room = Path(path).with_suffix("").parts[:2]
+    room = room if top == "charms_bench" else top
+    for name in (f"tests/{room}", f"tests/test_{room}.py"):
+        if (checkout / name).exists():
+            return [name]
+    return sorted(f"tests/{each.name}" for each in (checkout / "tests").glob("test_*.py"))
+
+
+class Runner:
+    """Runs tests in copies, whose processes end with it."""
+
+    def __init__(self, base: Path, pytest: Sequence[str], variables: dict[str, str]) -> None:
+        self.base, self._pytest, self._variables = base, pytest, variables
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        """Kills what runs."""
+        self._is_stopped = True
+        for process in list(self._processes):
+            _kill(process)
+
+    def mutated(self, mutation: Mutation, tests: list[str], limit_s: float) -> Ran | None:
+        """What tests say about a mutation; None if they were stopped."""
+        place = Path(tempfile.mkdtemp(dir=self.base.parent))
+        try:
+            # Links cost nothing, and both Python and numba write new files in place of old ones.
+            shutil.copytree(self.base, place, copy_function=os.link, dirs_exist_ok=True)
+            path = place / "checkout" / mutation.path
+            code = mutation.applied(path.read_bytes())
+            path.unlink()
+            path.write_bytes(code)
+            return self.run(place, tests, mutation.path, limit_s)
+        finally:
+            shutil.rmtree(place, ignore_errors=True)
+
+    def run(
+        self, place: Path, tests: list[str], module: str = "", limit_s: float | None = None
+    ) -> Ran | None:
+        """What tests say in a copy."""
+        checkout, start = place / "checkout", time.monotonic()
+        paths = (checkout, checkout / "agents", checkout / "baselines", TOOLS)
+        environment = {key: value for key, value in os.environ.items() if key[:6] != "NUMBA_"}
+        environment |= dict.fromkeys(THREADS, "1") | self._variables
+        environment |= {"NUMBA_CACHE_DIR": str(place / "cache"), "MUTATED": module}
+        environment["PYTHONPATH"] = os.pathsep.join(map(str, paths))
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+        command += ["-p", "mutation.first", f"--basetemp={place / 'tmp'}", *tests, *self._pytest]
+        with (place / "output").open("w") as file:
+            process = subprocess.Popen(
+                command,
+                cwd=checkout,
+                env=environment,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self._processes.add(process)
+        try:
+            passed = "SURVIVED" if module else "passed"
+            verdict = "killed" if process.wait(limit_s) else passed
+        except subprocess.TimeoutExpired:
+            verdict = "timed out"
+        finally:
+            _kill(process)
+            process.wait()
+            self._processes.discard(process)
+            shutil.rmtree(place / "tmp", ignore_errors=True)
+        if self._is_stopped:
+            return None
+        output = (place / "output").read_text(errors="replace")
+        by = next(iter(KILLER.findall(output)), "")
+        if verdict == "killed":
+            verdict = "not compiled" if UNCOMPILED.search(output) else verdict
+            by = by or f"pytest, which ended with {process.returncode}"
+        return Ran(verdict, by, round(time.monotonic() - start, 1))
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def described(mutation: Mutation) -> str:
+    """A line about a mutation."""
+    change = " ".join(f"{mutation.before} -> {mutation.after}".split())
+    return f"{mutation.path}:{mutation.line}, {mutation.function}, {mutation.operator}: {change}"
+
+
+def chosen(root: Path, which: str, count: int, seed: int, under: Sequence[str]) -> list[Mutation]:
+    """The mutations that are drawn, of kernels or of the rest, from modules under some paths."""
+    found = source_mutations(root, [each for each in SOURCES if (root / each).is_dir()])
+    # The golden tests do not train, so compiled code of the training belongs to the rest.
+    pool = [
+        each
+        for each in found
+        if (each.is_kernel and not each.path.startswith("agents/")) == (which == "kernels")
+        and each.path.startswith(tuple(under))
+    ]
+    return drawn(pool, seed, count)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("which", choices=("kernels", "rest"))
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--source", type=Path, default=TOOLS.parent, metavar="CHECKOUT")
+    parser.add_argument("--tests", type=Path, metavar="CHECKOUT")
+    parser.add_argument("--against", nargs="+", metavar="TEST", help="tests in place of the usual")
+    parser.add_argument("--under", nargs="+", default=[""], metavar="PATH", help="modules")
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--list", action="store_true", help="list the mutations and run none")
+    parser.add_argument("--pytest", type=shlex.split, default=[], help="arguments of pytest")
+    options = parser.parse_args(arguments)
+    equivalent = {
+        line.partition("  # ")[0] for line in EQUIVALENT.read_text(encoding="utf-8").splitlines()
+    }
+    picked = chosen(options.source, options.which, options.count, options.seed, options.under)
+    todo = [each for each in picked if each.key not in equivalent]
+    if options.list:
+        print(*map(described, sorted(todo)), sep="\n")
+        return
+    if options.folder is None:
+        parser.error("--folder is missing")
+    folder = options.folder.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    base = copied(options.source.resolve(), (options.tests or options.source).resolve(), folder)
+    # Kernels compile a little faster so, and have the same bits; at 0, numba cannot keep them.
+    variables = {"NUMBA_OPT": "1"} if options.which == "kernels" else {}
+    runner = Runner(base, ["-m", "not slow", *options.pytest], variables)
+    try:
+        evaluate(runner, todo, options)
+    except KeyboardInterrupt:
+        runner.stop()
+        sys.exit("interrupted; the same command goes on")
+
+
+def evaluate(runner: Runner, todo: Sequence[Mutation], options: argparse.Namespace) -> None:
+    """Runs the tests without mutations, then with each, and prints what they find."""
+    results = runner.base.parent / "results.jsonl"
+    lines = results.read_text(encoding="utf-8").splitlines() if results.exists() else []
+    known = {tuple(each["key"]): Ran(*each["ran"]) for each in map(json.loads, lines)}
+
+    def key(tests: list[str], mutation: Mutation | None = None) -> tuple[Any, ...]:
+        change = (mutation.key, mutation.start) if mutation else ("", 0)
+        return runner.base.name, " ".join([*tests, *options.pytest]), *change
+
+    def keep(of: tuple[Any, ...], ran: Ran, line: str) -> Ran:
+        known[of] = ran
+        with results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"key": of, "ran": ran, "line": line}) + "\n")
+        print(f"{line}: {ran.verdict} {ran.by} ({ran.seconds:.0f} s)", flush=True)
+        return ran
+
+    usual = options.against or (["tests/golden"] if options.which == "kernels" else None)
+    of_each = {each: usual or tests_of(each.path, runner.base / "checkout") for each in todo}
+    for tests in sorted({tuple(each) for each in of_each.values()}):
+        if key([*tests]) not in known:
+            ran = runner.run(runner.base, [*tests])
+            if ran is None or ran.verdict != "passed":
+                sys.exit(f"{' '.join(tests)} fails without a mutation: {ran and ran.by}")
+            keep(key([*tests]), ran, f"{' '.join(tests)}, without a mutation")
+    pool = ThreadPoolExecutor(options.workers)
+    futures = {}
+    for mutation, tests in of_each.items():
+        if key(tests, mutation) not in known:
+            limit_s = COMPILING_S + 3 * known[key(tests)].seconds
+            futures[pool.submit(runner.mutated, mutation, tests, limit_s)] = mutation
+    try:
+        for future in as_completed(futures):
+            if ran := future.result():
+                mutation = futures[future]
+                keep(key(of_each[mutation], mutation), ran, described(mutation))
+    except BaseException:
+        runner.stop()
+        pool.shutdown(cancel_futures=True)
+        raise
+    verdicts = Counter(known[key(tests, each)].verdict for each, tests in of_each.items())
+    print(", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items())))
+    for mutation, tests in of_each.items():
+        if known[key(tests, mutation)].verdict == "SURVIVED":
+            print(f"survived: {described(mutation)}")
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    main()
