@@ -156,7 +156,6 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
 
     def get_state(self) -> SceneState:
         """The state of the episode, for `set_state`."""
-        self._learners.check_started("get_state")
         return self.simulation.state()
 
     def set_state(self, state: SceneState) -> Observations:
@@ -189,6 +188,7 @@ def ego_vector_env(
     longitudinal: bool = True,
     lateral: bool = True,
     autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    first_seed: int | None = None,
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
@@ -197,7 +197,7 @@ def ego_vector_env(
         num_envs,
         *made_traffic(traffic),
         reward or _reward(actions),
-        None,
+        first_seed,
         observation_of(observation),
         actions,
         render_mode,

@@ -32,6 +32,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         longitudinal: Whether actions change the speed.
         lateral: Whether actions change the lane.
         autoreset_mode: When the next scene starts; see `ScenesVectorEnv`.
+        first_seed: That of the first scene, from which those of the next ones count on.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
@@ -50,6 +51,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         longitudinal: bool = True,
         lateral: bool = True,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        first_seed: int | None = None,
         **scene: Any,
     ) -> None:
         title = type(self).__name__
@@ -59,7 +61,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         made = Learners(
             settings, scenes, learners, *how, longitudinal=longitudinal, lateral=lateral
         )
-        super().__init__(made, None, autoreset_mode)
+        super().__init__(made, first_seed, autoreset_mode)
 
     @property
     def learners(self) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ def checked_seed(seed: Any) -> int:
     except TypeError:
         found = -1
     if not 0 <= found < 2**64:
-        raise InputError(f"reset: seed {seed!r}; expected an integer from 0 to 2**64 - 1")
+        raise InputError(f"seed {seed!r}; expected an integer from 0 to 2**64 - 1")
     return found
 
 

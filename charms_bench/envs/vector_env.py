@@ -14,7 +14,7 @@ from charms_bench.envs import ID
 from charms_bench.envs.autoreset import Autoreset
 from charms_bench.envs.learners import C, Learners, Reward
 from charms_bench.envs.rendering import RENDER_MODES
-from charms_bench.envs.seeds import random_seeds, seeds_of
+from charms_bench.envs.seeds import checked_seed, random_seeds, seeds_of
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.generator import State, seeded, word
@@ -85,7 +85,8 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         first_seed: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        self._learners, self._next_seed = learners, first_seed
+        self._learners = learners
+        self._next_seed = None if first_seed is None else checked_seed(first_seed)
         scenes = learners.simulation.seeds.size
         self._generators = seeded(random_seeds(scenes))
         self._autoreset = Autoreset(autoreset_mode, scenes, type(self).__name__)
@@ -292,7 +293,6 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
 
     def get_state(self) -> EpisodesState:
         """The state of every episode, for `set_state`."""
-        self._learners.check_started("get_state")
         counters = self._learners.returns.copy(), self._next_seed, self._generators.copy()
         return EpisodesState(self.simulation.state(), *counters)
 

@@ -175,6 +175,14 @@ def test_gymnasium_imports_what_registers_it_when_its_name_says_so() -> None:
     assert finished.stdout == "(7, 5)\n", finished.stderr
 
 
+def test_registering_the_environments_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, charms_bench.envs; print({'numba', 'highway_env', 'torch'} & {*sys.modules})"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert finished.stdout == "set()\n", finished.stderr
+
+
 @pytest.mark.parametrize("mode", ["sync", "vector_entry_point"])
 def test_gymnasium_makes_many_either_way(mode: str) -> None:
     many = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, **SHORT)
@@ -303,7 +311,7 @@ def test_without_any_control_there_is_no_environment() -> None:
 
 def test_before_the_first_reset_and_after_the_end_there_is_nothing_to_step() -> None:
     env = EgoEnv(duration_s=1.0, render_mode="rgb_array", traffic_vehicles=8)
-    for early in (lambda: env.step(IDLE), env.render, env.get_state, env.action_masks):
+    for early in (lambda: env.step(IDLE), env.render, env.action_masks):
         with pytest.raises(ResetNeeded, match="before the first reset"):
             early()
     env.reset(seed=0)

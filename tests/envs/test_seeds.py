@@ -141,6 +141,18 @@ def test_drawn_episodes_are_none_that_a_suite_evaluates() -> None:
     assert env.simulation.seeds.tolist() == drawn
 
 
+@pytest.mark.parametrize("make", [ego_vector_env, LearnersVectorEnv])
+def test_seeds_count_on_from_the_first_one_where_it_is_given(make: Callable[..., Any]) -> None:
+    env = make(2, first_seed=5, duration_s=1.0, traffic_vehicles=1, ego_slots=1)
+    env.reset()
+    found = env.simulation.seeds.tolist()
+    for _ in range(3):
+        env.step(np.ones(env.num_envs, dtype=np.int64))
+    assert found + env.simulation.seeds.tolist() == [5, 6, 7, 8]
+    with pytest.raises(InputError, match="seed -1; expected an integer"):
+        make(2, first_seed=-1)
+
+
 def test_a_saved_environment_draws_the_same_next_seeds() -> None:
     env, later = ego_vector_env(3, **SHORT), ego_vector_env(3, **SHORT)
     env.reset(seed=1)

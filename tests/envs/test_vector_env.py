@@ -183,7 +183,7 @@ def test_gymnasiums_own_wrappers_count_the_same_returns() -> None:
 
 def test_a_step_needs_a_reset_before_it() -> None:
     env = environment(ALONE)
-    for early in (lambda: env.step(idle(env)), env.action_masks, env.get_state, env.render):
+    for early in (lambda: env.step(idle(env)), env.action_masks, env.render):
         with pytest.raises(ResetNeeded):
             early()
     other = environment(ALONE)
