@@ -99,9 +99,7 @@ def environments(training: Training, simulator: str, seed: int) -> VecEnv:
     """The environments in which the algorithm learns."""
     if simulator == "charms-bench":
         name, count = f"charms_bench/{training.road}", training.environments[0]
-        episodes = gymnasium.make_vec(name, num_envs=count, config=training.config)
-        episodes.reset(seed=seed)
-        return EpisodesVecEnv(episodes)
+        return EpisodesVecEnv(gymnasium.make_vec(name, num_envs=count, config=training.config))
     given = {"config": training.config}
     return make_vec_env(training.road, training.environments[1], seed=seed, env_kwargs=given)
 

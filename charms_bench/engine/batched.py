@@ -12,6 +12,7 @@ from charms_bench.engine.motion import follow_no_lane
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
 from charms_bench.engine.seats import mark_seats, seat, vehicles_of
+from charms_bench.engine.shown import Shown
 from charms_bench.engine.spawning import spawn, spawn_rule
 from charms_bench.engine.stepping import Put, advance, advance_put
 from charms_bench.engine.type_draws import set_types
@@ -21,7 +22,7 @@ from charms_bench.world.actions import Actions, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
-class BatchedEngine:
+class BatchedEngine(Shown):
     """highway-env's behaviour over arrays `[B, N]`; see `charms_bench.engine`."""
 
     def __init__(
@@ -47,7 +48,6 @@ class BatchedEngine:
         self._models = models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
-        self._shown = self.scene.read_only()
         shape = self.drivers.shape
         self._is_modelled = np.zeros(shape, dtype=np.bool_)
         self._is_ego = np.zeros(shape, dtype=np.bool_)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
 from charms_bench.engine.prescribed import Script
+from charms_bench.engine.shown import Shown
 from charms_bench.engine.stepping import Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
@@ -36,7 +37,7 @@ _NOBODY = -1
 RandomSource = np.random.Generator | ReplayedDraws
 
 
-class HighwayEnvEngine:
+class HighwayEnvEngine(Shown):
     """highway-env itself, behind the interface of `charms_bench.engine`."""
 
     def __init__(
@@ -61,7 +62,6 @@ class HighwayEnvEngine:
         """highway-env's vehicles of each scene by place, None at an empty one."""
         self._settings = settings
         self._models = models
-        self._shown = self.scene.read_only()
         self._classes = {
             agent: _reference_class(model, settings.profile) for agent, model in models.items()
         }

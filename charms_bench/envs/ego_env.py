@@ -5,25 +5,28 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from charms_bench.engine.endings import ENDINGS
+from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
+from charms_bench.envs.given_actions import array_of
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
 from charms_bench.envs.rendering import RENDER_MODES
+from charms_bench.envs.seeds import checked_seed
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import HighwayVectorEnv, state_in
 from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.action_mask import action_masks
-from charms_bench.world.actions import ACTION_KINDS, ActionKind
+from charms_bench.world.actions import ActionKind
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
@@ -45,6 +48,8 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             continuous actions the progress along the road, see `ProgressReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
         actions: `meta`, or `continuous` for an acceleration and a steering angle.
+        longitudinal: Whether actions change the speed, as in highway-env's configuration.
+        lateral: Whether actions change the lane, or steer.
         render_mode: `rgb_array` or `human`; see `render`.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
@@ -63,23 +68,30 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         observation: ObservationLike = "neighbours",
         actions: ActionKind = "meta",
         render_mode: str | None = None,
+        longitudinal: bool = True,
+        lateral: bool = True,
         **scene: Any,
     ) -> None:
-        kind = _kind(actions)
         self._learners = Learners(
             scene_settings(scene),
             1,
             (0,),
             *made_traffic(traffic),
-            reward or _REWARDS[kind](),
+            reward or _reward(actions),
             observation_of(observation),
             render_mode,
-            actions=kind,
+            actions=actions,
+            longitudinal=longitudinal,
+            lateral=lateral,
         )
-        self.simulation: Simulation = self._learners.simulation
         self.observation_space, self.action_space = self._learners.spaces
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self.simulation.settings.decision_hz}
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of the episode."""
+        return self._learners.simulation
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,9 +103,10 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             options: `state`, a `SceneState` of one running scene, which the episode continues.
 
         Raises:
-            InputError: There is another option, or the state does not fit.
+            InputError: There is another option, or the state does not fit, or the seed is none.
         """
         warn_of_torch_threads()
+        seed = None if seed is None else checked_seed(seed)
         super().reset(seed=seed)
         if (state := state_in(options)) is not None:
             seed = int(state.seeds[0])
@@ -102,24 +115,25 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             if seed is None:
                 seed = EVALUATION_SEEDS + int(self.np_random.integers(2**62))
             self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
-        self._learners.renderer.show()
+        self._learners.show()
         return self._observe(), {"seed": seed, **self._mask()}
 
-    def step(
-        self, action: np.int64 | int | NDArray[np.floating]
-    ) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
         """Carries out the ego's action for one decision interval.
 
         Returns:
             Observation, reward, terminated, truncated, and the info. With meta-actions, the info
-            contains the `action_mask` (5,) of the next step, which `action_space.sample` takes; see
+            contains the `action_mask` (A,) of the next step, which `action_space.sample` takes; see
             `world.action_mask`. The info of the last step contains the `ending`, one of
             `engine.simulation.ENDINGS`.
 
         Raises:
-            InputError: The action is not one of `action_space`.
+            InputError: The action is not one of `action_space`. Continuous actions are clipped.
+            ResetNeeded: No episode has started, or it is over.
         """
-        reward = float(self._learners.step(np.array([action])).rewards[0])
+        if self.simulation.ending[0] != RUNNING:
+            raise ResetNeeded("step after the end of the episode; reset starts the next one")
+        reward = float(self._learners.step(array_of(action)[None]).rewards[0])
         failed, truncated = bool(self.simulation.failed[0]), bool(self.simulation.truncated[0])
         info = self._mask()
         if failed or truncated:
@@ -127,13 +141,13 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         return self._observe(), reward, failed, truncated, info
 
     def action_masks(self) -> Bools:
-        """The ego's action mask (5,), as sb3-contrib's `MaskablePPO` asks for it."""
-        masks = action_masks(self.simulation.scene, self.simulation.ego_vehicles)
+        """The ego's action mask (A,), as sb3-contrib's `MaskablePPO` asks for it."""
+        masks = self._learners.masks(self.simulation.ego_vehicles)
         return np.asarray(masks[0], dtype=np.bool_)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene, (height, width, 3), if asked for; see `HighwayVectorEnv.render`."""
-        frames = self._learners.renderer.render()
+        frames = self._learners.render()
         return frames[0] if frames else None
 
     def close(self) -> None:
@@ -159,9 +173,9 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
 
     def _mask(self) -> dict[str, Any]:
         """The action mask for the info; continuous actions have none."""
-        if self._learners.kind != "meta":
+        if self._learners.actions.kind != "meta":
             return {}
-        return {"action_mask": action_masks(self.simulation.scene, self.simulation.ego_vehicles)[0]}
+        return {"action_mask": self._learners.masks(self.simulation.ego_vehicles)[0]}
 
 
 def ego_vector_env(
@@ -171,32 +185,31 @@ def ego_vector_env(
     observation: ObservationLike = "neighbours",
     actions: ActionKind = "meta",
     render_mode: str | None = None,
+    longitudinal: bool = True,
+    lateral: bool = True,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    first_seed: int | None = None,
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
-    kind = _kind(actions)
     return HighwayVectorEnv(
         scene_settings(scene),
         num_envs,
         *made_traffic(traffic),
-        reward or _REWARDS[kind](),
-        EVALUATION_SEEDS,
+        reward or _reward(actions),
+        first_seed,
         observation_of(observation),
-        kind,
+        actions,
         render_mode,
+        longitudinal,
+        lateral,
+        autoreset_mode,
     )
 
 
-_REWARDS: dict[ActionKind, type[Reward[Any]]] = {
-    "meta": HighwayReward,
-    "continuous": ProgressReward,
-}
-
-
-def _kind(actions: ActionKind) -> ActionKind:
-    if actions not in ACTION_KINDS:
-        raise InputError(f"{ID}: actions: '{actions}'; expected {' or '.join(ACTION_KINDS)}")
-    return actions
+def _reward(actions: ActionKind) -> Reward[Any]:
+    """The default reward of a kind of actions."""
+    return ProgressReward() if actions == "continuous" else HighwayReward()
 
 
 def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSettings:

@@ -5,6 +5,7 @@ from operator import index
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION
@@ -12,12 +13,14 @@ from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME,
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
-from charms_bench.envs.rendering import Renderer, frame_of, moment_of
+from charms_bench.envs.given_actions import GivenActions
+from charms_bench.envs.rendering import Frame, Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic
-from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, Actions, problem_of
+from charms_bench.world.action_mask import ActionMasks, action_masks
+from charms_bench.world.actions import ActionKind, Actions
 from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -70,10 +73,12 @@ class Learners:
         render_mode: One of `RENDER_MODES`, or None.
         title: The environment's name, for messages and pictures.
         actions: The kind of the learners' actions.
+        longitudinal: Whether their actions change the speed.
+        lateral: Whether their actions change the lane, or steer.
 
     Raises:
         InputError: A number is not that of a vehicle, or it is given twice, or 0 is missing; or
-            there is no scene, or no such render mode.
+            there is no scene, no such render mode, or no action.
     """
 
     def __init__(
@@ -88,7 +93,10 @@ class Learners:
         render_mode: str | None = None,
         title: str = ID,
         actions: ActionKind = "meta",
+        longitudinal: bool = True,
+        lateral: bool = True,
     ) -> None:
+        self.actions = GivenActions(actions, longitudinal, lateral, title)
         if scenes < 1:
             raise InputError(f"scenes is {scenes}; expected at least 1")
         everyone = range(settings.vehicles)
@@ -101,23 +109,26 @@ class Learners:
         self.simulation = Simulation(settings, scenes, None, driven, agents, actions=actions)
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
-        scene = self.simulation.scene
         self._are_egos = len(self.numbers) == 1
-        self.places = scene.ego if self._are_egos else np.zeros_like(self.scene_of)
-        """(B L,) the learners' places in their scenes, in the order of spawning."""
-        self.alive = scene.active if self._are_egos else np.zeros(self.returns.size, dtype=np.bool_)
-        """(B L,) whether the learner drives, so that its next action counts."""
-        self.spaces = spaces_of(settings, observation, actions)
+        self._places = np.zeros_like(self.scene_of)
+        self._alive = np.zeros(self.returns.size, dtype=np.bool_)
+        self.spaces = spaces_of(settings, observation, actions)[0], self.actions.space
         """Of a learner's observations and of its actions."""
-        self.renderer = Renderer(
-            lambda row: frame_of(moment_of(self.simulation, row, title)),
-            scenes,
-            settings.decision_hz,
-            render_mode,
-            title,
-        )
-        self.kind, self.observation = actions, observation
+        self.renderer = Renderer(scenes, settings.decision_hz, render_mode, title)
+        self.observation = observation
         self._reward: Any = reward
+        self._title = title
+        self._has_started = False
+
+    @property
+    def places(self) -> Ints:
+        """(B L,) the learners' places in their scenes, in the order of spawning."""
+        return self.simulation.scene.ego if self._are_egos else self._places
+
+    @property
+    def alive(self) -> Bools:
+        """(B L,) whether the learner drives, so that its next action counts."""
+        return self.simulation.scene.active if self._are_egos else self._alive
 
     @property
     def vehicles(self) -> Vehicles:
@@ -129,17 +140,31 @@ class Learners:
     def reset(self, seeds: NDArray[np.uint64], rows: Ints) -> None:
         """Starts an episode in each of the scenes `rows`, in which all learners drive."""
         self.simulation.reset(seeds, rows)
+        self._has_started = True
         which = self.of_scenes(rows)
         self.returns[which] = 0.0
         if not self._are_egos:
             ego, others = self.simulation.scene.ego[rows, None], np.array(self.numbers) - 1
-            self.places[which] = np.where(others < 0, ego, others + (others >= ego)).ravel()
-            self.alive[which] = True
+            self._places[which] = np.where(others < 0, ego, others + (others >= ego)).ravel()
+            self._alive[which] = True
 
     def of_scenes(self, rows: Ints) -> Ints:
         """The indices (R L,) of the learners of R scenes."""
         count = len(self.numbers)
         return rows if self._are_egos else (rows[:, None] * count + np.arange(count)).ravel()
+
+    def scenes_of(self, mask: Any) -> Any:
+        """The mask (B,) of scenes from one (B L,) of learners.
+
+        Raises:
+            InputError: It divides the learners of a scene.
+        """
+        if mask is None or self._are_egos or np.shape(mask) != self.returns.shape:
+            return mask
+        each = np.asarray(mask).reshape(-1, len(self.numbers))
+        if (each != each[:, :1]).any():
+            raise InputError("reset: option 'reset_mask': the learners of a scene start together")
+        return each[:, 0]
 
     def restore(self, state: SceneState) -> None:
         """Continues all scenes from a state, in which the egos are the only learners.
@@ -159,19 +184,41 @@ class Learners:
             ended = state.seeds[~state.active][0]
             raise InputError(f"the state of episode {ended} was saved after the episode had ended")
         self.simulation.restore(state.seated(state.ego, ""))
+        self._has_started = True
         self.returns[:] = 0.0
 
-    def step(self, actions: Actions) -> Outcome:
-        """Carries out the actions (B L,) or (B L, 2) of the learners for one decision interval.
+    def masks(self, vehicles: Vehicles) -> ActionMasks:
+        """The action masks (M, A) of M vehicles; see `world.action_mask`."""
+        self.check_started("action masks")
+        return action_masks(self.simulation.scene, vehicles)[:, self.actions.meaning]
+
+    def show(self) -> None:
+        """Shows the scenes in a window if the render mode is `human`."""
+        self.renderer.show(self._frame)
+
+    def render(self) -> tuple[Frame, ...] | None:
+        """The pictures of the scenes; see `Renderer.render`."""
+        self.check_started("render")
+        return self.renderer.render(self._frame)
+
+    def _frame(self, row: int) -> Frame:
+        return frame_of(moment_of(self.simulation, row, self._title))
+
+    def check_started(self, what: str) -> None:
+        """Raises a `ResetNeeded` before the first reset."""
+        if not self._has_started:
+            raise ResetNeeded(f"{what} before the first reset")
+
+    def step(self, actions: Any) -> Outcome:
+        """Carries out the actions (B L, ...) of the learners for one decision interval.
 
         Raises:
             InputError: The actions have another shape or type, or one is out of range.
+            ResetNeeded: No episode has started.
         """
-        what, wrong = problem_of(actions, self.kind, self.alive.size)
-        if what:
-            meaning = ", ".join(ACTIONS if self.kind == "meta" else CONTROLS)
-            who = "ego" if len(self.numbers) == 1 else "learner"
-            raise InputError(f"step: {who} {wrong}: {what}: {meaning}")
+        self.check_started("step")
+        who = "ego" if self._are_egos else "learner"
+        actions = self.actions(actions, who, self.alive.size)
         simulation, reward = self.simulation, self._reward
         is_of_egos = hasattr(reward, "prepare")
         prepared = reward.prepare(simulation, actions) if is_of_egos else None
@@ -181,7 +228,7 @@ class Learners:
         else:
             simulation.command(vehicles, actions[drove])
             simulation.step()
-        self.renderer.show()
+        self.show()
         rewards = reward(*((simulation, prepared) if is_of_egos else (simulation.scene, vehicles)))
         if self._are_egos:
             endings = simulation.ending.copy()
@@ -191,7 +238,7 @@ class Learners:
             of_all = np.zeros(drove.size)
             of_all[drove] = rewards
             rewards = of_all
-            self.alive = drove & (endings == RUNNING)
+            self._alive = drove & (endings == RUNNING)
         self.returns += rewards
         # The endings after TIME are failures.
         return Outcome(rewards, endings > TIME, endings == TIME, endings)

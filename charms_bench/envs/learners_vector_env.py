@@ -3,12 +3,14 @@
 from collections.abc import Iterable
 from typing import Any
 
+from gymnasium.vector import AutoresetMode
+
 from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.vector_env import ScenesVectorEnv
 from charms_bench.world.observations import ObservationLike, observation_of
-from charms_bench.world.scene import EVALUATION_SEEDS, Bools
+from charms_bench.world.scene import Bools
 
 
 class LearnersVectorEnv(ScenesVectorEnv):
@@ -17,8 +19,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
     `array.reshape(B, L, ...)` has one row per scene. A learner's episode terminates when its
     vehicle crashes or leaves the road, and is truncated when the scene's time is over. Its vehicle
     stays in the scene, which goes on for the other learners. `alive` is false for the learners that
-    have left, so the next episode of such a learner begins with a wait. The first scene has the
-    seed `EVALUATION_SEEDS`.
+    have left, so the next episode of such a learner begins with a wait.
 
     Args:
         scenes: B.
@@ -28,6 +29,10 @@ class LearnersVectorEnv(ScenesVectorEnv):
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The learners' observation; see `charms_bench.world.observations`.
         render_mode: `rgb_array` or `human`; see `render`.
+        longitudinal: Whether actions change the speed.
+        lateral: Whether actions change the lane.
+        autoreset_mode: When the next scene starts; see `ScenesVectorEnv`.
+        first_seed: That of the first scene, from which those of the next ones count on.
         scene: `density`, `lanes`, `traffic_vehicles`, `profile` and all other keys of a suite's
             `scene`, with the same defaults.
 
@@ -43,13 +48,20 @@ class LearnersVectorEnv(ScenesVectorEnv):
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
         render_mode: str | None = None,
+        longitudinal: bool = True,
+        lateral: bool = True,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        first_seed: int | None = None,
         **scene: Any,
     ) -> None:
         title = type(self).__name__
         settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
-        super().__init__(Learners(settings, scenes, learners, *how), EVALUATION_SEEDS)
+        made = Learners(
+            settings, scenes, learners, *how, longitudinal=longitudinal, lateral=lateral
+        )
+        super().__init__(made, first_seed, autoreset_mode)
 
     @property
     def learners(self) -> tuple[int, ...]:

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
+from operator import index
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from charms_bench.engine.endings import ENDINGS, RUNNING
@@ -13,9 +15,8 @@ from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.rendering import RENDER_MODES
+from charms_bench.envs.seeds import checked_seed
 from charms_bench.errors import InputError
-from charms_bench.world.action_mask import action_masks
-from charms_bench.world.actions import ACTIONS, IDLE
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, Observations, Vehicles
 
@@ -44,6 +45,7 @@ class NamedAgents(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
     action_spaces: dict[str, Any]
     _place: dict[str, int]
     """The place of each agent among `possible_agents`."""
+    _has_started = False
 
     def observation_space(self, agent: str) -> Any:
         """The space of an agent's observations."""
@@ -57,8 +59,11 @@ class NamedAgents(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
         """The actions (L,); those of agents that have left are `idle`.
 
         Raises:
+            ResetNeeded: There was no reset yet.
             InputError: An action has none of the `names`, or the actions are not those of `agents`.
         """
+        if not self._has_started:
+            raise ResetNeeded("step before the first reset")
         if actions.keys() != {*self.agents}:
             missing = ", ".join(agent for agent in self.agents if agent not in actions)
             other = ", ".join(str(agent) for agent in actions if agent not in self.agents)
@@ -68,10 +73,14 @@ class NamedAgents(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
             )
         chosen = np.full(len(self.possible_agents), idle)
         for agent, action in actions.items():
-            if action not in self.action_spaces[agent]:
+            try:
+                found = index(action)
+            except TypeError:
+                found = -1
+            if not 0 <= found < len(names):
                 expected = f"expected 0 to {len(names) - 1}: {', '.join(names)}"
                 raise InputError(f"{agent}: no action {action}; {expected}")
-            chosen[self._place[agent]] = action
+            chosen[self._place[agent]] = found
         return chosen
 
 
@@ -105,14 +114,17 @@ class HighwayParallelEnv(NamedAgents):
         reward: VehicleReward = highway_rewards,
         observation: ObservationLike = "neighbours",
         render_mode: str | None = None,
+        longitudinal: bool = True,
+        lateral: bool = True,
         **scene: Any,
     ) -> None:
         title = type(self).__name__
         settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
-        self._learners = Learners(settings, 1, learners, *how)
-        self.simulation: Simulation = self._learners.simulation
+        self._learners = Learners(
+            settings, 1, learners, *how, longitudinal=longitudinal, lateral=lateral
+        )
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
@@ -123,6 +135,11 @@ class HighwayParallelEnv(NamedAgents):
         self.observation_spaces = {agent: seen for agent, (seen, _) in spaces.items()}
         self.action_spaces = {agent: chosen for agent, (_, chosen) in spaces.items()}
         self._rng = np.random.default_rng()
+
+    @property
+    def simulation(self) -> Simulation:
+        """The simulation of the episode."""
+        return self._learners.simulation
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -138,13 +155,12 @@ class HighwayParallelEnv(NamedAgents):
         """
         if seed is None:
             seed = EVALUATION_SEEDS + int(self._rng.integers(2**62))
-        elif not 0 <= seed < 2**64:
-            raise InputError(f"seed is {seed}; expected 0 to 2**64 - 1")
         else:
+            seed = checked_seed(seed)
             self._rng = np.random.default_rng(seed)
         self._learners.reset(np.array([seed], dtype=np.uint64), np.zeros(1, dtype=np.int64))
-        self.agents = self.possible_agents.copy()
-        self._learners.renderer.show()
+        self.agents, self._has_started = self.possible_agents.copy(), True
+        self._learners.show()
         return self._observe(), {
             agent: {"seed": seed, **info} for agent, info in self._masks().items()
         }
@@ -154,15 +170,17 @@ class HighwayParallelEnv(NamedAgents):
 
         Returns:
             Observations, rewards, terminations, truncations and infos of the agents that acted. An
-            info contains the agent's `action_mask` (5,); see `world.action_mask`. The last info of
+            info contains the agent's `action_mask` (A,); see `world.action_mask`. The last info of
             an agent contains its `ending`, one of `engine.simulation.ENDINGS`.
 
         Raises:
             InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
+            ResetNeeded: There was no reset yet.
         """
-        if not self.agents:
+        if self._has_started and not self.agents:
             return {}, {}, {}, {}, {}
-        outcome = self._learners.step(self._checked(actions, ACTIONS, IDLE))
+        names = self._learners.actions.names
+        outcome = self._learners.step(self._checked(actions, names, names.index("IDLE")))
         acted, observations, infos = self.agents, self._observe(), self._masks()
         rewards, terminated, truncated, endings = (
             {agent: values[self._place[agent]] for agent in acted}
@@ -176,7 +194,7 @@ class HighwayParallelEnv(NamedAgents):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene around `vehicle_0`, (height, width, 3); see `HighwayVectorEnv.render`."""
-        frames = self._learners.renderer.render()
+        frames = self._learners.render()
         return frames[0] if frames else None
 
     def close(self) -> None:
@@ -190,7 +208,7 @@ class HighwayParallelEnv(NamedAgents):
 
     def _masks(self) -> dict[str, dict[str, Any]]:
         """The infos of `agents` with their action masks."""
-        masks = zip(self.agents, action_masks(self.simulation.scene, self._vehicles()), strict=True)
+        masks = zip(self.agents, self._learners.masks(self._vehicles()), strict=True)
         return {agent: {"action_mask": mask} for agent, mask in masks}
 
     def _vehicles(self) -> Vehicles:

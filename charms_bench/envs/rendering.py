@@ -1,7 +1,7 @@
 """What `render` of the environments returns and shows."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -29,8 +29,9 @@ STATE = ("x", "y", "heading", "speed", "acceleration", "lane", "target_lane", "c
 class Renderer:
     """Draws scenes as animations of replays do; without a mode, nothing.
 
+    It keeps no scene, so a copy of an environment draws its own.
+
     Args:
-        frame: Draws the scene with a number.
         scenes: How many there are.
         hz: Their decisions per second.
         mode: The mode.
@@ -42,7 +43,6 @@ class Renderer:
 
     def __init__(
         self,
-        frame: Callable[[int], Frame],
         scenes: int,
         hz: float,
         mode: str | None,
@@ -51,29 +51,37 @@ class Renderer:
         if mode not in (None, *RENDER_MODES):
             known = " or ".join(map(repr, RENDER_MODES))
             raise InputError(f"{title}: no render_mode {mode!r}; expected {known}")
-        self._frame, self._scenes, self._hz = frame, scenes, hz
+        self._scenes, self._hz = scenes, hz
         self.mode, self._title = mode, title
         self._window: Window | None = None
 
-    def show(self) -> None:
-        """Shows the first scenes in a window if the mode is `human`, not faster than real time."""
+    def __getstate__(self) -> dict[str, Any]:
+        """A copy opens a window of its own."""
+        return {**vars(self), "_window": None}
+
+    def show(self, frame: Callable[[int], Frame]) -> None:
+        """Shows the first scenes in a window if the mode is `human`, not faster than real time.
+
+        Args:
+            frame: Draws the scene with a number.
+        """
         if self.mode != "human":
             return
         if self._window is None:
             from charms_bench.envs.window import Window
 
             self._window = Window(self._title)
-        frames = [*map(self._frame, range(min(SHOWN, self._scenes)))]
+        frames = [*map(frame, range(min(SHOWN, self._scenes)))]
         self._window.show(np.concatenate(frames), self._hz)
 
-    def render(self) -> tuple[Frame, ...] | None:
-        """The frames (height, width, 3) of all scenes in the mode `rgb_array`."""
+    def render(self, frame: Callable[[int], Frame]) -> tuple[Frame, ...] | None:
+        """The frames (height, width, 3) of all scenes in the mode `rgb_array`; see `show`."""
         if self.mode == "rgb_array":
-            return tuple(map(self._frame, range(self._scenes)))
+            return tuple(map(frame, range(self._scenes)))
         if self.mode is None:
             modes = " or ".join(RENDER_MODES)
             gymnasium.logger.warn(f"{self._title}: render needs a render_mode: {modes}")
-        self.show()
+        self.show(frame)
         return None
 
     def close(self) -> None:

@@ -2,9 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from functools import partial
 from itertools import product
-from operator import index
 from typing import Any
 
 import gymnasium
@@ -14,9 +12,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from charms_bench.envs.autoreset import Autoreset
+from charms_bench.envs.given_actions import array_of
 from charms_bench.envs.rendering import RENDER_MODES, Frame, Renderer
 from charms_bench.envs.road_rendering import RoadPictures
-from charms_bench.envs.road_state import INSTEAD, RoadState, RoadVehicle, vehicles_of
+from charms_bench.envs.road_state import RoadState, RoadVehicle, missing, vehicles_of
+from charms_bench.envs.seeds import checked_seed, random_seeds, seeds_of
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -60,14 +61,14 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         self._episodes.seed(self._episodes.everyone, random_seeds(1))
         self.observation_space, self.action_space = spaces_of(self._episodes)
         self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
-        self._renderer = _renderer(self, name, 1)
+        self._renderer = Renderer(1, self.config["policy_frequency"], render_mode, name)
+        self._pictures = RoadPictures()
         self._vehicles: dict[int, RoadVehicle] = {}
         self._has_started = False
 
     def __getattr__(self, name: str) -> Any:
         """Says what to use instead of what highway-env has and this environment has not."""
-        instead = f"; use {INSTEAD[name]}" if name in INSTEAD else ""
-        raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'{instead}")
+        raise missing(self, name)
 
     @property
     def action_type(self) -> Any:
@@ -98,6 +99,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         return self.controlled_vehicles[0]
 
     def _now(self) -> dict[int, RoadVehicle]:
+        self._check_started("vehicles")
         if not self._vehicles:
             self._vehicles = vehicles_of(self._episodes, 0)
         return self._vehicles
@@ -118,6 +120,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
             InputError: There is another option, or a value is not supported.
         """
         warn_of_torch_threads()
+        seed = None if seed is None else checked_seed(seed)
         if not isinstance(options or {}, Mapping) or {*(options or {})} - {"config"}:
             raise InputError(f"reset takes the option 'config', got {options!r}")
         config = (options or {}).get("config") or {}
@@ -132,13 +135,13 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         self.config = deepcopy(changed)
         episodes = self._episodes
         if seed is not None:
-            episodes.seed(episodes.everyone, checked_seeds([seed]))
+            episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
         super().reset(seed=seed)
         episodes.start(episodes.everyone)
         self._has_started = True
         self._vehicles = {}
-        self._renderer.show()
-        info = {name: each[0] for name, each in _facts(episodes).items()}
+        self._renderer.show(self._frame)
+        info = {name: each[0].item() for name, each in _facts(episodes).items()}
         return _row(episodes.observe(), 0), info
 
     def step(self, action: Any) -> tuple[Any, Any, Any, bool, dict[str, Any]]:
@@ -151,28 +154,26 @@ class RoadEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             InputError: The action is not one of `action_space`.
+            ResetNeeded: There was no reset yet.
         """
         episodes = self._episodes
-        if not self._has_started:
-            raise ResetNeeded("step before the first reset")
+        self._check_started("step")
         if episodes.has_agents:
-            if not isinstance(action, Sequence | np.ndarray):
-                expected = f"expected those of {episodes.agents} agents"
-                raise InputError(f"action {action!r}; {expected}")
-            checked = _checked(tuple(np.asarray(each)[None] for each in action), episodes)
+            checked = _checked([array_of(each)[None] for each in _parts(action)], episodes)
         else:
-            checked = _checked(np.asarray(action)[None], episodes)
+            checked = _checked(array_of(action)[None], episodes)
         decision = episodes.step(checked)
         self._vehicles = {}
         info: dict[str, Any] = {}
         if episodes.task.has_info:
-            info |= {name: each[0] for name, each in _facts(episodes).items()}
+            info |= {name: each[0].item() for name, each in _facts(episodes).items()}
             info["action"] = action
         if episodes.task.terms:
-            info["rewards"] = dict(_terms(episodes, decision, 0))
+            terms = _terms(episodes, decision, 0)
+            info["rewards"] = {name: term.item() for name, term in terms}
         for name, each in episodes.task.information(episodes.scenes).items():
-            info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0]
-        self._renderer.show()
+            info[name] = tuple(each[0].tolist()) if np.ndim(each) > 1 else each[0].item()
+        self._renderer.show(self._frame)
         seen, truncated = _row(decision.observations, 0), bool(decision.truncated[0])
         if episodes.is_split:
             return seen, info["agents_rewards"], info["agents_terminated"], truncated, info
@@ -197,6 +198,7 @@ class RoadEnv(gymnasium.Env[Any, Any]):
         scenes, actions = self._episodes.scenes, self._episodes.actions
         if isinstance(actions, Controls):
             raise InputError("get_available_actions: expected meta-actions")
+        self._check_started("get_available_actions")
         ego, names = scenes.vehicles[0, ego_place], actions.names
         possible = ["IDLE"]
         left, right = side_lanes(scenes.road, int(ego["lane"]))
@@ -209,8 +211,16 @@ class RoadEnv(gymnasium.Env[Any, Any]):
 
     def render(self) -> Any:
         """The picture (height, width, 3) in the mode `rgb_array`; None in other modes."""
-        frames = self._renderer.render()
+        self._check_started("render")
+        frames = self._renderer.render(self._frame)
         return None if frames is None else frames[0]
+
+    def _frame(self, row: int) -> Frame:
+        return self._pictures.frame(self._episodes, row)
+
+    def _check_started(self, what: str) -> None:
+        if not self._has_started:
+            raise ResetNeeded(f"{what} before the first reset")
 
     def close(self) -> None:
         """Closes the window."""
@@ -237,6 +247,9 @@ class GoalRoadEnv(RoadEnv):
 class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     """B environments `RoadEnv` side by side; where an episode ends, the next starts at once.
 
+    `autoreset_mode` is another of Gymnasium's `AutoresetMode`, in which it starts in the next step,
+    or when the caller resets it.
+
     As in Gymnasium's own vector environments, each has a random generator of its own, which the
     next episodes continue, and `reset(seed=k)` seeds the i-th with `k + i`.
 
@@ -256,18 +269,29 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         name: str,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
         self._name = name
+        self._autoreset = Autoreset(autoreset_mode, num_envs, name)
+        self.autoreset_mode = self._autoreset.mode
+        """As the attribute of Gymnasium's own vector environments, which TorchRL reads."""
         self._episodes = episodes_of(name, num_envs, config)
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.metadata = {**self.metadata, "render_fps": self.config["policy_frequency"]}
-        self._renderer = _renderer(self, name, num_envs)
+        hz = self.config["policy_frequency"]
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": hz,
+        }
+        self._renderer = Renderer(num_envs, hz, render_mode, name)
+        self._pictures = RoadPictures()
         self.single_observation_space, self.single_action_space = spaces_of(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes.seed(self._episodes.everyone, random_seeds(num_envs))
         self._known = np.ones(num_envs, dtype=np.bool_)
-        self._has_started = False
+        self._seen: Any = None
+        """The last observations, for a reset of some environments."""
 
     @property
     def config(self) -> dict[str, Any]:
@@ -284,64 +308,84 @@ class RoadVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
         Args:
             seed: The seed of the first environment, or one for each; None continues.
-            options: None are known.
+            options: `reset_mask` (B,), true where episodes start and false where they go on.
 
         Raises:
-            InputError: There is an option, or the number of seeds is wrong.
+            InputError: There is another option, or a seed or the mask is wrong.
         """
         warn_of_torch_threads()
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
         if options:
-            raise InputError(f"reset takes no options, got {', '.join(map(str, options))}")
-        episodes = self._episodes
-        seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
-        seeds = [None] * self.num_envs if seeds is None else seeds
-        if not isinstance(seeds, Sequence | np.ndarray) or len(seeds) != self.num_envs:
-            raise InputError(f"reset: seed {seed!r}; expected an integer, or {self.num_envs} seeds")
-        rows = np.array([k for k, each in enumerate(seeds) if each is not None], dtype=np.int64)
-        episodes.seed(rows, checked_seeds([each for each in seeds if each is not None]))
-        episodes.start(episodes.everyone)
-        self._has_started = True
-        return episodes.observe(), self._masked(_facts(episodes), self._known)
+            found = ", ".join(map(str, options))
+            raise InputError(f"reset takes the option 'reset_mask', got {found}")
+        episodes, seeds = self._episodes, seeds_of(seed, self.num_envs)
+        rows = self._autoreset.of_reset(mask)
+        given = np.array([row for row in rows if seeds[row] is not None], dtype=np.int64)
+        episodes.seed(given, np.array([seeds[row] for row in given], dtype=np.uint64))
+        episodes.start(rows)
+        first = episodes.observe(rows)
+        if mask is not None:
+            seen = deepcopy(self._seen)
+            _put(seen, rows, first)
+            first = seen
+        self._seen = first
+        self._renderer.show(self._frame)
+        return first, self._masked(_facts(episodes), np.isin(episodes.everyone, rows))
 
     def step(self, actions: Any) -> tuple[Any, Floats, Bools, Bools, dict[str, Any]]:
         """Carries out the actions (B, ...) until the next decision.
 
         Returns:
             Observations (B, ...), rewards (B,), terminations (B,), truncations (B,), and
-            highway-env's infos. Where an episode has ended, these have the `final_obs` and the
-            `final_info`, and the observation is the next episode's.
+            highway-env's infos. Where an episode has ended and the next starts in the same step,
+            these have the `final_obs` and the `final_info`, and the observation is the next one's.
 
         Raises:
             InputError: An action is not one of `action_space`.
+            ResetNeeded: There was no reset yet, or ended episodes wait for one.
         """
-        episodes, known = self._episodes, self._known
-        if not self._has_started:
-            raise ResetNeeded("step before the first reset")
+        episodes = self._episodes
+        due = self._autoreset.before_step()
+        generators = episodes.scenes.generator[due].copy()
         decision = episodes.step(_checked(actions, episodes))
-        ended = decision.terminated | decision.truncated
+        episodes.scenes.generator[due] = generators
+        rewards, terminated, truncated = decision.rewards, decision.terminated, decision.truncated
+        rewards[due], terminated[due], truncated[due] = 0.0, False, False
+        ended = terminated | truncated
         observations = decision.observations
-        has_info = episodes.task.has_info
-        facts: dict[str, Any] = {**_facts(episodes), "action": actions} if has_info else {}
+        has_info, known = episodes.task.has_info, ~np.isin(episodes.everyone, due)
+        given = actions if episodes.has_agents else array_of(actions)
+        facts: dict[str, Any] = {**_facts(episodes), "action": given} if has_info else {}
         if episodes.task.terms:
             facts["rewards"] = self._masked(dict(_terms(episodes, decision)), known)
         facts |= episodes.task.information(episodes.scenes)
         infos = self._masked(facts, known)
-        if (rows := np.nonzero(ended)[0]).size:
+        over = self._autoreset.after_step(ended)
+        if (rows := np.concatenate([due, over])).size:
+            starts = np.isin(episodes.everyone, rows)
             final_obs = np.full(self.num_envs, None, dtype=object)
-            for row in rows:
+            for row in over:
                 final_obs[row] = _row(observations, row)
             final = {"final_obs": final_obs, "final_info": self._masked(facts, ended)}
             episodes.start(rows)
-            first = self._masked(_facts(episodes), known if has_info else ended)
-            infos = self._masked(facts, ~ended) | first
-            infos |= self._masked(final, ended)
+            first = self._masked(_facts(episodes), self._known if has_info else starts)
+            infos = self._masked(facts, ~starts) | first
+            if over.size:
+                infos |= self._masked(final, ended)
             _put(observations, rows, episodes.observe(rows))
-        self._renderer.show()
-        return observations, decision.rewards, decision.terminated, decision.truncated, infos
+        self._seen = observations
+        self._renderer.show(self._frame)
+        return observations, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The pictures (height, width, 3) in the mode `rgb_array`; None in other modes."""
-        return self._renderer.render()
+        if not self._autoreset.has_started:
+            raise ResetNeeded("render before the first reset")
+        return self._renderer.render(self._frame)
+
+    def _frame(self, row: int) -> Frame:
+        return self._pictures.frame(self._episodes, row)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Closes the window."""
@@ -366,17 +410,6 @@ def episodes_of(name: str, count: int, config: Mapping[str, Any] | None) -> Epis
         raise InputError(f"{name}: {error}") from error
 
 
-def _renderer(env: "RoadEnv | RoadVectorEnv", name: str, scenes: int) -> Renderer:
-    """What draws the scenes of an environment."""
-    frame = partial(_frame, env, RoadPictures())
-    return Renderer(frame, scenes, env.config["policy_frequency"], env.render_mode, name)
-
-
-def _frame(env: "RoadEnv | RoadVectorEnv", pictures: RoadPictures, row: int) -> Frame:
-    """The picture of a scene as it is now; a copy of the environment draws its own."""
-    return pictures.frame(env._episodes, row)
-
-
 def spaces_of(episodes: Episodes) -> Spaces:
     """The spaces of the observations and the actions of one environment."""
     seen = [observer.space for observer in episodes.observers]
@@ -390,10 +423,19 @@ def spaces_of(episodes: Episodes) -> Spaces:
 def _checked(actions: Any, episodes: Episodes) -> Any:
     """The actions (B, ...) or those of each agent, if they are such."""
     if not episodes.has_agents:
-        return _checked_of_one(np.asarray(actions), episodes)
-    if len(actions) != episodes.agents:
-        raise InputError(f"actions of {len(actions)} agents; expected {episodes.agents}")
-    return tuple(_checked_of_one(np.asarray(each), episodes) for each in actions)
+        return _checked_of_one(array_of(actions), episodes)
+    parts = _parts(actions)
+    if len(parts) != episodes.agents:
+        raise InputError(f"actions of {len(parts)} agents; expected {episodes.agents}")
+    return tuple(_checked_of_one(array_of(each), episodes) for each in parts)
+
+
+def _parts(actions: Any) -> list[Any]:
+    """The actions of the agents, from any sequence."""
+    try:
+        return list(actions)
+    except TypeError as error:
+        raise InputError(f"action {actions!r}; expected those of several agents") from error
 
 
 def _checked_of_one(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
@@ -406,7 +448,8 @@ def _checked_of_one(actions: NDArray[Any], episodes: Episodes) -> NDArray[Any]:
         expected = "integers" if is_discrete else "numbers"
         raise InputError(f"actions: {found}; expected {expected} of shape {shape}")
     if not isinstance(space, gymnasium.spaces.Discrete):
-        if not np.isfinite(actions).all():
+        clips = isinstance(episodes.actions, Controls) and episodes.actions.clips
+        if not (~np.isnan(actions) if clips else np.isfinite(actions)).all():
             raise InputError("actions: not all of them are finite")
         return actions if actions.dtype == np.float32 else actions.astype(np.float64)
     most = int(space.n)
@@ -455,24 +498,3 @@ def _facts(episodes: Episodes) -> dict[str, NDArray[Any]]:
 def _terms(episodes: Episodes, decision: Decision, row: Any = slice(None)) -> Any:
     """The terms of the rewards by name, without their weights."""
     return zip(episodes.task.terms, np.moveaxis(decision.terms, 1, 0)[:, row], strict=True)
-
-
-def checked_seeds(seeds: Sequence[Any]) -> NDArray[np.uint64]:
-    """Seeds of episodes.
-
-    Raises:
-        InputError: One is not an integer from 0 to 2**64 - 1.
-    """
-    for seed in seeds:
-        try:
-            is_seed = 0 <= index(seed) < 2**64
-        except TypeError:
-            is_seed = False
-        if not is_seed:
-            raise InputError(f"reset: seed {seed!r}; expected an integer from 0 to 2**64 - 1")
-    return np.array(seeds, dtype=np.uint64)
-
-
-def random_seeds(count: int) -> NDArray[np.uint64]:
-    """Seeds (B,) from the operating system."""
-    return np.random.SeedSequence().generate_state(count, np.uint64).astype(np.uint64)

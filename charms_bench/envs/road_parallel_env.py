@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from charms_bench.envs.parallel_env import NamedAgents, Step
-from charms_bench.envs.road_env import episodes_of, random_seeds, spaces_of
+from charms_bench.envs.road_env import episodes_of, spaces_of
+from charms_bench.envs.seeds import checked_seed, random_seeds
 from charms_bench.errors import InputError
 from charms_bench.world.scene import Observations
 
@@ -82,12 +83,16 @@ class RoadParallelEnv(NamedAgents):
 
         Returns:
             Observations, and infos with each vehicle's `speed` and whether it has `crashed`.
+
+        Raises:
+            InputError: The seed is out of range.
         """
         episodes = self._episodes
         if seed is not None:
-            episodes.seed(episodes.everyone, np.array([seed], dtype=np.uint64))
+            seeds = np.array([checked_seed(seed)], dtype=np.uint64)
+            episodes.seed(episodes.everyone, seeds)
         episodes.start(episodes.everyone)
-        self.agents = self.possible_agents.copy()
+        self.agents, self._has_started = self.possible_agents.copy(), True
         return self._of_agents(episodes.observe()), self._infos()
 
     def step(self, actions: Mapping[str, int]) -> Step:
@@ -98,8 +103,9 @@ class RoadParallelEnv(NamedAgents):
 
         Raises:
             InputError: An action is wrong, or those of `actions` are not the agents in `agents`.
+            ResetNeeded: There was no reset yet.
         """
-        if not self.agents:
+        if self._has_started and not self.agents:
             return {}, {}, {}, {}, {}
         episodes = self._episodes
         names: Any = episodes.actions

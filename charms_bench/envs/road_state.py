@@ -19,8 +19,35 @@ INSTEAD = {
     "simplify": "road.vehicles",
     "change_vehicles": "config['other_vehicles_type']",
     "to_finite_mdp": "highway-env itself",
+    # of roads
+    "neighbour_vehicles": "lane_index, position and speed of road.vehicles",
+    "close_vehicles_to": "position of road.vehicles",
+    "close_objects_to": "position of road.vehicles",
+    "network": "highway-env itself for the lanes, and lane_index of vehicles for their names",
+    "objects": "an observation with include_obstacles",
+    "np_random": "reset(seed=...)",
+    # of vehicles
+    "lane": "lane_index, and on_road",
+    "lane_offset": "position, and lane_index",
+    "lane_distance_to": "position, and lane_index",
+    "front_distance_to": "position",
+    "target_speeds": "config['action']['target_speeds']",
+    "speed_index": "target_speed",
+    "destination": "highway-env itself",
+    "route": "highway-env itself",
+    "goal": "desired_goal of the observation",
+    "to_dict": "position, velocity, heading and the other attributes of a vehicle",
+    "act": "step of the environment",
+    "plan_route_to": "highway-env itself",
 }
-"""Attributes of highway-env's environments that are not here, and what to use instead."""
+"""Attributes of highway-env's environments, roads and vehicles that are not here, and what to use
+instead."""
+
+
+def missing(thing: object, name: str) -> AttributeError:
+    """The error for an attribute that there is not; it says what to use instead."""
+    instead = f"; use {INSTEAD[name]}" if name in INSTEAD else ""
+    return AttributeError(f"'{type(thing).__name__}' has no attribute '{name}'{instead}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +69,9 @@ class RoadVehicle:
     LENGTH: float
     WIDTH: float
 
+    def __getattr__(self, name: str) -> Any:
+        raise missing(self, name)
+
     @property
     def direction(self) -> Floats:
         """(2,) the unit vector along the vehicle."""
@@ -58,6 +88,9 @@ class RoadState(NamedTuple):
 
     vehicles: list[RoadVehicle]
     """In highway-env's order."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise missing(self, name)
 
 
 def vehicles_of(episodes: Episodes, b: int) -> dict[int, RoadVehicle]:

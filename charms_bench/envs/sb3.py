@@ -1,13 +1,16 @@
 """The vector environment as a Stable-Baselines3 `VecEnv`; the only module that imports it."""
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from charms_bench.errors import InputError
 
 ENDED = ("ending", "steps", "episode_return", "seed", "speed", "crashed", "is_success")
 """Facts about an ended episode, in its last info under `final_info`; those that the environment
@@ -19,11 +22,17 @@ class EpisodesVecEnv(VecEnv):
 
     The last observation of an ended episode is `infos[i]["terminal_observation"]`.
     `infos[i]["TimeLimit.truncated"]` is True if the episode ended because its time was over.
-    Hindsight Experience Replay works where the environment has goals. `seed` changes nothing: the
-    episodes follow from the first seed of the environment.
+    Hindsight Experience Replay works where the environment has goals. As with `DummyVecEnv`, `seed`
+    counts at the next reset, and environment i then has the seed `seed + i`.
+
+    Raises:
+        InputError: Ended episodes do not restart in the same step.
     """
 
     def __init__(self, episodes: VectorEnv[Any, Any, Any]) -> None:
+        mode = episodes.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise InputError(f"EpisodesVecEnv: autoreset_mode is {mode}; expected 'SameStep'")
         self.episodes = episodes
         self.render_mode = episodes.render_mode
         super().__init__(
@@ -33,8 +42,17 @@ class EpisodesVecEnv(VecEnv):
         self._actions: NDArray[Any] = np.zeros(episodes.num_envs, dtype=np.int64)
 
     def reset(self) -> Any:
-        observations, _ = self.episodes.reset()
+        observations, _ = self.episodes.reset(seed=self._seeds[0])
+        self._reset_seeds()
         return observations
+
+    def set_options(self, options: Any = None) -> None:
+        if options:
+            warnings.warn(
+                "EpisodesVecEnv: set_options has no effect; give options to `make_vec`, or to "
+                "`reset` of the vector environment",
+                stacklevel=2,
+            )
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self._actions = actions

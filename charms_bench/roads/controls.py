@@ -55,7 +55,8 @@ class Controls:
         for axis, each in (*self._axes, ("speed", self._speeds or (0, 0))):
             if len(each) != 2:
                 raise InputError(f"config.action.{axis}_range: {each!r}; expected two numbers")
-        self._clips = bool(found["clip"])
+        self.clips = bool(found["clip"])
+        """Whether actions outside [-1, 1] are clipped."""
         box = gymnasium.spaces.Box(-1.0, 1.0, (len(self._axes),), np.float32)
         self.space: gymnasium.Space[Any] = box
         """Of one action."""
@@ -75,7 +76,7 @@ class Controls:
         """
         egos = scenes.vehicles[:, ego]
         actions = actions if self._table is None else self._table[actions]
-        if self._clips:
+        if self.clips:
             actions = np.clip(actions, -1, 1)
         egos["acceleration"] = egos["steering"] = 0.0
         for k, (axis, (low, high)) in enumerate(self._axes):

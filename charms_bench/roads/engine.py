@@ -13,6 +13,7 @@ the vehicles of the environment decide, and all move.
 
 import math
 from collections.abc import Collection, Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
 from charms_bench.engine.seats import vehicles_of
+from charms_bench.engine.shown import Shown
 from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -57,7 +59,7 @@ BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
 continuous actions."""
 
 
-class RoadEngine:
+class RoadEngine(Shown):
     """B scenes of a road of highway-env as an `engine.Engine`; the ego is the first vehicle."""
 
     def __init__(
@@ -90,10 +92,18 @@ class RoadEngine:
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._rule = command_rule(settings.profile)
         self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
-        self._shown = self.scene.read_only()
-        self._views, self._shown_views = self.scene, self._shown
+        self._views = self.scene
         """[B N, N] each scene as each of its vehicles sees it, if agents drive the traffic."""
         self._roads: dict[tuple[bool, int, float], Scene] = {}
+
+    @cached_property
+    def _shown_views(self) -> Scene:
+        return self._shown if self._views is self.scene else self._views.read_only()
+
+    def __getstate__(self) -> dict[str, Any]:
+        own = super().__getstate__()
+        own.pop("_shown_views", None)
+        return {**own, "_roads": {}}
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
@@ -141,7 +151,7 @@ class RoadEngine:
             count = scenes.x.size
             self._views = Scene.empty(self._settings, count, *(each.shape[2] for each in widths))
             self._views.active[:] = True
-            self._shown_views = self._views.read_only()
+            vars(self).pop("_shown_views", None)
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         kept = (array[rows].astype(packed(array.dtype)) for array in self._kept)

@@ -62,6 +62,9 @@ class Episodes:
         source: Any = gymnasium.envs.registration.load_env_creator(str(spec.entry_point))
         with exact_roads(), unchanged_idm():
             stock = source()
+        module, class_name = TASKS[name].split(":")
+        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
+        _check_egos(task, config)
         self.config = configuration.checked(stock.config, config)
         """highway-env's configuration, with the defaults."""
         self.is_split = bool(spec.additional_wrappers)
@@ -70,8 +73,7 @@ class Episodes:
         """Whether an action is one for each agent."""
         one, self.sees_agents = configuration.of_each_agent(one, "observation")
         """Whether an observation is one of each agent."""
-        module, class_name = TASKS[name].split(":")
-        task: type[Task] = getattr(import_module(f"charms_bench.roads.{module}"), class_name)
+        _check_actions(task, one["action"].get("type"))
         with configuration.named(".action"):
             self.actions = actions_of(one, task.actions)
         """Those of one agent."""
@@ -165,6 +167,27 @@ class Episodes:
         rows = self.everyone if rows is None else rows
         seen = [observer.observe(self.scenes, rows) for observer in self.observers]
         return tuple(seen) if self.sees_agents else seen[0]
+
+
+def _check_egos(task: type[Task], config: Any) -> None:
+    """Raises an `InputError` if several controlled vehicles are asked for where there is one."""
+    given = config.get("controlled_vehicles", 1) if isinstance(config, Mapping) else 1
+    if given != 1 and not task.can_have_egos:
+        raise InputError(
+            f"config.controlled_vehicles: {given!r}; this environment does not support several "
+            "controlled vehicles yet, only 'intersection' and 'intersection-multi-agent' do; "
+            "expected 1"
+        )
+
+
+def _check_actions(task: type[Task], kind: Any) -> None:
+    """Raises an `InputError` if accelerations and steering angles are not supported yet."""
+    if kind in ("ContinuousAction", "DiscreteAction") and kind not in task.actions:
+        raise InputError(
+            f"config.action.type: '{kind}' is not supported in this environment yet, only in "
+            "'racetrack', 'parking', 'lane-keeping' and 'intersection'; expected "
+            "'DiscreteMetaAction'. The motorway of charms_bench/Ego-v0 takes actions='continuous'"
+        )
 
 
 @contextmanager

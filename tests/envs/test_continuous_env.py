@@ -182,10 +182,11 @@ def test_the_reward_of_handmade_decisions() -> None:
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (np.array([2.0, 0.0]), r"action \[2. 0.\]; expected an acceleration and a steering angle"),
-        (np.array([np.nan, 0.0]), "action"),
-        (np.array([0.0]), r"float64 of shape \(1, 1\); expected floats of shape \(1, 2\)"),
-        (3, "expected floats"),
+        (np.array([np.nan, 0.0]), r"action \[nan  0.\]; expected numbers: acceleration, steering"),
+        (np.array([0.0]), r"float64 of shape \(1, 1\); expected numbers of shape \(1, 2\)"),
+        (3, "expected numbers"),
+        ("left", "expected numbers"),
+        ([0.0, [1.0]], "actions .*inhomogeneous"),
     ],
 )
 def test_a_wrong_action_is_named(action: Any, message: str) -> None:
@@ -193,6 +194,41 @@ def test_a_wrong_action_is_named(action: Any, message: str) -> None:
     env.reset(seed=1)
     with pytest.raises(InputError, match=message):
         env.step(action)
+
+
+def test_actions_are_clipped_as_in_highway_env() -> None:
+    """Where it says nothing: its own environment clips -3 and 1.5, and infinity, to -1 and 1."""
+    config = {"lanes_count": 3, "vehicles_count": 15, "action": {"type": "ContinuousAction"}}
+    theirs = gymnasium.make("highway-v0", config=config)
+    arguments = {**HIGHWAY, "traffic_vehicles": 15, "decision_hz": 1, "observation": "Kinematics"}
+    ours = made(**arguments)
+    theirs.reset(seed=1)
+    ours.reset(seed=1)
+    for action in ([-3.0, 0.001], [1.5, 0.0], [np.inf, -0.001]):
+        given = np.array(action, dtype=np.float32)
+        np.testing.assert_allclose(ours.step(given)[0], theirs.step(given)[0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("given", [[0, 0], (0.0, 0.0), np.zeros(2, dtype=np.float32)])
+def test_actions_may_be_lists_and_whole_numbers(given: Any) -> None:
+    env, expected = EgoEnv(actions="continuous", **SHORT), None
+    for action in (np.zeros(2), given):
+        env.reset(seed=1)
+        found = env.step(action)[0]
+        expected = found if expected is None else expected
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(("axis", "place"), [("longitudinal", 1), ("lateral", 0)])
+def test_one_of_the_two_controls_can_be_left_out(axis: str, place: int) -> None:
+    whole, part = EgoEnv(actions="continuous", **SHORT), None
+    part = EgoEnv(actions="continuous", **{axis: False}, **SHORT)
+    whole.reset(seed=1)
+    part.reset(seed=1)
+    action = np.zeros(2)
+    action[place] = 0.02
+    np.testing.assert_array_equal(part.step([0.02])[0], whole.step(action)[0])
+    assert part.action_space.shape == (1,)
 
 
 def test_a_wrong_kind_of_actions_is_named() -> None:

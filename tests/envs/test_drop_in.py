@@ -13,8 +13,10 @@ import gymnasium
 import highway_env  # noqa: F401  # registers its environments
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 
 import charms_bench.envs  # noqa: F401  # registers the environments
+from charms_bench.errors import InputError
 from charms_bench.roads.episodes import unchanged_idm
 
 RENDERING = {
@@ -190,3 +192,56 @@ def test_what_is_not_here_says_what_to_use() -> None:
     env.reset(seed=0)
     with pytest.raises(AttributeError, match="speed"):
         env.vehicle.speed = 20.0
+
+
+@pytest.mark.parametrize(
+    ("thing", "name", "instead"),
+    [
+        ("road", "neighbour_vehicles", "road.vehicles"),
+        ("road", "network", "lane_index"),
+        ("road", "objects", "include_obstacles"),
+        ("vehicle", "lane", "lane_index"),
+        ("vehicle", "to_dict", "position"),
+        ("vehicle", "destination", "highway-env itself"),
+    ],
+)
+def test_what_roads_and_vehicles_do_not_have_says_what_to_use(
+    thing: str, name: str, instead: str
+) -> None:
+    env, stock = (gymnasium.make(f"{each}merge-v1").unwrapped for each in ("charms_bench/", ""))
+    for each in (env, stock):
+        each.reset(seed=0)
+    assert hasattr(getattr(stock, thing), name)
+    with pytest.raises(AttributeError, match=f"no attribute '{name}'; use .*{instead}"):
+        getattr(getattr(env, thing), name)
+    with pytest.raises(AttributeError, match=r"no attribute 'wheels'$"):
+        _ = getattr(env, thing).wheels
+
+
+def test_there_are_no_vehicles_before_the_first_reset() -> None:
+    env: Any = gymnasium.make("charms_bench/merge-v1", render_mode="rgb_array").unwrapped
+    for ask in ("env.vehicle", "env.road", "env.get_available_actions()", "env.render()"):
+        with pytest.raises(ResetNeeded, match="before the first reset"):
+            eval(ask, {"env": env})
+
+
+MORE = {"type": "ContinuousAction"}
+
+
+@pytest.mark.parametrize("name", ["highway-v0", "merge-v1", "exit-v1", "two-way-v0", "u-turn-v1"])
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"action": MORE}, "'ContinuousAction' is not supported in this environment yet, only in"),
+        (
+            {"action": {"type": "MultiAgentAction", "action_config": MORE}},
+            "'ContinuousAction' is not supported in this environment yet",
+        ),
+        ({"controlled_vehicles": 2}, "does not support several controlled vehicles yet, only"),
+    ],
+)
+def test_what_comes_later_is_rejected_by_a_sentence(name: str, config: Any, said: str) -> None:
+    with pytest.raises(InputError, match=f"^{name}: config.*{said}"):
+        gymnasium.make(f"charms_bench/{name}", config=config)
+    with pytest.raises(InputError, match=f"^{name}: config.*{said}"):
+        gymnasium.make_vec(f"charms_bench/{name}", num_envs=2, config=config)

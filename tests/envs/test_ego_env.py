@@ -10,6 +10,7 @@ import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation
 
@@ -20,7 +21,7 @@ from charms_bench.envs.ego_env import EgoEnv, ego_vector_env
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.registry import make_agent, make_traffic
-from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER
+from charms_bench.world.actions import ACTIONS, FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.observations import neighbours
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import EVALUATION_SEEDS, Floats, SceneSettings
@@ -174,6 +175,14 @@ def test_gymnasium_imports_what_registers_it_when_its_name_says_so() -> None:
     assert finished.stdout == "(7, 5)\n", finished.stderr
 
 
+def test_registering_the_environments_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, charms_bench.envs; print({'numba', 'highway_env', 'torch'} & {*sys.modules})"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert finished.stdout == "set()\n", finished.stderr
+
+
 @pytest.mark.parametrize("mode", ["sync", "vector_entry_point"])
 def test_gymnasium_makes_many_either_way(mode: str) -> None:
     many = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, **SHORT)
@@ -264,6 +273,73 @@ def test_unknown_traffics_actions_and_options_are_named() -> None:
     env.reset()
     with pytest.raises(InputError, match="action 5; expected 0 to 4: LANE_LEFT, IDLE"):
         env.step(5)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "names"),
+    [
+        ({"lateral": False}, ("SLOWER", "IDLE", "FASTER")),
+        ({"longitudinal": False}, ("LANE_LEFT", "IDLE", "LANE_RIGHT")),
+    ],
+)
+def test_three_meta_actions_are_those_of_highway_env(
+    left_out: dict[str, bool], names: tuple[str, ...]
+) -> None:
+    config = {"action": {"type": "DiscreteMetaAction", **left_out}}
+    stock: Any = gymnasium.make("highway-v0", config=config).unwrapped
+    assert (*stock.action_type.actions.values(),) == names
+    three, five, many = made(**left_out), made(), ego_vector_env(2, **left_out)
+    assert three.action_space == many.single_action_space == stock.action_space
+    for env in (three, five, many):
+        env.reset(seed=1)
+    for action, name in enumerate(names):
+        *found, info = three.step(action)
+        *expected, all_info = five.step(ACTIONS.index(name))
+        np.testing.assert_equal(found, expected)
+        np.testing.assert_array_equal(many.step([action, action])[0][0], expected[0])
+        chosen = [ACTIONS.index(each) for each in names]
+        assert info["action_mask"].tolist() == all_info["action_mask"][chosen].tolist()
+        assert many.action_masks().shape == (2, 3)
+    with pytest.raises(InputError, match="action 3; expected 0 to 2: " + ", ".join(names)):
+        three.step(3)
+
+
+def test_without_any_control_there_is_no_environment() -> None:
+    with pytest.raises(InputError, match="neither longitudinal nor lateral"):
+        EgoEnv(longitudinal=False, lateral=False)
+
+
+def test_before_the_first_reset_and_after_the_end_there_is_nothing_to_step() -> None:
+    env = EgoEnv(duration_s=1.0, render_mode="rgb_array", traffic_vehicles=8)
+    for early in (lambda: env.step(IDLE), env.render, env.action_masks):
+        with pytest.raises(ResetNeeded, match="before the first reset"):
+            early()
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(IDLE)
+    with pytest.raises(ResetNeeded, match="after the end of the episode"):
+        env.step(IDLE)
+    env.reset()
+    env.step(IDLE)
+
+
+@pytest.mark.parametrize("given", [1, np.int64(1), np.array(1), np.array(1, dtype=np.uint8)])
+def test_an_action_may_be_any_whole_number(given: Any) -> None:
+    env = EgoEnv(**SHORT)
+    env.reset(seed=1)
+    expected = env.step(IDLE)[0]
+    env.reset(seed=1)
+    np.testing.assert_array_equal(env.step(given)[0], expected)
+
+
+def test_tensors_are_actions_too() -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+    one, many = EgoEnv(**SHORT), ego_vector_env(2, **SHORT)
+    many.reset(seed=3)
+    together = many.step(torch.tensor([IDLE, FASTER]))[0]
+    for seed, action in ((3, IDLE), (4, FASTER)):
+        one.reset(seed=seed)
+        np.testing.assert_array_equal(one.step(torch.tensor(action))[0], together[seed - 3])
 
 
 def test_actions_sampled_with_the_mask_are_of_lanes_that_exist() -> None:

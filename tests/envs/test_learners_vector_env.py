@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
@@ -100,10 +101,29 @@ def test_a_scene_without_learners_is_replaced_by_the_next_within_the_step() -> N
     observations, _, terminations, _, infos = env.step(np.full(4, IDLE))
     assert terminations.tolist() == [True, True, False, False]
     assert env.alive.all()
-    assert env.simulation.seeds.tolist() == [2, 1]
+    # As a single environment that was seeded with 0 draws the seed of its next episode.
+    drawn = EVALUATION_SEEDS + int(np.random.default_rng(0).integers(2**62))
+    assert env.simulation.seeds.tolist() == [drawn, 1]
     other = LearnersVectorEnv(1, (0, 1), **SMALL)
-    np.testing.assert_array_equal(observations[:2], other.reset(seed=2)[0])
+    np.testing.assert_array_equal(observations[:2], other.reset(seed=drawn)[0])
     assert infos["final_info"]["seed"].tolist() == [0, 0, 0, 0]
+
+
+def test_three_meta_actions_mean_the_same() -> None:
+    three = LearnersVectorEnv(1, (0, 3), longitudinal=False, **SMALL)
+    five = LearnersVectorEnv(1, (0, 3), **SMALL)
+    for env in (three, five):
+        env.reset(seed=1)
+    for action in (LANE_LEFT, IDLE, LANE_RIGHT):
+        found = three.step([action, action])
+        np.testing.assert_array_equal(found[0], five.step([action, action])[0])
+        assert found[4]["action_mask"].shape == (2, 3)
+
+
+def test_a_step_needs_a_reset_before_it() -> None:
+    env = LearnersVectorEnv(1, **SMALL)
+    with pytest.raises(ResetNeeded):
+        env.step(np.full(5, IDLE))
 
 
 def test_actions_of_learners_that_have_left_have_no_effect() -> None:
@@ -133,9 +153,12 @@ def test_the_same_seed_and_actions_give_the_same_results() -> None:
 
 def test_without_a_seed_scenes_are_not_those_that_suites_evaluate_on() -> None:
     env = LearnersVectorEnv(2, **SMALL)
-    env.reset()
-    env.reset()
-    assert env.simulation.seeds.tolist() == [EVALUATION_SEEDS + 2, EVALUATION_SEEDS + 3]
+    drawn = set()
+    for _ in range(2):
+        env.reset()
+        drawn |= {*env.simulation.seeds.tolist()}
+    assert len(drawn) == 4
+    assert min(drawn) >= EVALUATION_SEEDS
 
 
 def test_gymnasiums_own_wrapper_counts_the_same_returns() -> None:
@@ -172,7 +195,7 @@ def test_what_cannot_be_is_one_message(arguments: dict[str, Any], message: str) 
 
 
 def test_reset_takes_no_options() -> None:
-    with pytest.raises(InputError, match="reset takes no options, got state"):
+    with pytest.raises(InputError, match="takes the option 'reset_mask', got state"):
         LearnersVectorEnv(2).reset(options={"state": 1})
 
 

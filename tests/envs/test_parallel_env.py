@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from pettingzoo.utils import parallel_to_aec
 
 from charms_bench.engine.endings import ENDINGS
 from charms_bench.engine.neighbours import locate
 from charms_bench.envs.learners_vector_env import LearnersVectorEnv
 from charms_bench.envs.parallel_env import HighwayParallelEnv
+from charms_bench.envs.road_parallel_env import RoadParallelEnv
 from charms_bench.errors import InputError
-from charms_bench.world.actions import FASTER, IDLE
+from charms_bench.world.actions import FASTER, IDLE, SLOWER
 from charms_bench.world.observations import EGO
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import EVALUATION_SEEDS
@@ -151,7 +153,26 @@ def test_wrong_actions_are_named(actions: dict[str, int], message: str) -> None:
         env.step(actions)
 
 
+def test_three_meta_actions_mean_the_same() -> None:
+    three, five = HighwayParallelEnv(lateral=False), HighwayParallelEnv()
+    for env in (three, five):
+        env.reset(seed=1)
+    assert three.action_space("vehicle_3").n == 3
+    for action, same in ((0, SLOWER), (1, IDLE), (2, FASTER)):
+        found = three.step(dict.fromkeys(three.agents, action))
+        expected = five.step(dict.fromkeys(five.agents, np.int64(same)))
+        np.testing.assert_equal(found[:4], expected[:4])
+    assert found[4]["vehicle_0"]["action_mask"].tolist() == [1, 1, 1]
+
+
+def test_a_step_needs_a_reset_before_it() -> None:
+    for env in (HighwayParallelEnv(), RoadParallelEnv("intersection-multi-agent-v1")):
+        for early in ({}, {"vehicle_0": 1}):
+            with pytest.raises(ResetNeeded):
+                env.step(early)
+
+
 @pytest.mark.parametrize("seed", [-1, 2**64])
 def test_a_seed_that_no_episode_has_is_refused(seed: int) -> None:
-    with pytest.raises(InputError, match=f"seed is {seed}; expected 0 to"):
+    with pytest.raises(InputError, match=f"seed {seed}; expected an integer from 0 to"):
         HighwayParallelEnv().reset(seed=seed)

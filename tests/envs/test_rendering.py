@@ -1,9 +1,11 @@
 """What the environments draw: the picture of a replay, in videos and in a window."""
 
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -101,6 +103,14 @@ def test_a_second_shows_as_many_pictures_as_decisions() -> None:
 @pytest.mark.usefixtures("display")
 def test_gymnasiums_checker_has_nothing_to_say_about_what_is_drawn() -> None:
     check_env(made(None).unwrapped)
+
+
+@pytest.mark.usefixtures("display")
+def test_a_copy_does_not_take_the_window_along() -> None:
+    env = made("human")
+    env.reset(seed=1)
+    for other in (deepcopy(env), pickle.loads(pickle.dumps(env))):
+        np.testing.assert_array_equal(other.step(FASTER)[0], deepcopy(env).step(FASTER)[0])
 
 
 def test_gymnasium_lists_the_frames_of_an_episode() -> None:

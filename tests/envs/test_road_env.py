@@ -459,6 +459,57 @@ def test_a_seed_that_is_none_is_rejected(seed: Any) -> None:
             env.reset(seed=given)
 
 
+def leaves(info: Any) -> Iterator[Any]:
+    """What an info is made of."""
+    parts = info.values() if isinstance(info, dict) else info
+    for each in parts:
+        yield from leaves(each) if isinstance(each, dict | tuple) else (each,)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_infos_are_made_of_pythons_own_numbers(name: str) -> None:
+    """As in highway-env; wrappers such as `NumpyToTorch` know no other truth values."""
+    env: Any = ours(name).unwrapped
+    _, info = env.reset(seed=0)
+    action = env.action_space.sample()
+    given = [*leaves(action)] if isinstance(action, tuple) else [action]
+    *_, later = env.step(action)
+    for each in (*leaves(info), *leaves(later)):
+        assert type(each) in (int, float, bool) or any(each is one for one in given)
+
+
+def test_an_action_beyond_the_range_is_clipped_unless_the_configuration_says_otherwise() -> None:
+    for clip, expected in ((True, 1.0), (False, 1.5)):
+        config = {"action": {"type": "ContinuousAction", "longitudinal": False, "clip": clip}}
+        env = ours("racetrack-v1", config=config)
+        theirs = gymnasium.make("racetrack-v1", config=config)
+        for each in (env, theirs):
+            each.reset(seed=0)
+            each.step(np.array([1.5], dtype=np.float32))
+        own = env.unwrapped.vehicle.action["steering"]
+        assert own == theirs.unwrapped.vehicle.action["steering"]
+        assert own == pytest.approx(expected * np.pi / 4, rel=1e-6)
+        if clip:
+            env.step(np.array([np.inf], dtype=np.float32))
+        else:
+            with pytest.raises(InputError, match="not all of them are finite"):
+                env.step(np.array([np.inf], dtype=np.float32))
+
+
+def test_lists_and_tensors_are_actions() -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra 'train'")
+    many = vector("merge-v1", 2)
+    pair: Any = RoadEnv("intersection-multi-agent-v0")
+    for as_given in (list, torch.tensor):
+        many.reset(seed=0)
+        *_, infos = many.step(as_given([0, 3]))
+        assert infos["action"].tolist() == [0, 3]
+        pair.reset(seed=0)
+        pair.step(as_given([1, 1]))
+    with pytest.raises(InputError, match="expected those of several agents"):
+        pair.step(1)
+
+
 def test_a_step_needs_a_reset_before_it() -> None:
     several: Any = gymnasium.make_vec("charms_bench/merge-v1", num_envs=2)
     for env, action in ((RoadEnv("merge-v1"), 1), (several, np.array([1, 1]))):

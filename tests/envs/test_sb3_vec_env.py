@@ -15,6 +15,7 @@ from charms_bench.engine.endings import OFF_ROAD, TIME
 from charms_bench.engine.neighbours import locate
 from charms_bench.envs.ego_env import ego_vector_env
 from charms_bench.envs.sb3 import EpisodesVecEnv
+from charms_bench.errors import InputError
 from charms_bench.world.actions import IDLE
 
 SHORT = {"traffic_vehicles": 2, "ego_slots": 1, "duration_s": 1.0, "traffic": "level_0"}
@@ -67,6 +68,19 @@ def test_what_is_drawn_of_several_episodes_is_one_picture() -> None:
     height, width, _ = frames[0].shape
     assert tiles.shape == (2 * height, 2 * width, 3)
     np.testing.assert_array_equal(tiles[height:, :width], frames[2])
+
+
+def test_options_that_would_have_no_effect_are_named() -> None:
+    env = environment(2)
+    with pytest.warns(UserWarning, match="set_options has no effect"):
+        env.set_options({"state": 1})
+    env.set_options()
+    env.reset()
+
+
+def test_it_takes_no_environment_whose_episodes_restart_later() -> None:
+    with pytest.raises(InputError, match=r"autoreset_mode is .*NEXT_STEP.*; expected 'SameStep'"):
+        EpisodesVecEnv(ego_vector_env(2, autoreset_mode="NextStep", **SHORT))
 
 
 def test_a_window_shows_what_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

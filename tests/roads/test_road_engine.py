@@ -1,5 +1,7 @@
 """Agents of the straight road drive the egos of highway-env's other roads."""
 
+import pickle
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +58,18 @@ def simulation(
     simulation = Simulation(settings, scenes, "ego", traffic, agents, RoadEngine)
     simulation.reset(np.arange(scenes, dtype=np.uint64))
     return simulation
+
+
+@pytest.mark.parametrize("traffic", [PRESCRIBED, "idm_mobil"])
+def test_a_copy_of_a_simulation_continues_like_its_original(traffic: str) -> None:
+    ours = simulation("merge-v0", "idm_mobil", 2, OneAgent(traffic))
+    ours.step()
+    others = deepcopy(ours), pickle.loads(pickle.dumps(ours))
+    for each in (*others, ours):
+        for _ in range(6):
+            each.step()
+    for other in others:
+        assert other.state() == ours.state()
 
 
 def on_network(simulation: Simulation) -> Any:

@@ -1,0 +1,22 @@
+"""What plugins see of the scenes of an engine."""
+
+from functools import cached_property
+from typing import Any
+
+from charms_bench.world.scene import Scene
+
+
+class Shown:
+    """Has the read-only views of a scene's arrays, which a copy of the engine makes anew.
+
+    Copies of views would be arrays of their own, in which nothing ever happens.
+    """
+
+    scene: Scene
+
+    @cached_property
+    def _shown(self) -> Scene:
+        return self.scene.read_only()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_shown"}
