@@ -277,6 +277,30 @@ def assign(self, rng, scenes, vehicles):
     return np.full((scenes, vehicles), "level_0")
 """,
     ),
+    _traffic(
+        "A traffic of one agent that assigns another",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    return np.full((scenes, vehicles), "level_0")
+""",
+    ),
+    _traffic(
+        "A traffic of one agent that assigns too few",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    return np.full((scenes, vehicles - 1), "idm_mobil")
+""",
+    ),
+    _traffic(
+        "A traffic of one agent that assigns nothing",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    pass
+""",
+    ),
     _policy(
         "A policy that ends its process",
         """
