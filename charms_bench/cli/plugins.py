@@ -203,10 +203,9 @@ def export(
 
     In a suite, the path of an ONNX file is the name of an agent.
     """
-    import yaml
-
     from charms_bench.foundation.files import absolute, is_same_file
     from charms_bench.plugins.registry import EXPORTERS, load
+    from charms_bench.runs.document import value_of
     from charms_bench.world.observations import named_observation
 
     files, to = [absolute(file) for file in files], to and absolute(to)
@@ -224,9 +223,9 @@ def export(
         if is_same_file(checkpoint, output):
             raise InputError(f"{checkpoint}: is also the file to write; choose another name")
     try:
-        seen = named_observation(yaml.safe_load(observation))
-    except yaml.YAMLError as error:
-        raise InputError(f"--observation {observation}: is not YAML") from error
+        seen = named_observation(value_of(observation))
+    except ValueError as error:
+        raise InputError(f"--observation {observation}: is not YAML: {error}") from error
     hz = decision_hz or DECISION_HZ[seen.name]
     facts = {"decision_hz": f"{hz:g}"} | ({"style": style} if style else {})
     export_zip = load(EXPORTERS, "sb3")
