@@ -63,6 +63,9 @@ EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
 """The rows of `neighbours` and `paper_neighbours`."""
 COMMANDS, ACTION_MASK = 7, -1
 """Their rows with the options of these names."""
+TRAINED_IN = "charms_bench"
+"""The attribute in which the observation space of an environment says which environment it is, by
+what a checkpoint of a training there can be told from others."""
 X_SCALE_M = 165.0
 Y_SCALE_M = 12.0
 SPEED_SCALE_MPS = 66.0

@@ -95,7 +95,7 @@ def test_an_unknown_kind_of_interval_is_named(monkeypatch: pytest.MonkeyPatch) -
     metric = Metric("haste", "", "", "", (pl.len(), pl.len()), interval="wilsn")  # type: ignore[arg-type]
     made = MetricSet("mine", 1, (metric,))
     monkeypatch.setattr("charms_bench.runs.metric_sets.load", lambda group, name: made)
-    with pytest.raises(InputError, match="'mine': haste: no interval named 'wilsn'.*'wilson'"):
+    with pytest.raises(InputError, match=r"'mine': haste: no interval named 'wilsn'.*'wilson'"):
         metric_sets(["mine"])
 
 
