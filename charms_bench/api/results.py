@@ -121,6 +121,26 @@ class Run:
                 found.append(f"{name} in {rows.traffic}: {said}")
         return [*found, MEANING] if found else []
 
+    def interfaces(self) -> list[str]:
+        """A line about each ego that is a network: what it observes and does, and how often."""
+        from charms_bench.plugins.onnx_policy import OnnxPolicy
+        from charms_bench.plugins.registry import is_network
+        from charms_bench.world.observations import described
+
+        found = []
+        for ego in self.suite.egos:
+            if not is_network(ego.agent.name):
+                continue
+            if (path := self._finished.folder.network(ego.agent.name)) is not None:
+                policy = OnnxPolicy(path, ego.agent.decision_hz)
+                seen, _, _ = described(policy.observation).partition(": (")
+                last = policy.history_length
+                found.append(
+                    f"{ego.title}: observes {seen}{f', the last {last}' if last > 1 else ''}; "
+                    f"chooses {policy.actions} actions at {policy.decision_hz:g} Hz"
+                )
+        return found
+
     @property
     def files(self) -> list[Path]:
         """The tables and figures in the folder that people read."""

@@ -207,6 +207,9 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
         chosen = headline(run.suite, stored_tables(run.path, run.suite))
         width = min(out().width, HEADLINE_WIDTH)
         out().print(compact(chosen, width), width=width)
+        with suppress(InputError):  # the tables do not need the networks
+            for line in run.interfaces():
+                say(line)
     folder = shown(run.path)
     say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
@@ -250,7 +253,8 @@ def show(
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
     with suppress(RunFolderError):  # tables are shown even where their rows are missing
-        if remarks := api.open_run(run).remarks():
+        opened = api.open_run(run)
+        if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
 
 
