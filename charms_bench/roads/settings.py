@@ -76,9 +76,9 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
         return "it plans on copies of a straight road"
     if agent.weights_sha256 and isinstance(observation_of(agent.observation), Kinematics):
         return (
-            "a network of highway-env's Kinematics receives on this road neither the ranges nor the "
-            "target speeds of the environment that it was trained in; its row would be of another "
-            "task"
+            "a network of highway-env's Kinematics receives on this road neither the ranges nor "
+            "the target speeds of the environment that it was trained in; its row would be of "
+            "another task"
         )
     if agent.actions == "meta" and speed < least:
         return (

@@ -170,9 +170,17 @@ def observation_described(text: str) -> Neighbours | Kinematics:
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:
-        return named_observation(json.loads(text))
+        return named_observation(json.loads(text, object_pairs_hook=_each_once))
     except (ValueError, RecursionError) as error:
         raise InputError(f"observation: is not JSON: {error}") from error
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"'{name[:80]}' is given twice")
+    return dict(pairs)
 
 
 def commands_of(scene: Scene, vehicles: Vehicles) -> Floats:
