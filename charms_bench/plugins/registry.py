@@ -47,6 +47,7 @@ _TEXTS: Mapping[type, tuple[str, ...]] = {
     Event: ("definition",),
 }
 """The attributes of plugins that are texts."""
+_MISSING = object()
 
 
 def is_network(name: str) -> bool:
@@ -250,10 +251,10 @@ def _problem_of(made: object, *kinds: type) -> str:
         _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
     for kind, names in _TEXTS.items():
         for name in names if isinstance(made, kind) else ():
-            if not hasattr(made, name):
-                return f"has no `{name}`; expected a text"
-            if not isinstance(found := getattr(made, name), str):
-                return f"has {name} {found!r}; expected a text"
+            found = getattr(made, name, _MISSING)
+            if not isinstance(found, str):
+                has = f"no `{name}`" if found is _MISSING else f"{name} {found!r}"
+                return f"has {has}; expected a text"
     if isinstance(made, Traffic):
         listed = made.agents
         if not isinstance(listed, tuple | list) or not all(type(name) is str for name in listed):

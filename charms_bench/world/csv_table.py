@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Collection, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
 from charms_bench.errors import DataError, suggestion
-from charms_bench.foundation.files import is_compressed, size_of
+from charms_bench.foundation.files import is_compressed, read_limited, size_of
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000
@@ -53,7 +54,7 @@ def read_table(
         DataError: The file cannot be read or is too large, a column is missing, or a value is
             not allowed.
     """
-    header = _header(path, limit)
+    header = header_of(path, limit)
     columns = {**columns, **{name: None for name in optional if name in header}}
     for name in columns:
         if name not in header:
@@ -84,7 +85,23 @@ def read_table(
     return table.with_columns(pl.col(whole).cast(pl.Int64))
 
 
-def _header(path: Path, limit: int) -> list[str]:
+def read_parquet(path: Path) -> pl.DataFrame:
+    """A Parquet table with the same limits; raises a `DataError`."""
+    try:
+        data = read_limited(path, SIZE_LIMIT_BYTES)
+        table = pl.read_parquet(BytesIO(data), n_rows=ROW_LIMIT + 1)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except pl.exceptions.PolarsError as error:
+        reason = str(error).partition("\n")[0]
+        raise DataError(f"{path}: not a Parquet table: {reason}") from error
+    if table.height > ROW_LIMIT:
+        raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
+    return table
+
+
+def header_of(path: Path, limit: int = SIZE_LIMIT_BYTES) -> list[str]:
+    """The names of a table's columns; raises a `DataError` for a file that must not be read."""
     try:
         if size_of(path) > limit:
             raise DataError(f"{path}: larger than {limit:,} bytes; split the recording")

@@ -158,3 +158,10 @@ def test_a_name_that_ends_in_onnx_is_the_path_of_a_network(
 def test_an_unknown_traffic_lists_traffics_and_agents() -> None:
     with pytest.raises(RegistryError, match=r"no traffic named 'x'.*outside_traffic.*stackelberg"):
         make_traffic("x")
+
+
+def test_a_message_has_no_address_of_an_object() -> None:
+    with pytest.raises(RegistryError) as caught:
+        make_agent("stackelberg", {"gain": object()})
+    assert " at 0x" not in str(caught.value)
+    assert str(RegistryError(f"found {object()!r}")) == "found <object object>"

@@ -94,6 +94,38 @@ def test_merge_keys_are_an_error(tmp_path: Path) -> None:
     assert "suite.yaml:5: merge keys (<<) are not supported" in complaint(tmp_path, text)
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("A", "A "),
+        ("A B", "A  B"),
+        ("é", "e\u0301"),
+        ("ＰＰＯ", "PPO"),
+        ("PPO", "РРО"),
+        ("PPO", "PPO\ufe0f"),
+        ("PPO", "PPO\u3164"),
+        ("A", "Α"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["egos", "traffic_models"])
+def test_labels_that_look_alike_are_an_error(
+    one: str, other: str, kind: str, tmp_path: Path
+) -> None:
+    entry = '- {%s: idm_mobil, label: "%s"}\n'
+    what = "agent" if kind == "egos" else "traffic"
+    lines = "".join(f"  {entry % (what, label)}" for label in (one, other))
+    old = "  - agent: idm_mobil\n" if kind == "egos" else "  - traffic: idm_mobil\n"
+    assert "look in tables as if called" in complaint(tmp_path, SUITE.replace(old, lines))
+
+
+def test_labels_that_differ_may_look_similar(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    labels = ("PPO", "ppo", "PPO 1", "PPO-1", "P.P.O", "Ümit", "Umit")
+    entries = "".join(f"  - {{agent: idm_mobil, label: {label}}}\n" for label in labels)
+    path.write_text(SUITE.replace("  - agent: idm_mobil\n", entries), encoding="utf-8")
+    assert len(Document(path).validate(Suite).egos) == 8
+
+
 TRUCKS = "scene:\n  vehicle_types:\n  - {name: truck, proportion: 1.0}\n"
 
 
