@@ -104,6 +104,9 @@ def _problems_of_node(node: Message) -> Iterator[str]:
             yield "has texts among its tensors"
         for tensor in (*attribute["tensor"], *attribute["tensors"]):
             yield from _problems_of_tensor(tensor)
+        names = [*map(text_of, attribute["name"])]
+        if names == ["to"] and _STRING in attribute["integer"]:
+            yield "has texts among its tensors"
         if attribute["graph"]:
             yield "has graphs within its graph"
         if attribute["sparse"]:

@@ -179,6 +179,14 @@ def test_a_constant_that_an_input_replaces_does_not_count() -> None:
     assert problem_of(loaded.SerializeToString()).startswith("divides integers")
 
 
+def test_a_network_makes_no_texts() -> None:
+    nodes = [
+        helper.make_node("Cast", ["observations"], ["text"], to=TensorProto.STRING),
+        helper.make_node("Cast", ["text"], ["large"], to=TensorProto.FLOAT),
+    ]
+    assert problem_of(model(nodes)) == "has texts among its tensors"
+
+
 def test_floating_point_numbers_are_divided() -> None:
     nodes = [
         helper.make_node("ReduceMean", ["observations"], ["mean"], axes=[1]),
