@@ -24,6 +24,7 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
     bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
@@ -247,7 +248,9 @@ def show(
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
         print_json({**facts, "tables": tables})
         return
-    cells = f"{len(suite.egos)} × {len(suite.traffics)} cells of {suite.episodes:,} episodes"
+    cells = (
+        f"{len(suite.egos)} × {len(suite.traffics)} cells of {counted(suite.episodes, 'episode')}"
+    )
     engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
@@ -370,8 +373,8 @@ def report(
         print_json(made)
         return
     say(
-        f"{output}: {len(runs)} run{'s' * (len(runs) > 1)}, {len(made['replays'])} replays, "
-        f"{made['bytes'] / 1e6:.1f} MB"
+        f"{output}: {counted(len(runs), 'run')}, {counted(len(made['replays']), 'replay')}, "
+        f"{made['bytes'] / 1e6:z.1f} MB"
     )
 
 
@@ -406,7 +409,7 @@ def audit(
     else:
         for line in found.lines():
             say(line)
-        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
+        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
         is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
         say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
     raise typer.Exit(EXIT_CODES[found.verdict])

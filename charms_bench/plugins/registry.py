@@ -249,11 +249,11 @@ def _problem_of(made: object, *kinds: type) -> str:
     if isinstance(made, Policy):
         # Properties may raise here.
         _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
-    for kind, names in _TEXTS.items():
-        for name in names if isinstance(made, kind) else ():
-            found = getattr(made, name, _MISSING)
+    for kind, texts in _TEXTS.items():
+        for text in texts if isinstance(made, kind) else ():
+            found = getattr(made, text, _MISSING)
             if not isinstance(found, str):
-                has = f"no `{name}`" if found is _MISSING else f"{name} {found!r}"
+                has = f"no `{text}`" if found is _MISSING else f"{text} {found!r}"
                 return f"has {has}; expected a text"
     if isinstance(made, Traffic):
         listed = made.agents

@@ -9,6 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.errors import RegistryError
+from charms_bench.foundation.words import counted
 from charms_bench.metrics import Metric, sums_by_episode
 from charms_bench.metrics.metric import problem_of_sums
 from charms_bench.world.following import BINS, QUANTITIES
@@ -34,7 +35,7 @@ class CellRows:
     """Values that the paper reports, by metric of the set `paper`."""
 
     def __repr__(self) -> str:
-        return f"<CellRows {self.agent} in {self.traffic}: {self.size:,} episodes>"
+        return f"<CellRows {self.agent} in {self.traffic}: {counted(self.size, 'episode')}>"
 
     @cached_property
     def episodes(self) -> pl.DataFrame:

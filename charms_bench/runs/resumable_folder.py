@@ -21,6 +21,7 @@ from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import RunFolderError, problem_in
 from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
@@ -371,10 +372,10 @@ class RunFolder:
         lost = [name for name in self.finished() if name not in names]
         if episodes > suite.episodes and lost:
             raise RunFolderError(
-                f"{self.path}: has {len(lost)} finished shards of a run of {episodes:,} episodes, "
-                f"which a run of {suite.episodes:,} would delete; choose another folder with "
-                f"--output, run with --episodes {episodes}, or delete them with --shorten "
-                "(in Python: output, episodes or shorten)"
+                f"{self.path}: has {counted(len(lost), 'finished shard')} of a run of "
+                f"{counted(episodes, 'episode')}, which a run of {suite.episodes:,} would delete; "
+                f"choose another folder with --output, run with --episodes {episodes}, or delete "
+                "them with --shorten (in Python: output, episodes or shorten)"
             )
 
     def drop_others(self, shards: Iterable[Shard]) -> None:

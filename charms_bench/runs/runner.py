@@ -11,6 +11,7 @@ from typing import TypeVar
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.foundation.words import counted
 from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
@@ -158,8 +159,8 @@ def _note_replaced(
     )
     for ego, count in replaced.items():
         notice(
-            f"{ego}: {count} finished shards are replaced, because the agent, the traffic model or "
-            "the software has changed"
+            f"{ego}: {counted(count, 'finished shard')} replaced, because the agent, the traffic "
+            "model or the software has changed"
         )
 
 

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, mo
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name
 from charms_bench.foundation.names import alike
+from charms_bench.foundation.words import counted
 from charms_bench.metrics import METRIC_SETS, PAPER, ROADS, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
@@ -140,7 +141,7 @@ class Suite(FrozenModel):
 
     def __repr__(self) -> str:
         cells = f"{len(self.egos)} egos x {len(self.traffics)} traffic models"
-        return f"<Suite {self.suite}: {cells}, {self.episodes:,} episodes each>"
+        return f"<Suite {self.suite}: {cells}, {counted(self.episodes, 'episode')} each>"
 
     __str__ = __repr__
 
@@ -180,7 +181,7 @@ class Suite(FrozenModel):
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(
-                f"{total:,} episodes in all cells; expected at most {EPISODES_LIMIT:,}"
+                f"{counted(total, 'episode')} in all cells; expected at most {EPISODES_LIMIT:,}"
             )
         return self
 

@@ -234,7 +234,7 @@ def agent_answers_in_time(agent: Agent) -> None:
         answers = ask()
         took.append((time.perf_counter() - start) * 1e3 / answers.shape[-1])
     took_ms = min(took)
-    _require(took_ms <= SLOW_MS, f"takes {took_ms:.1f} ms per vehicle; expected <= {SLOW_MS} ms")
+    _require(took_ms <= SLOW_MS, f"takes {took_ms:z.1f} ms per vehicle; expected <= {SLOW_MS} ms")
 
 
 def traffic_assigns_its_agents(traffic: Traffic) -> None:

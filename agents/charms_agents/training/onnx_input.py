@@ -34,7 +34,7 @@ class Given:
                 is_before = ~frames[:, k].any(axis=1)
                 frames[is_before, k] = frames[is_before, k + 1]
         flat = frames.reshape(len(frames), -1)
-        if self.mean is None:
+        if self.mean is None or self.deviation is None:
             return flat
         values = (flat - self.mean) / self.deviation
         return np.asarray(np.clip(values, -self.clip, self.clip), np.float32)
