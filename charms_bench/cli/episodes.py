@@ -244,6 +244,10 @@ def what_if(
 @app.command()
 def search(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
+    agent: Annotated[
+        str | None,
+        typer.Option(help="Installed agent, or ONNX file of a network, instead of --ego."),
+    ] = None,
     ego: Annotated[
         str | None, typer.Option(help="Label of an ego of the suite, or an installed agent.")
     ] = None,
@@ -257,7 +261,9 @@ def search(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder; the default is runs/SUITE-search."),
+        typer.Option(
+            "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -270,7 +276,16 @@ def search(
     from charms_bench.episodes.search import FOUND
 
     with interruptible():
-        made = api.search(suite, ego, traffic, output, failures=failures, budget=budget, seed=seed)
+        made = api.search(
+            suite,
+            ego,
+            traffic,
+            output,
+            agent=agent,
+            failures=failures,
+            budget=budget,
+            seed=seed,
+        )
     assert made.path is not None
     found = shown(made.path / FOUND)
     if as_json:

@@ -10,6 +10,7 @@ import typer
 from charms_bench.cli.terminal import (
     FAIL,
     UNKNOWN,
+    EgoAgents,
     Json,
     MetricSets,
     RunPath,
@@ -19,6 +20,7 @@ from charms_bench.cli.terminal import (
     interruptible,
     out,
     print_json,
+    print_records,
     print_table,
     say,
     shown,
@@ -80,14 +82,7 @@ def run(
     suite: Annotated[
         Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
     ],
-    agents: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--agent",
-            help="Installed agent, or ONNX file of a network, that drives the ego besides the "
-            "suite's egos; repeat for more.",
-        ),
-    ] = None,
+    agents: EgoAgents = None,
     episodes: Annotated[
         int | None,
         typer.Option(min=1, help="Episodes per ego and traffic model; overrides the suite."),
@@ -218,7 +213,10 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
 @app.command()
 def show(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder of an evaluation or a training.")
+        Path,
+        typer.Argument(
+            metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
+        ),
     ],
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="Show only this metric; repeat for more.")
@@ -228,14 +226,22 @@ def show(
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench import api
+    from charms_bench.api.failures import MANIFEST as SEARCH
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
+    from charms_bench.runs.rare import MANIFEST as RARE
     from charms_bench.runs.resumable_folder import MANIFEST, RunFolder
 
     if not holds(run, MANIFEST):
         if metrics or everything:
             raise InputError(f"{run}: is not an evaluation; --metric and --all are for those")
+        if holds(run, RARE):
+            _print_rare(run, as_json)
+            return
+        if holds(run, SEARCH):
+            _print_search(run, as_json)
+            return
         _print_training(api.open_training(run), as_json, curves=True)
         return
     folder = RunFolder(run)
@@ -259,6 +265,43 @@ def show(
         opened = api.open_run(run)
         if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
+
+
+def _print_rare(folder: Path, as_json: bool) -> None:
+    """The tables that `rare` has written."""
+    from charms_bench.foundation.files import read_file
+    from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_csv
+
+    paths = sorted((folder / "tables").glob("*.csv"))
+    if not paths:
+        raise InputError(f"{folder}: is not finished; the same command continues there")
+    if as_json:
+        print_json({path.stem: read_csv(path).to_dicts() for path in paths})
+        return
+    for path in paths:
+        text = read_file(path.with_suffix(".md"), TABLE_LIMIT_BYTES)
+        say(text.decode(errors="replace").rstrip())
+
+
+def _print_search(folder: Path, as_json: bool) -> None:
+    """The failures in the suite that `search` has written."""
+    from charms_bench.episodes.search import FOUND
+    from charms_bench.runs.suite import load_suite
+
+    path = folder / FOUND
+    points: Any = ()
+    if path.exists():
+        scenarios = (entry.traffic.scenario for entry in load_suite(path).traffics)
+        points = next((each.points for each in scenarios if each is not None), ())
+    if as_json:
+        print_json({"failures": list(points), "suite": str(path) if points else None})
+        return
+    if not points:
+        say(f"{folder}: no failure")
+        return
+    records = [{"failure": str(k), **point} for k, point in enumerate(points)]
+    print_records("failure", records, dict.fromkeys(points[0], ".3f"))
+    say(f"Run them with `charms-bench run {shown(path)}`")
 
 
 def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
