@@ -27,11 +27,19 @@ from charms_bench.foundation.words import counted
 
 @app.command()
 def data(
-    folder: Annotated[Path, typer.Argument(help="Folder of recordings in highD's format.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDINGS",
+            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
+            "of I-24 or I-75.",
+        ),
+    ],
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
     """Summarise recordings of human driving."""
+    from charms_bench.errors import InputError
     from charms_bench.foundation.files import absolute
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
@@ -44,9 +52,15 @@ def data(
     if figure is not None:
         check_figure(figure)
         figure = absolute(figure)
+    if folder.suffix == ".parquet":
+        if figure is not None:
+            raise InputError(f"{folder}: is a table of trips; --figure is for other recordings")
+        _print_trips(folder, as_json)
+        return
     samplers = {name: load(SAMPLERS, name)() for name in plugins(SAMPLERS)}
     with progress("recordings", len(find_trios(folder))) as tell:
-        found, learnable = survey(folder, samplers, lambda count: tell("", count))
+        notes: list[str] = []
+        found, learnable = survey(folder, samplers, lambda count: tell("", count), notes.append)
     if figure is not None:
         draw(found, learnable, figure)
     facts = found.facts()
@@ -64,8 +78,39 @@ def data(
         )
     for name, each in learnable.items():
         _print_learnable(name, each)
+    for reason in notes:
+        say(f"\n{reason}")
     if figure is not None:
         say(f"Figure: {shown(figure)}")
+
+
+def _print_trips(path: Path, as_json: bool) -> None:
+    """What `calibrate` reads in a table."""
+    import numpy as np
+
+    from charms_bench.people.trips import RATE_HZ, read_trips
+
+    trips = read_trips(path)
+    gap, speed = (np.concatenate([getattr(each, n) for each in trips]) for n in ("gap", "speed"))
+    facts: dict[str, Any] = {
+        "drivers": len({trip.driver for trip in trips}),
+        "trips": len(trips),
+        "following_h": gap.size / RATE_HZ / 3600,
+        "speed_mean_mps": float(speed.mean()),
+        "gap_mean_m": float(gap.mean()),
+        "time_gap_mean_s": float((gap / np.maximum(speed, 1.0)).mean()),
+    }
+    if as_json:
+        print_json(facts)
+        return
+    forms = {"following_h": "z.2f", "speed_mean_mps": "z.1f", "gap_mean_m": "z.1f"}
+    records = [
+        {"fact": name.replace("_", " "), "found": f"{value:{forms.get(name, 'z.2f')}}"}
+        if isinstance(value, float)
+        else {"fact": name, "found": f"{value:,}"}
+        for name, value in facts.items()
+    ]
+    print_records("fact", records, {"found": ""})
 
 
 def _print_facts(found: dict[str, Any]) -> None:
