@@ -126,7 +126,8 @@ class Run:
         """A line about each ego that is a network: what it observes and does, and how often."""
         from charms_bench.plugins.onnx_policy import OnnxPolicy
         from charms_bench.plugins.registry import is_network
-        from charms_bench.world.observations import Kinematics, Neighbours, described
+        from charms_bench.world.kinematics_observation import Kinematics
+        from charms_bench.world.observations import Neighbours, described
 
         found = []
         for ego in self.suite.egos:

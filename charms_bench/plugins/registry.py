@@ -250,7 +250,7 @@ def _problem_of(made: object, *kinds: type) -> str:
         # Properties may raise here.
         _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
     for kind, texts in _TEXTS.items():
-        for text in texts if isinstance(made, kind) else ():
+        for text in texts * isinstance(made, kind):
             found = getattr(made, text, _MISSING)
             if not isinstance(found, str):
                 has = f"no `{text}`" if found is _MISSING else f"{text} {found!r}"

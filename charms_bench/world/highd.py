@@ -274,7 +274,8 @@ def slope(
     after = np.minimum(np.arange(size) + around, last)
     duration_s = (frames[after] - frames[before]) / rate_hz
     change = values[after] - values[before]
-    return np.divide(change, duration_s, out=np.zeros(size), where=duration_s > 0)
+    found: Floats = np.divide(change, duration_s, out=np.zeros(size), where=duration_s > 0)
+    return found
 
 
 def _completed(meta: pl.DataFrame, tracks: pl.DataFrame) -> pl.DataFrame:

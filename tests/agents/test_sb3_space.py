@@ -93,6 +93,13 @@ def test_a_highway_env_network_is_not_exported_as_one_of_neighbours(tmp_path: Pa
     assert "observes Kinematics, decides at 1 Hz" in done.stdout
 
 
+def test_the_environment_of_the_papers_authors_has_no_bounds(tmp_path: Path) -> None:
+    config = {"observation": {"type": "Kinematics", "vehicles_count": 7}}
+    _, path = trained(gymnasium.make("highway-v0", config=config), tmp_path)
+    export_zip(path, tmp_path / "out.onnx", {}, paper_neighbours)
+    assert OnnxPolicy(tmp_path / "out.onnx").observation == paper_neighbours
+
+
 def test_a_network_with_bounds_is_not_exported_as_one_of_kinematics(tmp_path: Path) -> None:
     env = RescaleObservation(gymnasium.make("charms_bench/Ego-v0"), np.float32(0), np.float32(1))
     _, path = trained(env, tmp_path)
@@ -155,9 +162,25 @@ def test_statistics_that_are_missing_are_named(tmp_path: Path) -> None:
 
 def test_rewards_alone_may_be_normalised(tmp_path: Path) -> None:
     _, path = trained(VecNormalize(made(), norm_obs=False), tmp_path)
-    assert "--normalise none if it normalised rewards only" in refusal(path)
-    done = charms_bench("export", path, tmp_path / "out.onnx", "--normalise", "none")
-    assert done.returncode == 0, done
+    for more in (), ("--normalise", "none"):
+        done = charms_bench("export", path, tmp_path / "out.onnx", *more)
+        assert done.returncode == 0, done
+
+
+@pytest.mark.parametrize("norm_obs", [False, True])
+@pytest.mark.parametrize("kind", ["DQN", "SAC"])
+def test_off_policy_algorithms_are_told_from_those_behind_a_normalisation(
+    kind: str, norm_obs: bool, tmp_path: Path
+) -> None:
+    env = made(actions="continuous" if kind == "SAC" else "meta")
+    env = VecNormalize(env, norm_obs=True) if norm_obs else env
+    model = getattr(sb3, kind)("MlpPolicy", env, learning_starts=8, buffer_size=64, device="cpu")
+    model.learn(40)
+    model.save(tmp_path / "model.zip")
+    if norm_obs:
+        assert "was trained with VecNormalize" in refusal(tmp_path / "model.zip")
+    else:
+        export_zip(tmp_path / "model.zip", tmp_path / "out.onnx", {})
 
 
 @pytest.mark.parametrize("actions", ["meta", "continuous"])

@@ -122,7 +122,7 @@ def export_zip(
             )
         trained, width = trained_on(data), _width(tensors, found)
         if normalise == NOT_OBSERVATIONS:
-            trained, normalise = trained._replace(normalised=False), None
+            trained, normalise = trained._replace(has_original=False), None
         seen = input_of(trained, observation, width, normalise is not None)
         given = Given(seen.history, seen.repeats)
         if normalise is not None:

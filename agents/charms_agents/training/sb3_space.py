@@ -5,7 +5,9 @@ The JSON of `data` has the shape and the bounds of the observation space as text
 environments of charms-bench also have `TRAINED_IN`.
 """
 
+import base64
 import json
+import pickletools
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
@@ -21,6 +23,7 @@ from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     TRAINED_IN,
     Neighbours,
+    PaperNeighbours,
     neighbours,
     observation_described,
 )
@@ -44,8 +47,12 @@ class Trained(NamedTuple):
     bounds: NDArray[np.float64] | None = None
     """(2, ...) the lowest and the highest values."""
     where: Mapping[str, Any] = {}
-    normalised: bool = False
-    """Whether the observations went through a `VecNormalize`."""
+    has_original: bool = False
+    """Whether there are observations from before a `VecNormalize`."""
+    on_policy: bool = False
+    """Whether only a `VecNormalize` explains that there are."""
+    seen: NDArray[np.float32] | None = None
+    """(M, numbers) the last observations."""
 
 
 class Input(NamedTuple):
@@ -77,18 +84,28 @@ def trained_on(data: bytes) -> Trained:
         shape = tuple(map(int, space["_shape"]))
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
         return Trained()
-    seen, original = (_serialised(said.get(name)) for name in ("_last_obs", "_last_original_obs"))
     where = space.get(TRAINED_IN)
     return Trained(
         shape,
         _bounds(space, shape),
         where if isinstance(where, dict) else {},
-        original is not None and original != seen,
+        # Off-policy algorithms have it without a VecNormalize, too.
+        said.get("_last_original_obs") is not None,
+        "replay_buffer_class" not in said,
+        _numbers_in(said.get("_last_obs"), prod(shape)),
     )
 
 
-def _serialised(value: Any) -> Any:
-    return value.get(":serialized:") if isinstance(value, dict) else None
+def _numbers_in(value: Any, size: int) -> NDArray[np.float32] | None:
+    """The float32 array (M, size) whose pickle `data` has; the pickle is not loaded."""
+    try:
+        pickled = base64.b64decode(value[":serialized:"])
+        for _, argument, _ in pickletools.genops(pickled):
+            if isinstance(argument, bytes | bytearray) and len(argument) % (4 * size) == 0:
+                return np.frombuffer(bytes(argument), "<f4").reshape(-1, size)
+    except (ValueError, LookupError, TypeError, ZeroDivisionError):
+        pass
+    return None
 
 
 def _bounds(space: Mapping[str, Any], shape: tuple[int, ...]) -> NDArray[np.float64] | None:
@@ -157,13 +174,26 @@ def input_of(
     if trained.bounds is not None and not has_statistics:
         newest = trained.bounds.reshape(2, -1)[:, order[-size:]].reshape(2, rows, columns)
         _check_bounds(newest, observation)
-    if trained.normalised and not has_statistics:
+    if not has_statistics and _is_normalised(trained, observation, order[-size]):
         raise Refusal(
             "was trained with VecNormalize, whose statistics a checkpoint does not hold; save them "
             f"in Python with {_SAVE}, and give --normalise norm.npz; --normalise none if it "
             "normalised rewards only"
         )
     return Input(observation, hz or DECISION_HZ[observation.name], frames, order, repeats)
+
+
+def _is_normalised(trained: Trained, observation: Neighbours | Kinematics, place: int) -> bool:
+    """Whether a `VecNormalize` changed the observations.
+
+    A vehicle's own presence, at this place, is 1 unless it was changed.
+    """
+    has_presence = isinstance(observation, Neighbours) or observation.features[0] == "presence"
+    if not trained.has_original:
+        return False
+    if trained.seen is None or not trained.seen.size or not has_presence:
+        return trained.on_policy
+    return bool((trained.seen[:, place] != 1).any())
 
 
 def _stated(where: Mapping[str, Any]) -> tuple[Neighbours | Kinematics | None, float | None]:
@@ -198,6 +228,8 @@ def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinemat
                 "observation that it was trained on with --observation"
             )
         return
+    if is_unbounded and isinstance(observation, PaperNeighbours):
+        return  # the authors' environment has no bounds
     if is_unbounded:
         raise Refusal(
             f"was trained on an observation without bounds, and {observation.name} has bounds; for "
