@@ -130,6 +130,7 @@ class Episodes:
         scenes = self.scenes
         scenes.time[rows] = 0.0
         self.steps[rows] = 0
+        scenes.vehicles["crashed"][rows, self.task.vehicles :] = False  # obstacles, too, are new
         self.task.start(scenes, rows)
         for observer in self.observers:
             observer.start(scenes, rows)

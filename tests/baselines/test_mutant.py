@@ -26,7 +26,9 @@ def test_headway_and_imposed_braking_are_those_of_the_model(
         constants=scene.constants._replace(idm_mobil=p), timer_s=scene.timer_s.copy()
     )
     accelerations, targets = naive.idm_mobil(same)
-    found = Mutant(headway=headway, imposes_mps2=imposes).drive(scene.read_only(), all_vehicles(scene))
+    found = Mutant(headway=headway, imposes_mps2=imposes).drive(
+        scene.read_only(), all_vehicles(scene)
+    )
     assert list(found[1]) == targets
     np.testing.assert_allclose(found[0], accelerations, rtol=0, atol=1e-9)
 

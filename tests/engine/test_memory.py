@@ -145,6 +145,7 @@ def test_a_new_driver_remembers_nothing() -> None:
     assert np.array_equal(seated.memory[0, 1 - state.ego[0]], state.memory[0, 1 - state.ego[0]])
 
 
+@pytest.mark.slow
 def test_a_driver_model_with_memory_drives_the_same_in_both_engines() -> None:
     found = [
         driven(simulation(make_agent("level_0"), Hesitant(), 3, engine), SEEDS[:3], steps=3).scene

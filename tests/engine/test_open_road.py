@@ -160,6 +160,7 @@ def test_vehicles_that_enter_have_the_types_of_the_scene() -> None:
     assert stats.kstest(of_cars, stats.truncnorm(-2, 2, loc=30, scale=3).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_both_engines_agree_while_vehicles_come_and_go() -> None:
     ours, theirs = started(seeds=2), started("highway-env", seeds=2)
     for one, other in zip(moments(ours), moments(theirs), strict=True):

@@ -201,6 +201,7 @@ def network(
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ego", "traffic"), [("[0.25, 0.5, 1, 2]", None), (None, "[0.25, 0.5, 1, 2]"), ("[1]", "[3]")]
 )

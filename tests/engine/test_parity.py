@@ -1,4 +1,7 @@
-"""Both engines move alike, step by step; and the compiled one moves as stock highway-v0."""
+"""Both engines move alike, step by step; and the compiled one moves as stock highway-v0.
+
+`tests/golden` compares with what the reference did when it was recorded.
+"""
 
 import gymnasium
 import highway_env  # noqa: F401  # registers highway-v0
@@ -11,6 +14,8 @@ from charms_bench.engine import ENGINES, Engine, make_engine
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
+
+pytestmark = pytest.mark.slow
 
 MODELS = {
     "idm_mobil": {0: IdmMobil()},

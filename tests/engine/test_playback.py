@@ -157,6 +157,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("episodes", [3, pytest.param(27, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("ego", "traffic"), CASES)
 def test_both_engines_agree(tmp_path: Path, ego: str | None, traffic: str, episodes: int) -> None:

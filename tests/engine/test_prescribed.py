@@ -87,6 +87,7 @@ def test_a_prescribed_vehicle_that_crashes_becomes_a_wreck() -> None:
     assert found["speed"][-1, 0] < 1.0
 
 
+@pytest.mark.slow
 def test_the_engines_agree_to_the_last_bit() -> None:
     vehicles = [
         {"name": "cutter", "lane": 1, "ahead_of": "ego", "gap_m": "gap", "speed_mps": 15,

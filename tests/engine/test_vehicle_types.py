@@ -112,6 +112,7 @@ def test_parameters_of_a_type_are_uniform_in_its_range() -> None:
     assert stats.kstest((of_cars - 1.0) / 3.0, "uniform").pvalue > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["charms", "highway-env"])
 @pytest.mark.parametrize("ego", ["idm_mobil", "stackelberg", "varied"])
 def test_both_engines_move_trucks_and_cars_alike(profile: str, ego: str) -> None:

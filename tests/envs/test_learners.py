@@ -58,6 +58,7 @@ class Whims(Policy):
         return (observations.sum(axis=(1, 2)) * 1e4).astype(np.int64) % len(ACTIONS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("numbers", [range(12), (0, 3, 4, 9)])
 def test_both_engines_move_many_learners_alike_to_the_last_bit(profile: str, numbers: Any) -> None:

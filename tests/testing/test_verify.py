@@ -78,6 +78,7 @@ def test_500_episodes_are_compared_with_continuous_actions() -> None:
     assert len(cases) * episodes >= 500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", range(-5, 0))
 def test_the_engines_agree_with_vehicles_and_lanes_of_other_sizes(which: int) -> None:
     case = default_cases()[0][which]
