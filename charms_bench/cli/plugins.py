@@ -1,7 +1,7 @@
 """`agents`, `traffic`, `check`, `new-agent` and `export`: list, test and add agents."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -138,12 +138,19 @@ def new_agent(
     folder: Annotated[
         Path | None, typer.Option(help="Folder to create; the default is the agent's name.")
     ] = None,
+    kind: Annotated[
+        Literal["policy", "planner", "memory", "driver-model", "traffic"],
+        typer.Option(
+            help="What to write: a policy, one that plans or that has memory, a driver model, or a "
+            "traffic model."
+        ),
+    ] = "policy",
 ) -> None:
-    """Write a package with a new agent, its tests and a suite."""
+    """Write a package with a new agent or traffic model, its tests and a suite."""
     from charms_bench.plugins.scaffold import new_agent as write
 
     folder = folder or Path(name)
-    for path in write(name, folder):
+    for path in write(name, folder, kind):
         say(str(path))
     say(f"Next: cd {folder} && pip install . pytest && pytest && charms-bench run suite.yaml")
 

@@ -251,9 +251,9 @@ def _problem_of(made: object, *kinds: type) -> str:
         _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
     for kind, texts in _TEXTS.items():
         for text in texts * isinstance(made, kind):
-            found = getattr(made, text, _MISSING)
-            if not isinstance(found, str):
-                has = f"no `{text}`" if found is _MISSING else f"{text} {found!r}"
+            value = getattr(made, text, _MISSING)
+            if not isinstance(value, str):
+                has = f"no `{text}`" if value is _MISSING else f"{text} {value!r}"
                 return f"has {has}; expected a text"
     if isinstance(made, Traffic):
         listed = made.agents
