@@ -14,6 +14,7 @@ CharmsBenchError
     └── ClusterError    a cluster cannot be reached or used, or is gone
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
@@ -31,7 +32,13 @@ class RenamedKeyWarning(FutureWarning):
 
 
 class CharmsBenchError(Exception):
-    """The base class of these errors; the text is the complete message."""
+    """The base class of these errors; the text is the complete message.
+
+    Addresses of objects are left out, because they differ from call to call.
+    """
+
+    def __init__(self, what: str = "") -> None:
+        super().__init__(re.sub(r" at 0x[0-9a-fA-F]{6,}", "", what))
 
 
 class InputError(CharmsBenchError):
@@ -127,14 +134,32 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     problems = error.errors(include_url=False)
     first = problems[0]
     found = _shortened(first["input"])
-    what = first["msg"].removeprefix("Value error, ")
+    what = _plain(first["msg"])
     # A problem between several fields is not explained by printing all of them.
     is_whole = isinstance(first["input"], dict) and len(first["input"]) > 3
     if first["type"] not in ("missing", "unknown_key") and not is_whole:
         what = f"{what}, found {found}"
-    others = [f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in problems[1:3]]
+    others = [f"{'.'.join(map(str, each['loc']))}: {_plain(each['msg'])}" for each in problems[1:3]]
     others += [f"{len(problems) - 3} more"] if len(problems) > 3 else []
     return first["loc"], "; also ".join([what, *others])
+
+
+def problem_in(error: Exception) -> str:
+    """The first problem that a model reports, and where, or the text of another error."""
+    from pydantic import ValidationError
+
+    if not isinstance(error, ValidationError):
+        return " ".join(str(error).split())
+    location, what = first_problem(error)
+    return f"{'.'.join(map(str, location))}: {what}".removeprefix(": ")
+
+
+def _plain(message: str) -> str:
+    """A message of pydantic without the names of Python's classes."""
+    message = message.removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    return re.sub(
+        r"dictionary( or (an )?instance of \w+| or object to extract.*)", "mapping", message
+    )
 
 
 def _shortened(value: Any) -> str:

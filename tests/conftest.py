@@ -53,7 +53,9 @@ def network_file(tmp_path: Path) -> Callable[..., Path]:
         batch: str | int = "batch",
         inputs: int = 35,
         dtype: int = onnx.TensorProto.FLOAT,
+        metadata: dict[str, str] | None = None,
     ) -> Path:
+        inputs = inputs if weights is None else len(weights)
         if weights is None:
             weights = np.random.default_rng(0).normal(size=(inputs, 5))
         element = onnx.helper.tensor_dtype_to_np_dtype(dtype)
@@ -65,6 +67,7 @@ def network_file(tmp_path: Path) -> Callable[..., Path]:
             [numpy_helper.from_array(weights.astype(element), "weights")],
         )
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+        helper.set_model_props(model, metadata or {})
         path = tmp_path / name
         onnx.save(model, path)
         return path

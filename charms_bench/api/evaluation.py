@@ -14,6 +14,7 @@ from charms_bench.foundation.files import absolute
 from charms_bench.foundation.names import name_of_agent
 from charms_bench.people.reference import read_references
 from charms_bench.plugins.registry import AGENTS, find
+from charms_bench.plugins.specs import drivers_of, networks_of
 from charms_bench.report.progress import note, progress
 from charms_bench.runs import runner
 from charms_bench.runs.cells import CellRows
@@ -24,6 +25,7 @@ from charms_bench.runs.runner import SHARD_LIMIT_S
 from charms_bench.runs.suite import Suite, check_networks, suite_of
 
 if TYPE_CHECKING:
+    from charms_bench.engine.simulation import Simulation
     from charms_bench.report.run_files import MeasuredCell
 
 
@@ -77,9 +79,7 @@ def run(
         raise InputError(f"{suite}: is a training suite; use charms_bench.train")
     changes = {"episodes": episodes, "seed": seed}
     document.data |= {name: value for name, value in changes.items() if value is not None}
-    added = [_ego(agent) for agent in agents]
-    if added and isinstance(document.data.get("egos"), list):
-        document.data["egos"] = document.data["egos"] + added
+    added = add_egos(document, agents)
     # Before plugins are imported, which can change the current folder.
     place, taken = absolute(output or "runs"), None if rows is None else absolute(rows)
     loaded = suite_of(document)
@@ -128,6 +128,49 @@ def run(
     finally:
         measuring.shutdown(cancel_futures=True)  # whose files may be deleted after this
     return Run(finished, loaded.folder)
+
+
+def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulation, str, int]":
+    """One scene of a suite with an agent as the ego, its title, and the suite's first seed.
+
+    `traffic` is the label of one of the suite's traffic models; None is the only one.
+
+    Raises:
+        CharmsBenchError: The suite, the agent or the label cannot be used.
+    """
+    from charms_bench.engine.simulation import Simulation
+
+    document = Document(Path(suite))
+    if "pipeline" in document.data:
+        raise InputError(f"{suite}: is a training suite; expected an evaluation")
+    document.data["egos"] = [_ego(agent)]
+    for name in ("preventable_by", "pairs", "references"):  # of the egos of the suite
+        document.data.pop(name, None)
+    loaded = suite_of(document)
+    found = {cell.traffic.title: cell for cell in loaded.cells}
+    if traffic is None and len(found) > 1:
+        what = f"{len(found)} traffic models; choose one with --traffic"
+        raise InputError(f"{suite}: {what}. {suggestion('', found)}")
+    if traffic is not None and traffic not in found:
+        raise InputError(f"{suite}: no traffic model '{traffic}'. {suggestion(traffic, found)}")
+    cell = found[traffic] if traffic is not None else next(iter(found.values()))
+    cell.scene.check_straight("an episode is watched on")
+    ego, around = cell.ego.agent, cell.traffic.traffic.make()
+    networks = networks_of(ego, around, loaded.folder)
+    agents = {each.key: each.make(networks) for each in drivers_of(ego, around)}
+    return Simulation(cell.scene, 1, ego.key, around, agents), cell.title, loaded.seed
+
+
+def add_egos(document: Document, agents: Sequence[str]) -> list[dict[str, str]]:
+    """Adds installed agents or paths of networks to the egos of a suite; returns their entries.
+
+    Raises:
+        InputError: There is no such agent or file.
+    """
+    added = [_ego(agent) for agent in agents]
+    if added and isinstance(document.data.get("egos"), list):
+        document.data["egos"] = document.data["egos"] + added
+    return added
 
 
 def _ego(agent: str) -> dict[str, str]:

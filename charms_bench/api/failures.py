@@ -4,9 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.evaluation import add_egos
 from charms_bench.api.warming import warm_up
-from charms_bench.errors import ScenarioError
+from charms_bench.errors import InputError, ScenarioError
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.names import name_of_agent
 from charms_bench.report.progress import progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.manifest import opened_for_suite
@@ -25,6 +27,7 @@ def search(
     traffic: str | None = None,
     output: PathLike | None = None,
     *,
+    agent: str | None = None,
     failures: int = 10,
     budget: int = 5000,
     seed: int = 0,
@@ -40,7 +43,8 @@ def search(
         ego: Label of an ego of the suite, or the name of an installed agent; needed if the suite
             has several other egos.
         traffic: Label of the scenario; needed if the suite has several.
-        output: The folder; by default `runs/NAME-search`.
+        output: The folder; by default `runs/NAME-search`, followed by the `agent`.
+        agent: Installed agent or path of a network that drives the ego, instead of `ego`.
         failures: Number of failures after which the search ends.
         budget: Number of simulated episodes after which the search ends.
         seed: Seed of the search.
@@ -54,16 +58,22 @@ def search(
 
     check_positive(failures=failures, budget=budget)
     document = Document(Path(suite))
+    if agent is not None and ego is not None:
+        raise InputError("give either an ego of the suite or an agent")
+    added = add_egos(document, () if agent is None else (agent,))
+    ego = added[0]["label"] if added else ego
+    place = absolute(output or "runs")
     loaded = suite_of(document)
-    folder = absolute(output or Path("runs") / f"{loaded.suite}-search")
+    names = (f"{loaded.suite}-search", *(name_of_agent(each["label"]) for each in added))
+    folder = place if output else place / "-".join(names)
     check_networks(document, loaded)
-    place = scenario_of(document.path, loaded, traffic)
+    index = scenario_of(document.path, loaded, traffic)
     references = [each for each in loaded.egos if each.title in loaded.preventable_by]
-    entry = loaded.traffics[place]
+    entry = loaded.traffics[index]
     scene = loaded.scene.of_scenario(entry.traffic.scenario)
     cell = Cell(ego=ego_of(document.path, loaded, ego), traffic=entry, scene=scene)
     made = Search(cell, references, loaded.folder, folder)
-    made.found = lambda: write_found(made, document, place, folder / FOUND)
+    made.found = lambda: write_found(made, document, index, folder / FOUND)
     warm_up()
     asked: dict[str, object] = {"ego": cell.ego.title, "traffic": entry.title, "seed": seed}
     asked["preventable_by"] = [each.title for each in references]
@@ -81,6 +91,6 @@ def search(
         interrupt.add_note(f"{len(made.failures)} failures are in {folder}")
         raise
     except ScenarioError as error:
-        at = ("traffic_models", place, "traffic", "scenario", *error.location)
+        at = ("traffic_models", index, "traffic", "scenario", *error.location)
         raise document.error(at, str(error)) from error
     return made

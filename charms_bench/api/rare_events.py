@@ -1,6 +1,6 @@
 """Estimates the probability of a rare event."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from charms_bench.api.arguments import PathLike, check_positive
+from charms_bench.api.evaluation import add_egos
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.names import name_of_agent
 from charms_bench.report.progress import note, progress
 from charms_bench.runs.document import Document
 from charms_bench.runs.lock import locked
@@ -52,6 +54,7 @@ def rare(
     event: str = "crash",
     output: PathLike | None = None,
     *,
+    agents: Sequence[str] = (),
     runs: int = 10,
     samples: int = 1000,
     seed: int | None = None,
@@ -66,7 +69,8 @@ def rare(
     Args:
         suite: The YAML file. Its number of episodes does not matter.
         event: `crash`, `ttc:below_s=1.0`, or an event of a plugin.
-        output: The folder; by default `runs/NAME-rare-EVENT`.
+        output: The folder; by default `runs/NAME-rare-EVENT`, followed by the `agents`.
+        agents: Installed agents or paths of networks that drive the ego besides the suite's egos.
         runs: Independent runs per cell, 5 to 1,000; more runs give a narrower interval.
         samples: Episodes per level of a run and of the pilot, a multiple of 5, at least 100.
         seed: Seed of all random draws, instead of the suite's.
@@ -87,6 +91,7 @@ def rare(
         raise InputError(f"{suite}: is a training suite; expected an evaluation")
     place = absolute(output or "runs")
     document.data |= {} if seed is None else {"seed": seed}
+    added = add_egos(document, agents)
     loaded, definition = suite_of(document), event_of(event).definition
     if loaded.scene.recording is not None:
         what = "rare draws where vehicles start, and recordings place them; remove it"
@@ -99,7 +104,12 @@ def rare(
             )
             raise document.error(("traffic_models", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
-    name = f"{loaded.suite}-rare-{event.partition(':')[0]}"
+    name = "-".join(
+        (
+            f"{loaded.suite}-rare-{event.partition(':')[0]}",
+            *(name_of_agent(ego["label"]) for ego in added),
+        )
+    )
     folder = place if output else place / name
     warm_up()
     try:

@@ -13,6 +13,7 @@ from charms_bench.api.auditing import audit
 from charms_bench.api.warming import warm_up
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
+from charms_bench.foundation.words import counted
 from charms_bench.report.progress import progress
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import FinishedRun, open_finished
@@ -120,6 +121,28 @@ class Run:
             if said := missing_lanes(steps, cells[index].scene.lanes).remark():
                 found.append(f"{name} in {rows.traffic}: {said}")
         return [*found, MEANING] if found else []
+
+    def interfaces(self) -> list[str]:
+        """A line about each ego that is a network: what it observes and does, and how often."""
+        from charms_bench.plugins.onnx_policy import OnnxPolicy
+        from charms_bench.plugins.registry import is_network
+        from charms_bench.world.kinematics_observation import Kinematics
+        from charms_bench.world.observations import Neighbours, described
+
+        found = []
+        for ego in self.suite.egos:
+            if not is_network(ego.agent.name):
+                continue
+            if (path := self._finished.folder.network(ego.agent.name)) is not None:
+                policy = OnnxPolicy(path, ego.agent.decision_hz)
+                assert isinstance(policy.observation, Neighbours | Kinematics)
+                seen, _, _ = described(policy.observation).partition(": (")
+                last = policy.history_length
+                found.append(
+                    f"{ego.title}: observes {seen}{f', the last {last}' if last > 1 else ''}; "
+                    f"chooses {policy.actions} actions at {policy.decision_hz:g} Hz"
+                )
+        return found
 
     @property
     def files(self) -> list[Path]:
@@ -337,7 +360,7 @@ class Run:
     def __repr__(self) -> str:
         suite = self.suite
         cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffic models"
-        return f"<Run {self.path}: {cells}, {suite.episodes:,} episodes each>"
+        return f"<Run {self.path}: {cells}, {counted(suite.episodes, 'episode')} each>"
 
     def _repr_html_(self) -> str:
         from charms_bench.report.html.table import notebook

@@ -22,15 +22,24 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
+from charms_bench.foundation.words import counted
 
 
 @app.command()
 def data(
-    folder: Annotated[Path, typer.Argument(help="Folder of recordings in highD's format.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDINGS",
+            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
+            "of I-24 or I-75.",
+        ),
+    ],
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
     """Summarise recordings of human driving."""
+    from charms_bench.errors import InputError
     from charms_bench.foundation.files import absolute
     from charms_bench.people.survey import OFF_CENTRE_M, survey
     from charms_bench.plugins.registry import SAMPLERS, load, plugins
@@ -43,9 +52,15 @@ def data(
     if figure is not None:
         check_figure(figure)
         figure = absolute(figure)
+    if folder.suffix == ".parquet":
+        if figure is not None:
+            raise InputError(f"{folder}: is a table of trips; --figure is for other recordings")
+        _print_trips(folder, as_json)
+        return
     samplers = {name: load(SAMPLERS, name)() for name in plugins(SAMPLERS)}
     with progress("recordings", len(find_trios(folder))) as tell:
-        found, learnable = survey(folder, samplers, lambda count: tell("", count))
+        notes: list[str] = []
+        found, learnable = survey(folder, samplers, lambda count: tell("", count), notes.append)
     if figure is not None:
         draw(found, learnable, figure)
     facts = found.facts()
@@ -56,34 +71,67 @@ def data(
     if abs(facts["offset_mean_m"] or 0.0) > OFF_CENTRE_M:
         side = "right" if facts["offset_mean_m"] > 0 else "left"
         say(
-            f"\nwarning: drivers are {abs(facts['offset_mean_m']):.2f} m to the {side} of their "
+            f"\nwarning: drivers are {abs(facts['offset_mean_m']):z.2f} m to the {side} of their "
             f"lanes' centres on average, which people are not; correct the lane markings, "
             f"or drifts and lane changes are labelled wrongly",
             err(),
         )
     for name, each in learnable.items():
         _print_learnable(name, each)
+    for reason in notes:
+        say(f"\n{reason}")
     if figure is not None:
         say(f"Figure: {shown(figure)}")
+
+
+def _print_trips(path: Path, as_json: bool) -> None:
+    """What `calibrate` reads in a table."""
+    import numpy as np
+
+    from charms_bench.people.trips import RATE_HZ, read_trips
+
+    trips = read_trips(path)
+    gap, speed = (np.concatenate([getattr(each, n) for each in trips]) for n in ("gap", "speed"))
+    facts: dict[str, Any] = {
+        "drivers": len({trip.driver for trip in trips}),
+        "trips": len(trips),
+        "following_h": gap.size / RATE_HZ / 3600,
+        "speed_mean_mps": float(speed.mean()),
+        "gap_mean_m": float(gap.mean()),
+        "time_gap_mean_s": float((gap / np.maximum(speed, 1.0)).mean()),
+    }
+    if as_json:
+        print_json(facts)
+        return
+    forms = {"following_h": "z.2f", "speed_mean_mps": "z.1f", "gap_mean_m": "z.1f"}
+    records = [
+        {"fact": name.replace("_", " "), "found": f"{value:{forms.get(name, 'z.2f')}}"}
+        if isinstance(value, float)
+        else {"fact": name, "found": f"{value:,}"}
+        for name, value in facts.items()
+    ]
+    print_records("fact", records, {"found": ""})
 
 
 def _print_facts(found: dict[str, Any]) -> None:
     def quantiles(values: dict[str, float | None]) -> str:
         return ", ".join(
-            f"{float(q):.0%} {value:.1f}" for q, value in values.items() if value is not None
+            f"{float(q):z.0%} {value:z.1f}" for q, value in values.items() if value is not None
         )
 
     rates = ", ".join(f"{rate:g}" for rate in found["frame_rates_hz"])
-    lanes = ", ".join(f"{n} with {lanes} lanes" for lanes, n in found["carriageways"].items())
+    lanes = ", ".join(
+        f"{n} with {counted(int(lanes), 'lane')}" for lanes, n in found["carriageways"].items()
+    )
     speeds = quantiles(found["speed_quantiles_mps"])
     facts = {
-        "recordings": f"{found['recordings']:,} at {rates} Hz, {found['recorded_h']:.2f} h",
-        "vehicles": f"{found['cars']:,} cars, {found['trucks']:,} trucks, {found['rows']:,} rows",
+        "recordings": f"{found['recordings']:,} at {rates} Hz, {found['recorded_h']:z.2f} h",
+        "vehicles": ", ".join(counted(found[f"{each}s"], each) for each in ("car", "truck", "row")),
         "carriageways": lanes,
         "lane changes": f"{found['lane_changes']:,}",
         "laneId against y": f"{found['lane_id_disagreements']:,} rows disagree",
-        "speed, m/s": f"mean {found['speed_mean_mps']:.1f}; {speeds}",
-        "lane offset, m": f"mean {found['offset_mean_m']:+.2f} to the right of the lane's centre",
+        "speed, m/s": f"mean {found['speed_mean_mps']:z.1f}; {speeds}",
+        "lane offset, m": f"mean {found['offset_mean_m']:+z.2f} to the right of the lane's centre",
         "following, m": quantiles(found["following_distance_m"]) or "no vehicle follows another",
         "decisions": f"{found['decisions']:,}",
     }
@@ -93,7 +141,7 @@ def _print_facts(found: dict[str, Any]) -> None:
 
 def _print_learnable(name: str, found: Any) -> None:
     say(
-        f"\n{name}: {found.accepted:,} decisions are accepted, {found.two_actions:.1%} of them "
+        f"\n{name}: {found.accepted:,} decisions are accepted, {found.two_actions:z.1%} of them "
         f"with two actions; {found.training:,} samples for training, {found.held_out:,} held out"
     )
     shares = [
@@ -155,20 +203,20 @@ def calibrate(
         return
     forms = dict.fromkeys(("median", "spread", "identified"), "")
     print_records("parameter", found.parameters(), forms)
-    lane_changes = "not fitted" if changes is None else f"{changes.changes} lane changes"
+    lane_changes = "not fitted" if changes is None else f"{counted(changes.changes, 'lane change')}"
     say(
-        f"Model {population.model}, lag {population.lag_s:g} s, noise {population.noise_mps2:.2f} "
-        f"m/s2 over {population.noise_s:.1f} s; {population.drivers_at_bound} of "
+        f"Model {population.model}, lag {population.lag_s:g} s, noise {population.noise_mps2:z.2f} "
+        f"m/s2 over {population.noise_s:z.1f} s; {population.drivers_at_bound} of "
         f"{population.drivers} drivers end at a bound if fitted alone; {lane_changes}"
     )
     forms = {name: "" for name in found.records()[0] if name != "predicted by"}
     print_records("predicted by", found.records(), forms)
     value, low, high = found.gap_ratio
-    say(f"Gap error, of the better uncalibrated IDM: {value:.2f} [{low:.2f}, {high:.2f}]")
+    say(f"Gap error, of the better uncalibrated IDM: {value:z.2f} [{low:z.2f}, {high:z.2f}]")
     for horizon_s, (value, low, high) in zip(HORIZONS_S, found.energy_ratios, strict=True):
         say(
-            f"Energy score after {horizon_s} s, of the pooled point: {value:.2f} "
-            f"[{low:.2f}, {high:.2f}]"
+            f"Energy score after {horizon_s} s, of the pooled point: {value:z.2f} "
+            f"[{low:z.2f}, {high:z.2f}]"
         )
     for path in filter(None, (to, figure)):
         say(f"Written: {shown(absolute(path))}")
@@ -277,7 +325,7 @@ def dataset(
     if as_json:
         print_json({"format": kind, "episodes": written, "folder": str(path)})
         return
-    say(f"{written:,} episodes: {path}")
+    say(f"{counted(written, 'episode')}: {path}")
     if kind == "minari":
         say(f"minari.load_dataset('{path.name}') loads it if MINARI_DATASETS_PATH={path.parent}")
     elif kind == "highd":

@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
     say,
 )
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.words import counted
 
 Road = Annotated[
     str | None,
@@ -99,8 +100,12 @@ def verify(
                     "(highway-env)"
                 )
         total = sum(r.episodes for r in results)
-        verdict = f"{differing} of {total:,} episodes differ" if differing else "the engines agree"
-        say(f"{total:,} episodes: {verdict}.")
+        verdict = (
+            f"{differing} of {counted(total, 'episode')} differ"
+            if differing
+            else "the engines agree"
+        )
+        say(f"{counted(total, 'episode')}: {verdict}.")
     if differing:
         raise typer.Exit(FAIL)
 

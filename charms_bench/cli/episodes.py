@@ -21,6 +21,7 @@ from charms_bench.cli.terminal import (
     say,
     shown,
 )
+from charms_bench.foundation.words import counted
 
 if TYPE_CHECKING:
     from charms_bench.api import Run
@@ -75,7 +76,7 @@ def edge_cases(
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
     print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
     hz = opened.suite.scene.decision_hz
-    say(f"There are {hz} decisions per second, which `what-if --at` counts from 1.")
+    say(f"{hz} decision{'s' * (hz != 1)} per second, which `what-if --at` counts from 1.")
     for remark in opened.remarks(ego, traffic):
         say(remark)
 
@@ -243,6 +244,10 @@ def what_if(
 @app.command()
 def search(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
+    agent: Annotated[
+        str | None,
+        typer.Option(help="Installed agent, or ONNX file of a network, instead of --ego."),
+    ] = None,
     ego: Annotated[
         str | None, typer.Option(help="Label of an ego of the suite, or an installed agent.")
     ] = None,
@@ -256,7 +261,9 @@ def search(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder; the default is runs/SUITE-search."),
+        typer.Option(
+            "--output", "-o", help="Folder; the default is runs/SUITE-search, and --agent."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -269,7 +276,16 @@ def search(
     from charms_bench.episodes.search import FOUND
 
     with interruptible():
-        made = api.search(suite, ego, traffic, output, failures=failures, budget=budget, seed=seed)
+        made = api.search(
+            suite,
+            ego,
+            traffic,
+            output,
+            agent=agent,
+            failures=failures,
+            budget=budget,
+            seed=seed,
+        )
     assert made.path is not None
     found = shown(made.path / FOUND)
     if as_json:
@@ -279,11 +295,11 @@ def search(
         return
     where = made.cell.title
     if not made.failures:
-        say(f"{where}: no failure in {made.simulations:,} episodes")
+        say(f"{where}: no failure in {counted(made.simulations, 'episode')}")
         return
     say(
-        f"{where}: {len(made.failures)} failures in {made.simulations:,} episodes, the first after "
-        f"{made.simulations_to_first:,}"
+        f"{where}: {counted(len(made.failures), 'failure')} in "
+        f"{counted(made.simulations, 'episode')}, the first after {made.simulations_to_first:,}"
     )
     forms = dict.fromkeys(made.failures[0], ".3f")
     records: list[dict[str, Any]] = [

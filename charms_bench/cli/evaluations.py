@@ -10,6 +10,7 @@ import typer
 from charms_bench.cli.terminal import (
     FAIL,
     UNKNOWN,
+    EgoAgents,
     Json,
     MetricSets,
     RunPath,
@@ -19,11 +20,13 @@ from charms_bench.cli.terminal import (
     interruptible,
     out,
     print_json,
+    print_records,
     print_table,
     say,
     shown,
 )
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.foundation.words import counted
 
 AllMetrics = Annotated[
     bool, typer.Option("--all", help="Show every metric, not only the suite's columns.")
@@ -79,14 +82,7 @@ def run(
     suite: Annotated[
         Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
     ],
-    agents: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--agent",
-            help="Installed agent, or ONNX file of a network, that drives the ego besides the "
-            "suite's egos; repeat for more.",
-        ),
-    ] = None,
+    agents: EgoAgents = None,
     episodes: Annotated[
         int | None,
         typer.Option(min=1, help="Episodes per ego and traffic model; overrides the suite."),
@@ -207,6 +203,9 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
         chosen = headline(run.suite, stored_tables(run.path, run.suite))
         width = min(out().width, HEADLINE_WIDTH)
         out().print(compact(chosen, width), width=width)
+        with suppress(InputError):  # the tables do not need the networks
+            for line in run.interfaces():
+                say(line)
     folder = shown(run.path)
     say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
@@ -214,7 +213,10 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
 @app.command()
 def show(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder of an evaluation or a training.")
+        Path,
+        typer.Argument(
+            metavar="RUN", help="Folder of an evaluation, a training, `rare` or `search`."
+        ),
     ],
     metrics: Annotated[
         list[str] | None, typer.Option("--metric", help="Show only this metric; repeat for more.")
@@ -224,14 +226,22 @@ def show(
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench import api
+    from charms_bench.api.failures import MANIFEST as SEARCH
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
+    from charms_bench.runs.rare import MANIFEST as RARE
     from charms_bench.runs.resumable_folder import MANIFEST, RunFolder
 
     if not holds(run, MANIFEST):
         if metrics or everything:
             raise InputError(f"{run}: is not an evaluation; --metric and --all are for those")
+        if holds(run, RARE):
+            _print_rare(run, as_json)
+            return
+        if holds(run, SEARCH):
+            _print_search(run, as_json)
+            return
         _print_training(api.open_training(run), as_json, curves=True)
         return
     folder = RunFolder(run)
@@ -244,14 +254,54 @@ def show(
         tables = {each.name: each.frame().to_dicts() for each in (table, *others)}
         print_json({**facts, "tables": tables})
         return
-    cells = f"{len(suite.egos)} × {len(suite.traffics)} cells of {suite.episodes:,} episodes"
+    cells = (
+        f"{len(suite.egos)} × {len(suite.traffics)} cells of {counted(suite.episodes, 'episode')}"
+    )
     engine = f"seeds from {suite.seed:,}, engine {folder.manifest().get('engine')}"
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
     with suppress(RunFolderError):  # tables are shown even where their rows are missing
-        if remarks := api.open_run(run).remarks():
+        opened = api.open_run(run)
+        if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
+
+
+def _print_rare(folder: Path, as_json: bool) -> None:
+    """The tables that `rare` has written."""
+    from charms_bench.foundation.files import read_file
+    from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_csv
+
+    paths = sorted((folder / "tables").glob("*.csv"))
+    if not paths:
+        raise InputError(f"{folder}: is not finished; the same command continues there")
+    if as_json:
+        print_json({path.stem: read_csv(path).to_dicts() for path in paths})
+        return
+    for path in paths:
+        text = read_file(path.with_suffix(".md"), TABLE_LIMIT_BYTES)
+        say(text.decode(errors="replace").rstrip())
+
+
+def _print_search(folder: Path, as_json: bool) -> None:
+    """The failures in the suite that `search` has written."""
+    from charms_bench.episodes.search import FOUND
+    from charms_bench.runs.suite import load_suite
+
+    path = folder / FOUND
+    points: Any = ()
+    if path.exists():
+        scenarios = (entry.traffic.scenario for entry in load_suite(path).traffics)
+        points = next((each.points for each in scenarios if each is not None), ())
+    if as_json:
+        print_json({"failures": list(points), "suite": str(path) if points else None})
+        return
+    if not points:
+        say(f"{folder}: no failure")
+        return
+    records = [{"failure": str(k), **point} for k, point in enumerate(points)]
+    print_records("failure", records, dict.fromkeys(points[0], ".3f"))
+    say(f"Run them with `charms-bench run {shown(path)}`")
 
 
 def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
@@ -366,8 +416,8 @@ def report(
         print_json(made)
         return
     say(
-        f"{output}: {len(runs)} run{'s' * (len(runs) > 1)}, {len(made['replays'])} replays, "
-        f"{made['bytes'] / 1e6:.1f} MB"
+        f"{output}: {counted(len(runs), 'run')}, {counted(len(made['replays']), 'replay')}, "
+        f"{made['bytes'] / 1e6:z.1f} MB"
     )
 
 
@@ -402,7 +452,7 @@ def audit(
     else:
         for line in found.lines():
             say(line)
-        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:.0%}"
+        missed = f"if one shard is false, it was missed with a probability of {found.undrawn:z.0%}"
         is_sample = 0 < found.undrawn < 1 and found.verdict != "fail"
         say(f"{run}: {VERDICTS[found.verdict]}{f'; {missed}' if is_sample else ''}")
     raise typer.Exit(EXIT_CODES[found.verdict])

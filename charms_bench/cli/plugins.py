@@ -1,7 +1,7 @@
 """`agents`, `traffic`, `check`, `new-agent` and `export`: list, test and add agents."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,9 +17,6 @@ from charms_bench.cli.terminal import (
     shown,
 )
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
-
-DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
-"""The usual decision rate of networks trained on an observation: here, and in highway-env."""
 
 
 @app.command()
@@ -141,12 +138,19 @@ def new_agent(
     folder: Annotated[
         Path | None, typer.Option(help="Folder to create; the default is the agent's name.")
     ] = None,
+    kind: Annotated[
+        Literal["policy", "planner", "memory", "driver-model", "traffic"],
+        typer.Option(
+            help="What to write: a policy, one that plans or that has memory, a driver model, or a "
+            "traffic model."
+        ),
+    ] = "policy",
 ) -> None:
-    """Write a package with a new agent, its tests and a suite."""
+    """Write a package with a new agent or traffic model, its tests and a suite."""
     from charms_bench.plugins.scaffold import new_agent as write
 
     folder = folder or Path(name)
-    for path in write(name, folder):
+    for path in write(name, folder, kind):
         say(str(path))
     say(f"Next: cd {folder} && pip install . pytest && pytest && charms-bench run suite.yaml")
 
@@ -169,21 +173,29 @@ def export(
         ),
     ] = None,
     observation: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
             help="Observation that the network was trained with: neighbours, paper_neighbours "
             "(networks of the paper's authors), or highway-env's Kinematics, with options such as "
-            "'{type: Kinematics, vehicles_count: 7}'.",
+            "'{type: Kinematics, vehicles_count: 7}'; the default is what the checkpoint states.",
         ),
-    ] = "neighbours",
+    ] = None,
+    normalise: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.npz",
+            help="Mean, var and clip of the VecNormalize that the network was trained with; none "
+            "if it normalised rewards only.",
+        ),
+    ] = None,
     decision_hz: Annotated[
         float | None,
         typer.Option(
             min=0.001,
             max=1000,
-            help="Decisions per second that the network was trained with; the default is 3, or 1 "
-            "with Kinematics.",
+            help="Decisions per second that the network was trained with; the default is what the "
+            "checkpoint states, or 3, or 1 with Kinematics.",
         ),
     ] = None,
     style: Annotated[
@@ -203,10 +215,9 @@ def export(
 
     In a suite, the path of an ONNX file is the name of an agent.
     """
-    import yaml
-
     from charms_bench.foundation.files import absolute, is_same_file
     from charms_bench.plugins.registry import EXPORTERS, load
+    from charms_bench.runs.document import value_of
     from charms_bench.world.observations import named_observation
 
     files, to = [absolute(file) for file in files], to and absolute(to)
@@ -224,21 +235,24 @@ def export(
         if is_same_file(checkpoint, output):
             raise InputError(f"{checkpoint}: is also the file to write; choose another name")
     try:
-        seen = named_observation(yaml.safe_load(observation))
-    except yaml.YAMLError as error:
-        raise InputError(f"--observation {observation}: is not YAML") from error
-    hz = decision_hz or DECISION_HZ[seen.name]
-    facts = {"decision_hz": f"{hz:g}"} | ({"style": style} if style else {})
+        seen = None if observation is None else named_observation(value_of(observation))
+    except ValueError as error:
+        raise InputError(f"--observation {observation}: is not YAML: {error}") from error
+    facts = {"style": style} if style else {}
+    if decision_hz is not None:
+        facts["decision_hz"] = f"{decision_hz:g}"
     export_zip = load(EXPORTERS, "sb3")
     records = []
     for checkpoint, output in outputs.items():
-        made = export_zip(checkpoint, output, facts, seen, stochastic)
-        records.append(made | {"observation": seen.name, "decision_hz": hz})
+        made = export_zip(checkpoint, output, facts, seen, stochastic, normalise)
+        records.append(made)
         if not as_json:
             sizes = " → ".join(map(str, made["sizes"]))
+            last = f", the last {made['history']} at once" if made["history"] > 1 else ""
             say(
                 f"{shown(output)}: {sizes}, {made['activation']}; acts as {shown(checkpoint)} in "
-                f"{made['observations']:,} observations; observes {seen.name}, decides at {hz:g} Hz"
+                f"{made['observations']:,} observations; observes {made['observation']}{last}, "
+                f"decides at {made['decision_hz']:g} Hz"
             )
     if as_json:
         print_json(records[0] if to is None else records)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from charms_bench.cli.terminal import (
+    EgoAgents,
     Json,
     Workers,
     app,
@@ -19,7 +20,10 @@ from charms_bench.cli.terminal import (
 
 @app.command()
 def rare(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
+    suite: Annotated[
+        Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
+    ],
+    agents: EgoAgents = None,
     event: Annotated[
         str,
         typer.Option(
@@ -42,7 +46,8 @@ def rare(
     ] = None,
     workers: Workers = None,
     output: Annotated[
-        Path | None, typer.Option(help="Folder; the default is runs/SUITE-rare-EVENT.")
+        Path | None,
+        typer.Option(help="Folder; the default is runs/SUITE-rare-EVENT, and each --agent."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -55,7 +60,14 @@ def rare(
 
     with interruptible():
         made = api.rare(
-            suite, event, output, runs=runs, samples=samples, seed=seed, workers=workers
+            suite,
+            event,
+            output,
+            agents=agents or (),
+            runs=runs,
+            samples=samples,
+            seed=seed,
+            workers=workers,
         )
     if as_json:
         print_json(made.table.frame().to_dicts())

@@ -110,6 +110,14 @@ EgoLabel = Annotated[
 TrafficLabel = Annotated[
     str | None, typer.Option("--traffic", help="Select the traffic model with this label.")
 ]
+EgoAgents = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--agent",
+        help="Installed agent, or ONNX file of a network, that drives the ego besides the suite's "
+        "egos; repeat for more.",
+    ),
+]
 SuiteFolder = Annotated[
     Path, typer.Option(help="Folder that relative paths in the suite refer to.")
 ]

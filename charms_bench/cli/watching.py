@@ -3,6 +3,7 @@
 import os
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -23,9 +24,24 @@ def watch(
         str, typer.Argument(help="Ego: an installed agent, or the path of an ONNX file.")
     ],
     traffic: Annotated[
-        str, typer.Option(help="Traffic model, or an agent that drives all other vehicles.")
-    ] = "idm_mobil",
-    seed: Annotated[int, typer.Option(min=0, max=2**64 - 1, help="Seed of the episode.")] = 0,
+        str | None,
+        typer.Option(
+            help="Traffic model, or an agent that drives all other vehicles; the default is "
+            "idm_mobil. With --suite, the label of one of its traffic models."
+        ),
+    ] = None,
+    suite: Annotated[
+        Path | None,
+        typer.Option(help="Suite whose scene and traffic models to use: a YAML file or a name."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=2**64 - 1,
+            help="Seed of the episode; the default is 0, or the suite's first one.",
+        ),
+    ] = None,
     text: Annotated[
         bool, typer.Option("--text", help="Draw in the terminal even if there is a display.")
     ] = False,
@@ -35,20 +51,27 @@ def watch(
     The episode runs in real time. Without a display, the road is drawn with characters. If the
     output is not a terminal, it has one picture per second of the episode.
     """
+    from charms_bench.api.evaluation import cell_of
     from charms_bench.api.warming import warm_up
-    from charms_bench.envs.watched_episode import Watched
+    from charms_bench.envs.watched_episode import Watched, plain
 
     warm_up()
-    watched = Watched(agent, traffic, seed)
+    if suite is not None:
+        simulation, title, first = cell_of(suite, agent, traffic)
+    else:
+        around = traffic or "idm_mobil"
+        simulation, title, first = plain(agent, around), f"{agent} in {around}", 0
+    seed = first if seed is None else seed
+    watched = Watched(simulation, seed, title)
     with interruptible():
-        window = None if text else _window(f"{agent} in {traffic}")
+        window = None if text else _window(title)
         if window is not None:
             _in_window(watched, window)
         elif sys.stdout.isatty():
             _in_terminal(watched)
         else:
             _in_file(watched)
-    say(f"{agent} in {traffic}, episode {seed}: {ENDED[watched.ending]}")
+    say(f"{title}, episode {seed}: {ENDED[watched.ending]}")
 
 
 ENDED = {

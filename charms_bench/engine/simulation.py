@@ -43,7 +43,7 @@ from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.philox import uniforms
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.deciding import Asked, check_declared, decide, kept_width
-from charms_bench.plugins.traffic import Traffic
+from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.actions import ActionKind, Actions, problem_of
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
@@ -106,6 +106,8 @@ class Simulation:
         self.everyone = np.arange(scenes)
         """[B] the index of each scene."""
         self._traffic = traffic
+        self._assigns = not isinstance(traffic, OneAgent)
+        """Whether the traffic has to be asked; a plugin that lists one agent may return another."""
         self._egos_end_episodes = "" not in traffic.agents
         self.ego_agent = ego or ""
         """The name of the agent that drives the egos; empty if they are driven from outside."""
@@ -209,7 +211,7 @@ class Simulation:
         index = {name: k for k, name in enumerate(self.agents)}
         drivers = np.full((rows.size, 1 + others), len(self.agents) - 1)
         drivers[:, 0] = self.agents.index(self.ego_agent)
-        for r, seed in enumerate(seeds if len(self._traffic.agents) > 1 else ()):
+        for r, seed in enumerate(seeds if self._assigns else ()):
             # Its own random stream: the drivers do not change where vehicles start.
             rng = np.random.default_rng([int(seed), 1])
             drivers[r, 1:] = [index[name] for name in self._assigned(rng, int(seed), others)]
@@ -240,19 +242,11 @@ class Simulation:
     def _assigned(self, rng: np.random.Generator, seed: int, others: int) -> list[str]:
         """The names of the agents of an episode's other vehicles."""
         try:
-            assigned = np.asarray(self._traffic.assign(rng, 1, others))
-            names = list(map(str, assigned.ravel()))
+            return list(map(str, assigned(self._traffic, rng, 1, others)[0]))
         except BrokenWordError as error:
             raise AgentError(f"the traffic, episode {seed}: {error}") from error
         except PLUGIN_ERRORS as error:
             raise AgentError(f"the traffic, episode {seed}: {raised(error)}") from error
-        what = f"shape {assigned.shape}; expected (1, {others})"
-        if assigned.shape == (1, others):
-            unknown = set(names) - set(self._traffic.agents)
-            what = f"'{min(unknown)}', which `agents` does not list" if unknown else ""
-        if what:
-            raise AgentError(f"the traffic, episode {seed}: assign returned {what}")
-        return names
 
     def state(self, rows: Ints | None = None) -> SceneState:
         """Saves the scenes `rows`, at any simulation step; by default, all scenes."""
@@ -274,7 +268,7 @@ class Simulation:
             return
         index, most = {name: k for k, name in enumerate(self.agents)}, self._open_road.most
         agents = np.full((rows.size, most), len(self.agents) - 1)
-        for r, seed in enumerate(self.seeds[rows] if len(self._traffic.agents) > 1 else ()):
+        for r, seed in enumerate(self.seeds[rows] if self._assigns else ()):
             rng = np.random.default_rng([int(seed), 7])
             agents[r] = [index[name] for name in self._assigned(rng, int(seed), most)]
         self._open_road.schedule(rows, agents)

@@ -18,7 +18,7 @@ from charms_bench.envs.rendering import Frame, Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
-from charms_bench.plugins.traffic import OneAgent, Traffic
+from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
 from charms_bench.world.actions import ActionKind, Actions
 from charms_bench.world.observations import Observation, neighbours
@@ -267,9 +267,9 @@ class FromOutside(Traffic):
         self._driven = [number - 1 for number in numbers if number > 0]
 
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
-        assigned = np.array(self._traffic.assign(rng, scenes, vehicles))
-        assigned[:, self._driven] = ""
-        return assigned
+        names = np.array(assigned(self._traffic, rng, scenes, vehicles))
+        names[:, self._driven] = ""
+        return names
 
 
 def _checked(numbers: Iterable[int], vehicles: int) -> tuple[int, ...]:

@@ -1,5 +1,6 @@
 """highway-env's other environments, such as `charms_bench/merge-v0`, alone and as vectors."""
 
+import json
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from itertools import product
@@ -18,6 +19,7 @@ from charms_bench.envs.rendering import RENDER_MODES, Frame, Renderer
 from charms_bench.envs.road_rendering import RoadPictures
 from charms_bench.envs.road_state import RoadState, RoadVehicle, missing, vehicles_of
 from charms_bench.envs.seeds import checked_seed, random_seeds, seeds_of
+from charms_bench.envs.spaces import trained_in
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
@@ -412,7 +414,14 @@ def episodes_of(name: str, count: int, config: Mapping[str, Any] | None) -> Epis
 
 def spaces_of(episodes: Episodes) -> Spaces:
     """The spaces of the observations and the actions of one environment."""
-    seen = [observer.space for observer in episodes.observers]
+    config = episodes.config
+    where = {
+        "environment": episodes.name,
+        "decision_hz": config["policy_frequency"],
+        "observation": json.dumps(config["observation"], default=str),
+        "action": json.dumps(config["action"], default=str),
+    }
+    seen = [trained_in(observer.space, where) for observer in episodes.observers]
     chosen = [episodes.actions.space for _ in range(episodes.agents)]
     return (
         gymnasium.spaces.Tuple(seen) if episodes.sees_agents else seen[0],

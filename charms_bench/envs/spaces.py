@@ -1,17 +1,21 @@
 """Gymnasium's spaces of observations and actions."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind
+from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     EGO,
     SPEED_SCALE_MPS,
+    TRAINED_IN,
     Y_SCALE_M,
     Neighbours,
     Observation,
+    described,
     neighbours,
 )
 from charms_bench.world.scene import SceneSettings
@@ -30,8 +34,12 @@ def spaces_of(
     actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
     if kind == "continuous":
         actions = spaces.Box(-1.0, 1.0, (len(CONTROLS),), np.float32)
+    where: dict[str, Any] = {"environment": "Ego-v0", "decision_hz": settings.decision_hz}
+    if isinstance(observation, Neighbours | Kinematics):
+        where["observation"] = described(observation)
     if not isinstance(observation, Neighbours):
-        return spaces.Box(-np.inf, np.inf, observation.shape, np.float32), actions
+        space = spaces.Box(-np.inf, np.inf, observation.shape, np.float32)
+        return trained_in(space, where), actions
     profile = settings.profile
     targets = (profile.target_speed_max_mps, *profile.target_speeds_mps)
     fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
@@ -40,4 +48,13 @@ def spaces_of(
     if kind == "continuous":
         high[EGO, 2] = np.inf
     high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
-    return spaces.Box(-high, high, dtype=np.float32), actions
+    return trained_in(spaces.Box(-high, high, dtype=np.float32), where), actions
+
+
+def trained_in(space: spaces.Space[Any], where: Mapping[str, Any]) -> spaces.Space[Any]:
+    """The space of an environment's observations, which says which environment it is.
+
+    Checkpoints of Stable-Baselines3 have the attributes of a space as text.
+    """
+    setattr(space, TRAINED_IN, dict(where))
+    return space

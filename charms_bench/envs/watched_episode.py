@@ -16,19 +16,23 @@ if TYPE_CHECKING:
     from charms_bench.world.picture import Moment
 
 
-class Watched:
-    """An episode with an agent as the ego, which is the name of one or the path of a network.
+def plain(agent: str, traffic: str) -> Simulation:
+    """Scenes with an agent as the ego, which is the name of one or the path of a network.
 
     Raises:
         CharmsBenchError: An agent or the traffic model cannot be used.
     """
+    around, drivers = made_traffic(traffic)
+    drivers[agent] = make_agent(agent)
+    return Simulation(SceneSettings(), 1, agent, around, drivers)
 
-    def __init__(self, agent: str, traffic: str, seed: int) -> None:
-        around, drivers = made_traffic(traffic)
-        drivers[agent] = make_agent(agent)
-        self.settings = SceneSettings()
-        self._title = f"{agent} in {traffic}"
-        self._simulation = Simulation(self.settings, 1, agent, around, drivers)
+
+class Watched:
+    """An episode of a simulation of one scene."""
+
+    def __init__(self, simulation: Simulation, seed: int, title: str) -> None:
+        self.settings = simulation.settings
+        self._title, self._simulation = title, simulation
         self._simulation.reset(np.array([seed], dtype=np.uint64))
 
     def moments(self) -> "Iterator[Moment]":

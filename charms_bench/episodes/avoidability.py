@@ -64,6 +64,8 @@ class Avoidability:
     ending: str
     step: int
     """The decision in whose interval the ego collided, from 1."""
+    collided_s: float
+    """When it collided: the end of the simulation step, as in `what_happened`."""
     verdict: Verdict
     """`spawn` if no sequence of meta-actions avoids it from the first decision on; `unknown` if the
     budget ended before an answer."""
@@ -208,6 +210,7 @@ class _Chunk:
                     episode=each.episode,
                     ending=each.ending,
                     step=int(self._last[episode]),
+                    collided_s=float(each.t_s[each.crashed[:, each.ego].argmax()]),
                     verdict=verdict,
                     last_step=last,
                     avoided_by=tuple(name for name, does in own.items() if does),

@@ -19,6 +19,7 @@ from charms_bench.errors import InputError, RunFolderError, suggestion
 from charms_bench.foundation.files import write_bytes
 from charms_bench.foundation.names import distinct, slugs
 from charms_bench.foundation.spreadsheets import in_csv
+from charms_bench.foundation.words import counted
 from charms_bench.runs.shard import in_parquet
 from charms_bench.runs.suite import Cell, Suite
 
@@ -51,7 +52,9 @@ def write_dataset(
         recorded.cell.scene.check_straight("highD's format describes")
     suite = recorded.run.suite
     if count is not None and not 1 <= count <= suite.episodes:
-        raise InputError(f"{count} episodes; expected 1 to {suite.episodes}, which the run has")
+        raise InputError(
+            f"{counted(count, 'episode')}; expected 1 to {suite.episodes}, which the run has"
+        )
     # Minari takes the end of a name for the version of a dataset.
     name = f"{name_of(suite, recorded.cell)}-{'v0' if kind == 'minari' else kind}"
     path = output or recorded.run.folder.path / "datasets" / name

@@ -40,7 +40,7 @@ class EdgeCase:
 
     def __repr__(self) -> str:
         where = f"{self.ego} in {self.traffic}, episode {self.episode}"
-        return f"<EdgeCase {self.rank}: {where}, criticality {self.criticality:.2f}: {self.what}>"
+        return f"<EdgeCase {self.rank}: {where}, criticality {self.criticality:z.2f}: {self.what}>"
 
 
 def edge_cases(cells: Sequence[RecordedCell], top: int, kind: Kind | None) -> list[EdgeCase]:

@@ -194,7 +194,7 @@ def _recording_meta(replay: Replay) -> pl.DataFrame:
     driven = replay.x[last, everyone] - replay.x[first, everyone]
     # No two recordings start at the same time, which would mean that they show the same traffic.
     start = datetime(1970, 1, 1) + timedelta(minutes=replay.episode)
-    upper, lower = (";".join(f"{y:.2f}" for y in each) for each in _markings(replay))
+    upper, lower = (";".join(f"{y:z.2f}" for y in each) for each in _markings(replay))
     row = {
         "id": replay.episode,
         "frameRate": replay.settings.simulation_hz,

@@ -22,6 +22,7 @@ from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.recording import Recording
@@ -106,7 +107,7 @@ def write_minari(
             "dataset_id": name,
             "algorithm_name": chosen.ego.title,
             "author": {"charms-bench"},
-            "description": f"{chosen.title}, {len(episodes)} episodes of suite {suite}",
+            "description": f"{chosen.title}, {counted(len(episodes), 'episode')} of suite {suite}",
             "requirements": [f"charms-bench=={__version__}"],
             "minari_version": minari.__version__,
         }

@@ -14,6 +14,7 @@ import polars as pl
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
@@ -69,7 +70,7 @@ class Replay(Motion):
     straightened along the ego's way; a vehicle is present while it is beside it."""
 
     def __repr__(self) -> str:
-        what = f"{self.cell.title}, {self.x.shape[1]} vehicles, {self.t_s[-1]:.1f} s"
+        what = f"{self.cell.title}, {counted(self.x.shape[1], 'vehicle')}, {self.t_s[-1]:z.1f} s"
         return f"<Replay of episode {self.episode}: {what}, ending {self.ending}>"
 
     @property

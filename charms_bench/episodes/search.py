@@ -24,6 +24,7 @@ from pydantic import TypeAdapter
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import AGENTS, plugins
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.checked_result import read_result, write_result
@@ -71,7 +72,9 @@ class Search:
     """Called with the episodes simulated since the last call."""
 
     def __repr__(self) -> str:
-        found = f"{len(self.failures)} failures in {self.simulations:,} episodes"
+        found = (
+            f"{counted(len(self.failures), 'failure')} in {counted(self.simulations, 'episode')}"
+        )
         return f"<Search of {self.cell.title}: {found}>"
 
     def run(self, failures: int, budget: int, seed: int) -> None:

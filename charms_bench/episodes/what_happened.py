@@ -34,7 +34,7 @@ def what_happened(replay: Replay, kind: Kind | None = None, since: int = 1) -> s
     Events before the decision `since`, at which the episode must still run, are left out.
     """
     words, frame = _event(replay, kind, since)
-    return words if frame is None else f"{words}, at t = {replay.t_s[frame]:.1f} s"
+    return words if frame is None else f"{words}, at t = {replay.t_s[frame]:z.1f} s"
 
 
 def critical_time_s(replay: Replay, since: int = 1) -> float:
@@ -93,27 +93,27 @@ def _abandoned_change(replay: Replay, since: int) -> tuple[str, int | None]:
     change = max(taken or changes, key=lambda change: change.ended - change.began)
     lasted = replay.t_s[change.ended] - replay.t_s[change.began]
     side = _side(change.lane - int(replay.lane[change.began, replay.ego]))
-    words = f"began a lane change to the {side}, abandoned it after {lasted:.1f} s"
+    words = f"began a lane change to the {side}, abandoned it after {lasted:z.1f} s"
     if change.taker is not None:
         ahead = replay.x[change.ended, change.taker] - replay.x[change.ended, replay.ego]
         where = "ahead" if ahead >= 0 else "behind"
-        words += f" when vehicle {change.taker} took the gap, {abs(ahead):.0f} m {where}"
+        words += f" when vehicle {change.taker} took the gap, {abs(ahead):z.0f} m {where}"
     return words, change.ended
 
 
 def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
     ego = replay.ego
     if replay.ending == "off_road":
-        return f"left the road at {replay.speed[-1, ego]:.1f} m/s", -1
+        return f"left the road at {replay.speed[-1, ego]:z.1f} m/s", -1
     frame = int(replay.crashed[:, ego].argmax())
     x, y, speed = replay.x[frame], replay.y[frame], replay.speed[frame]
     other, _ = vehicle_hit(x, y, replay.length[frame], replay.width[frame], ego)
     faster = speed[ego] - speed[other]
     if replay.ending == "rear_end" and x[other] > x[ego]:
-        how = f"at {speed[ego]:.1f} m/s, {_faster(faster)} than it"
+        how = f"at {speed[ego]:z.1f} m/s, {_faster(faster)} than it"
         return f"hit vehicle {other} from behind {how}", frame
     if replay.ending == "rear_end":
-        how = f"at {speed[other]:.1f} m/s, {_faster(-faster)} than the ego"
+        how = f"at {speed[other]:z.1f} m/s, {_faster(-faster)} than the ego"
         return f"was hit from behind by vehicle {other} {how}", frame
     side = _side(y[other] - y[ego])
     to_the_right = speed * np.sin(replay.heading[frame])
@@ -121,8 +121,8 @@ def _collision(replay: Replay, _: int) -> tuple[str, int | None]:
     if max(towards[ego], -towards[other]) <= DRIFT_MPS:
         return f"clipped vehicle {other} on the {side}, {_faster(faster)} than it", frame
     if towards[ego] >= -towards[other]:
-        return f"steered to the {side} into vehicle {other} at {speed[ego]:.1f} m/s", frame
-    how = f"from the {side} at {speed[other]:.1f} m/s"
+        return f"steered to the {side} into vehicle {other} at {speed[ego]:z.1f} m/s", frame
+    how = f"from the {side} at {speed[other]:z.1f} m/s"
     return f"vehicle {other} steered into the ego {how}", frame
 
 
@@ -134,9 +134,9 @@ def _near_miss(replay: Replay, since: int) -> tuple[str, int | None]:
     row = rows.row(int(rows["ttc_s"].arg_min() or 0), named=True)
     frame = replay.frame_of(row["step"])
     return (
-        f"TTC {row['ttc_s']:.1f} s behind vehicle {ego_view(replay).leader[frame]}, "
-        f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:.1f} m away "
-        f"(DRAC {row['drac_mps2']:.1f} m/s²)"
+        f"TTC {row['ttc_s']:z.1f} s behind vehicle {ego_view(replay).leader[frame]}, "
+        f"{_faster(row['speed'] - row['leader_speed'])} than it and {row['gap_m']:z.1f} m away "
+        f"(DRAC {row['drac_mps2']:z.1f} m/s²)"
     ), frame
 
 
@@ -147,7 +147,7 @@ def _hard_braking(replay: Replay, since: int) -> tuple[str, int | None]:
     row, before = rows.row(changed, named=True), rows.row(changed - 1, named=True)
     return (
         f"changed to the {_side(row['lane'] - before['lane'])} lane, where the new follower, "
-        f"vehicle {row['follower']}, braked at {row['imposed_braking_mps2']:.1f} m/s²"
+        f"vehicle {row['follower']}, braked at {row['imposed_braking_mps2']:z.1f} m/s²"
     ), replay.frame_of(row["step"])
 
 
@@ -156,4 +156,4 @@ def _side(to_the_right: float) -> str:
 
 
 def _faster(by: float) -> str:
-    return f"{abs(by):.1f} m/s {'faster' if by >= 0 else 'slower'}"
+    return f"{abs(by):z.1f} m/s {'faster' if by >= 0 else 'slower'}"

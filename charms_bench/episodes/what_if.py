@@ -139,7 +139,7 @@ def future_of(replayed: Replay, vehicle: int, start: int) -> Future:
     return Future(
         vehicle=vehicle,
         agent=replayed.agents[vehicle],
-        ending=f"{ending} at {replayed.t_s[end]:.1f} s",
+        ending=f"{ending} at {replayed.t_s[end]:z.1f} s",
         lasted_s=float(replayed.t_s[end] - replayed.t_s[start]),
         ttc_min_s=_smallest(view.ttc[after]),
         gap_min_m=_smallest(view.gap_ahead[after]),

@@ -1,13 +1,38 @@
 """Safe and distinct names for files and links, made from titles that users choose."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from hashlib import sha256
 from itertools import chain, count
 from pathlib import Path
+from unicodedata import normalize
 
 LIMIT_BYTES = 50
 """Most bytes of a name made from one title; file systems allow 255 for a whole name."""
+
+
+_INVISIBLE = re.compile("[\u034f\u115f\u1160\u180b-\u180f\u2800\ufe00-\ufe0f]")
+"""Characters that count as printable, but show nothing."""
+_LATIN = str.maketrans(
+    "АВСЕНІЈКМОРЅТХУасеіјорѕхуΑΒΕΖΗΙΚΜΝΟΡΤΥΧο", "ABCEHIJKMOPSTXYaceijopsxyABEZHIKMNOPTYXo"
+)
+"""Cyrillic and Greek letters that look like Latin ones."""
+
+
+def appearance(title: str) -> str:
+    """What a reader sees of a title: equal for titles that nobody can tell apart."""
+    visible = _INVISIBLE.sub("", normalize("NFKC", title))
+    return " ".join(visible.translate(_LATIN).split())
+
+
+def alike(titles: Sequence[str]) -> str:
+    """The first of some titles that looks like one before it; empty if there is none."""
+    seen: set[str] = set()
+    for title in titles:
+        if (look := appearance(title)) in seen:
+            return title
+        seen.add(look)
+    return ""
 
 
 def slug(title: str) -> str:

@@ -59,6 +59,21 @@ class Metric:
         object.__setattr__(self, "interval", _OLDER_NAMES.get(self.interval, self.interval))
 
 
+def problem_of_sums(metric: Metric, sums: Floats) -> str:
+    """Why sums [E, k] have no interval of the metric's kind; empty if they have one."""
+    if metric.interval == "bootstrap":
+        return ""
+    kind, events = f"its interval is '{metric.interval}'", sums[:, -1]
+    if not (np.isfinite(sums).all() and (events >= 0).all()):
+        return f"{kind}; expected sums that are finite and not negative"
+    if metric.interval in ("proportion", "wilson"):
+        trials = sums[:, 0 if metric.interval == "wilson" else -2]
+        if (wrong := events > trials * (1 + 1e-9)).any():
+            at = int(wrong.argmax())
+            return f"{kind}, but an episode has {events[at]:g} events of {trials[at]:g}"
+    return ""
+
+
 @dataclass(frozen=True)
 class MetricSet:
     """Metrics that are reported together; a changed definition gets a new version."""

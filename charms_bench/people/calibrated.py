@@ -76,8 +76,8 @@ class Calibration:
         return [
             {
                 "parameter": name,
-                "median": f"{fit.point[k]:.2f}",
-                "spread": f"x / {spread[k]:.2f}",
+                "median": f"{fit.point[k]:z.2f}",
+                "spread": f"x / {spread[k]:z.2f}",
                 "identified": "no" if fit.is_unidentified[k] else "yes",
             }
             for k, name in enumerate(fit.model.parameters)
@@ -88,9 +88,9 @@ class Calibration:
         return [
             {
                 "predicted by": each.name,
-                "gap error": f"{each.rmspe:.2f}",
+                "gap error": f"{each.rmspe:z.2f}",
                 **{
-                    f"energy score, {horizon_s} s": f"{score:.2f}"
+                    f"energy score, {horizon_s} s": f"{score:z.2f}"
                     for horizon_s, score in zip(
                         HORIZONS_S, np.nanmean(each.energy_scores, axis=0), strict=True
                     )

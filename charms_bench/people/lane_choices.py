@@ -22,6 +22,7 @@ from charms_bench.metrics.rows import UNDONE_WITHIN_S
 from charms_bench.people.car_following import idm
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES
+from charms_bench.world.csv_table import read_parquet
 from charms_bench.world.highd import STAY_S, read_folder
 from charms_bench.world.profile import CHARMS
 from charms_bench.world.scene import Bools, Floats, Ints
@@ -79,7 +80,7 @@ def read_lane_counts(path: Path) -> Floats:
 def _rows_with_lanes(path: Path) -> list[pl.DataFrame]:
     """Columns vehicle, lane, x, speed, length, group and second of each recording with lanes."""
     if path.suffix == ".parquet":
-        table = pl.read_parquet(path)
+        table = read_parquet(path)
         tables = [_i75_rows(table)] if "lead_id" in table.columns else []
     else:
         tables = [

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import polars as pl
 
+from charms_bench.errors import DataError
 from charms_bench.people.following import DECISION_HZ
 from charms_bench.people.situations import situations
 from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
@@ -87,13 +88,16 @@ def survey(
     folder: Path,
     samplers: Mapping[str, Sampler],
     tell: Callable[[int], object] = lambda recordings: None,
+    note: Callable[[str], object] = lambda problem: None,
 ) -> tuple[Survey, dict[str, Learnable]]:
     """The survey of a folder, and what each sampler can learn from it.
+
+    `note` is called with the reason why a sampler can learn nothing.
 
     Only one recording is in memory at a time; `tell` is called with 1 after each.
 
     Raises:
-        DataError: The recordings cannot be used, or a sampler can learn nothing from them.
+        DataError: The recordings cannot be used.
     """
     recordings, decisions = [], []
     for trio in find_trios(folder):
@@ -106,7 +110,13 @@ def survey(
         decisions.append(rows.select("speed", offset.alias("offset"), "leader_distance"))
         tell(1)
     found = Survey(pl.DataFrame(recordings), pl.concat(decisions))
-    return found, {name: sampler.learnable() for name, sampler in samplers.items()}
+    learnable = {}
+    for name, sampler in samplers.items():
+        try:
+            learnable[name] = sampler.learnable()
+        except DataError as error:
+            note(f"{name}: {str(error).removeprefix(f'{folder}: ')}")
+    return found, learnable
 
 
 def _row(recording: Recording) -> dict[str, object]:

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
+from charms_bench.world.csv_table import read_parquet
 from charms_bench.world.highd import Recording, read_folder
 from charms_bench.world.scene import Floats
 
@@ -82,11 +83,7 @@ def split(trips: Sequence[Trip]) -> tuple[list[Trip], list[Trip]]:
 
 def _table_rows(path: Path) -> pl.DataFrame:
     """Columns driver, stretch, gap and speed of the table of I-24 or I-75, in order of time."""
-    try:
-        table = pl.read_parquet(path)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        reason = str(error).partition("\n")[0]
-        raise DataError(f"{path}: not a Parquet table: {reason}") from error
+    table = read_parquet(path)
     if set(_I24) <= set(table.columns):
         rows = table.sort("run", "t_s").with_columns(driver="run", gap="gap_m", speed="speed_mps")
         new = (pl.col("gap").diff().abs() > JUMP_M) | (pl.col("t_s").diff() > 1.5 / RATE_HZ)

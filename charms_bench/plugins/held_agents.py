@@ -69,10 +69,15 @@ class HeldPolicy(Held[Policy], Policy):
             setattr(self, name, getattr(policy, name))
 
     def decide(self, observations: Observations, *given: Any) -> Any:
-        answer = self.plugin.decide(observations, *given)
         if not self._is_chosen():
-            return answer
+            return self.plugin.decide(observations, *given)
         asked = (observations, *given)
+        names = ("observations", "memory", "noise")
+        before = [np.array(each) for each in asked[: len(names)]]
+        answer = self.plugin.decide(observations, *given)
+        for name, was, now in zip(names, before, asked, strict=False):
+            if not np.array_equal(was, now, equal_nan=True):
+                raise BrokenWordError(f"decide changed its {name}")
         actions, memory = answer_of(self, asked, answer)
         if problem_of(actions, self.actions, len(observations))[0]:
             return answer  # the simulation says what is wrong

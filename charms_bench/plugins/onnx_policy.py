@@ -2,7 +2,9 @@
 
 import math
 import re
+from collections.abc import Mapping
 from contextlib import suppress
+from difflib import get_close_matches
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -32,12 +34,16 @@ from charms_bench.plugins.onnx_session import (
     signature_of,
     tried,
 )
-from charms_bench.world.actions import ActionKind, Actions, outputs_of
+from charms_bench.world.actions import ACTIONS, ActionKind, Actions, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
 from charms_bench.world.scene import Floats, Observations
 
 SIZE_LIMIT_BYTES = 64 * 2**20
+KEYS = ("observation", "actions", "decision_hz", "target_speed_steps_mps", "history")
+"""The keys of the metadata that decide how a network is asked."""
+_FACTS = ("activation", "stage", "style", "source", "source_sha256")
+"""Those that the pipelines of this project also write."""
 ROWS_AT_ONCE = 512
 """Observations in one call of onnxruntime. A layer of 256 units then takes 512 KiB, so intermediate
 results stay in the cache of one core; a call costs as much as about ten observations."""
@@ -71,14 +77,12 @@ class OnnxPolicy(Policy):
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
         try:
-            shape = self._open(decision_hz)
+            self._open(decision_hz)
         except ModelError as error:
             raise ModelError(f"{self.path}: {error}") from error
-        if is_child():
-            self.values(np.zeros((2, *shape), np.float32))
 
-    def _open(self, decision_hz: float | None) -> tuple[int, ...]:
-        """Reads what the file says of itself; returns the shape of what a vehicle observes."""
+    def _open(self, decision_hz: float | None) -> None:
+        """Reads what the file says of itself."""
         try:
             data = read_limited(self.path, SIZE_LIMIT_BYTES)
         except OSError as error:
@@ -93,12 +97,16 @@ class OnnxPolicy(Policy):
         self._opened: Any = None
         found = signature_of(self._session) if is_child() else tried(data)
         said = found.metadata
+        _check_keys(said)
         try:
             self.observation = observation_described(said.get("observation", "neighbours"))
         except InputError as error:
             raise ModelError(f"metadata: {error}") from error
-        if said.get("actions") == "continuous":
+        if (actions := said.get("actions", "meta")) == "continuous":
             self.actions = "continuous"
+        elif actions not in ("meta", ", ".join(ACTIONS)):
+            what = f"expected continuous, or meta for {', '.join(ACTIONS)}"
+            raise ModelError(f"metadata: actions is '{actions[:80]}'; {what}")
         self.history_length = _history(said.get("history", "1"))
         history = (self.history_length,) * (self.history_length > 1)
         shape = *history, *self.observation.shape
@@ -114,7 +122,6 @@ class OnnxPolicy(Policy):
             self.target_speed_steps_mps = _speed_steps(steps)
         if found.problem:
             raise ModelError(found.problem)
-        return *history, *self.observation.shape
 
     @property
     def _session(self) -> Any:
@@ -188,6 +195,15 @@ class OnnxPolicy(Policy):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.path, self.decision_hz)
+
+
+def _check_keys(said: Mapping[str, str]) -> None:
+    """Refuses a key that is probably a misspelt one; others say something to people."""
+    for key in sorted(set(said) - {*KEYS, *_FACTS}):
+        word = key.casefold()
+        alike = [each for each in KEYS if word and (each in word or each.startswith(word))]
+        if close := alike or get_close_matches(word, KEYS, n=1, cutoff=0.7):
+            raise ModelError(f"metadata: no key '{key[:80]}'. Did you mean '{close[0]}'?")
 
 
 def _with_mask(seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:

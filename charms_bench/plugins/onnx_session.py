@@ -10,7 +10,7 @@ import math
 import os
 import resource
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import ModelError
+from charms_bench.errors import InputError, ModelError
 from charms_bench.foundation.workers import Died, ask
 from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
@@ -31,6 +31,7 @@ from charms_bench.plugins.onnx_ports import (
     roles_of,
 )
 from charms_bench.world.actions import ACTIONS
+from charms_bench.world.observations import observation_described
 from charms_bench.world.scene import Floats
 
 MEMORY_LIMIT_BYTES = 2 * 2**30
@@ -83,7 +84,7 @@ def _fate(died: Died) -> str:
 
 
 def _try(data: bytes) -> Signature:
-    """Opens a network, and computes it for zeros and for random observations."""
+    """Opens a network, and computes it for observations like real ones and for random ones."""
     import onnxruntime  # noqa: F401  # its memory is not the network's
 
     with _limits():
@@ -92,8 +93,10 @@ def _try(data: bytes) -> Signature:
         if (roles := roles_of(found)) is None:
             return found
         rng = np.random.default_rng(0)
+        inputs, memory = _question(roles, rng, TRIED_ROWS, 0.0)
+        inputs[roles.seen] = like_real(roles.shape, found.metadata, rng, TRIED_ROWS)
         try:
-            compute(session, roles, *_question(roles, rng, 2, 0.0))
+            compute(session, roles, inputs, memory)
         except ModelError as error:
             return replace(found, problem=str(error))
         for scale in TRIED_SCALES:
@@ -105,13 +108,37 @@ def _try(data: bytes) -> Signature:
 def _question(
     roles: Roles, rng: np.random.Generator, rows: int, scale: float
 ) -> tuple[Arrays, Floats]:
-    """Random inputs and memory of this scale; for 0, those of an empty road at the beginning."""
+    """Random inputs and memory of this scale; for 0, those of the beginning of an episode."""
     inputs = {roles.seen: rng.normal(scale=scale, size=(rows, *roles.shape)).astype(np.float32)}
     if roles.takes_mask:
         inputs[MASK_INPUT] = np.ones((rows, len(ACTIONS)), dtype=np.float32)
     if roles.noise:
         inputs[NOISE_INPUT] = rng.random((rows, roles.noise), np.float32) * min(scale, 1)
     return inputs, rng.normal(scale=scale, size=(rows, roles.memory))
+
+
+def like_real(
+    shape: tuple[int, ...], metadata: Mapping[str, str], rng: np.random.Generator, rows: int
+) -> NDArray[np.float32]:
+    """Inputs (rows, *shape) like those that vehicles have; zeros if the metadata do not fit.
+
+    A vehicle sees itself and at least one other vehicle; the row of a vehicle that is absent is
+    zeros. With history, half of the vehicles see the first observation of their episode.
+    """
+    nothing = np.zeros((rows, *shape), np.float32)
+    try:
+        observation = observation_described(metadata.get("observation", "neighbours"))
+    except InputError:
+        return nothing  # which the policy says
+    count, columns = observation.shape
+    history = math.prod(shape) // (count * columns)
+    if history * count * columns != math.prod(shape):
+        return nothing
+    seen = rng.uniform(-1.0, 1.0, (rows, history, count, columns))
+    seen[..., 0] = 1.0
+    seen[..., 2:, :] *= rng.random((rows, history, count - 2, 1)) < 0.5
+    seen[: rows // 2, :-1] = 0.0
+    return seen.reshape(nothing.shape).astype(np.float32)
 
 
 @contextmanager

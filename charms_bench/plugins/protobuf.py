@@ -48,16 +48,16 @@ class Reader:
         """The number and value of each field."""
         at = 0
         while at < len(message):
-            tag, at = _varint(message, at)
+            tag, at = varint(message, at)
             number, kind = tag >> 3, tag & 7
             value: Value
             if kind == 0:
-                value, at = _varint(message, at)
+                value, at = varint(message, at)
             elif kind in (1, 5):
                 size = 8 if kind == 1 else 4
                 value, at = message[at : at + size], at + size
             elif kind == 2:
-                size, at = _varint(message, at)
+                size, at = varint(message, at)
                 value, at = message[at : at + size], at + size
             else:
                 raise ValueError(f"field {number} is of the kind {kind}")
@@ -69,7 +69,7 @@ class Reader:
             yield number, value
 
 
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
+def varint(message: memoryview, at: int) -> tuple[int, int]:
     """A number with seven bits per byte, and where it ends."""
     value = 0
     for shift in range(0, 70, 7):

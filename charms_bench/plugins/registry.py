@@ -40,6 +40,16 @@ _ROLES = {
 }
 
 
+_TEXTS: Mapping[type, tuple[str, ...]] = {
+    Policy: ("weights_sha256",),
+    DriverModel: ("highway_env_class", "files_sha256"),
+    Traffic: ("after_deviation",),
+    Event: ("definition",),
+}
+"""The attributes of plugins that are texts."""
+_MISSING = object()
+
+
 def is_network(name: str) -> bool:
     """Whether an agent's name is the path of a network: it ends in `.onnx`."""
     return name.endswith(".onnx")
@@ -239,14 +249,20 @@ def _problem_of(made: object, *kinds: type) -> str:
     if isinstance(made, Policy):
         # Properties may raise here.
         _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
-    if isinstance(made, Policy) and not isinstance(made.weights_sha256, str):
-        return f"has weights_sha256 {made.weights_sha256!r}; expected a text"
+    for kind, texts in _TEXTS.items():
+        for text in texts * isinstance(made, kind):
+            value = getattr(made, text, _MISSING)
+            if not isinstance(value, str):
+                has = f"no `{text}`" if value is _MISSING else f"{text} {value!r}"
+                return f"has {has}; expected a text"
     if isinstance(made, Traffic):
         listed = made.agents
         if not isinstance(listed, tuple | list) or not all(type(name) is str for name in listed):
             return f"has agents {listed!r}; expected a tuple of names"
         if not listed:
             return "has no agents; expected at least one name"
+        if not all(listed):
+            return f"has agents {listed!r}; a name is empty"
     return ""
 
 

@@ -1,34 +1,53 @@
-"""Creates the distribution of a new agent from templates, as a start for plugin authors."""
+"""Creates the distribution of a new plugin from templates, as a start for its authors."""
 
 import re
 from importlib.util import find_spec
 from keyword import iskeyword
 from pathlib import Path
 from string import Template
+from typing import Literal
 
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
 TEMPLATES = Path(__file__).with_name("templates")
+Kind = Literal["policy", "planner", "memory", "driver-model", "traffic"]
+_CLASSES: dict[Kind, str] = {
+    "policy": "Policy",
+    "planner": "Planner",
+    "memory": "Policy",
+    "driver-model": "Model",
+    "traffic": "Traffic",
+}
 _NAME = re.compile(r"[a-z](?:[a-z0-9_]{0,48}[a-z0-9])?")
 _OF_PYTEST = ("tests", "conftest")
 """Names with a special meaning to pytest, which runs the new agent's tests."""
 
 
-def new_agent(name: str, folder: Path) -> tuple[Path, ...]:
-    """Writes the distribution of an agent that can drive into a new folder; returns its files.
+def new_agent(name: str, folder: Path, kind: Kind = "policy") -> tuple[Path, ...]:
+    """Writes the distribution of a plugin that works into a new folder; returns its files.
 
     Raises:
         InputError: The name is invalid or taken, or the folder is not empty or cannot be written.
     """
     _check_name(name)
-    words = {"name": name, "policy": "".join(map(str.capitalize, name.split("_"))) + "Policy"}
+    is_traffic = kind == "traffic"
+    words = {
+        "name": name,
+        "policy": "".join(map(str.capitalize, name.split("_"))) + _CLASSES[kind],
+        "group": TRAFFIC if is_traffic else AGENTS,
+        "make": "make_traffic" if is_traffic else "make_agent",
+        "rules": "traffic_rules" if is_traffic else "agent_rules",
+        "run": f"charms-bench traffic {name}" if is_traffic else f"charms-bench watch {name}",
+    }
     files = {
         folder / "README.md": "README.md",
         folder / "pyproject.toml": "pyproject.toml",
-        folder / f"{name}.py": "policy.py",
-        folder / "suite.yaml": "suite.yaml",
-        folder / "tests" / f"test_{name}.py": "test_policy.py",
+        folder / f"{name}.py": f"{kind}.py",
+        folder / "suite.yaml": "traffic.yaml" if is_traffic else "suite.yaml",
+        folder / "tests" / f"test_{name}.py": (
+            "test_policy.py" if kind == "policy" else "test_rules.py"
+        ),
     }
     try:
         if folder.exists() and any(folder.iterdir()):

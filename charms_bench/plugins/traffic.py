@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.errors import InputError
+from charms_bench.errors import BrokenWordError, InputError
 
 
 class Traffic(ABC):
@@ -26,6 +26,21 @@ class Traffic(ABC):
     @abstractmethod
     def assign(self, rng: np.random.Generator, scenes: int, vehicles: int) -> NDArray[np.str_]:
         """The agents' names, (scenes, vehicles), in the order of spawning without the ego."""
+
+
+def assigned(
+    traffic: Traffic, rng: np.random.Generator, scenes: int, vehicles: int
+) -> NDArray[np.str_]:
+    """What `assign` returns; raises a `BrokenWordError` unless it is names from `agents`."""
+    names = np.asarray(traffic.assign(rng, scenes, vehicles))
+    if names.shape != (scenes, vehicles):
+        raise BrokenWordError(
+            f"assign returned shape {names.shape}; expected ({scenes}, {vehicles})"
+        )
+    names = names.astype(str)
+    if unknown := set(names.ravel().tolist()) - set(traffic.agents):
+        raise BrokenWordError(f"assign returned '{min(unknown)}', which `agents` does not list")
+    return names
 
 
 class OneAgent(Traffic):

@@ -10,6 +10,7 @@ import polars as pl
 
 from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.foundation.files import is_compressed, read_file
+from charms_bench.foundation.words import counted
 from charms_bench.metrics import MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
@@ -199,7 +200,7 @@ class Audit:
     """What each check found; several for a check that found several problems."""
 
     def __repr__(self) -> str:
-        return f"<Audit of {self.path}: {self.verdict}, {len(self.findings)} findings>"
+        return f"<Audit of {self.path}: {self.verdict}, {counted(len(self.findings), 'finding')}>"
 
     def __str__(self) -> str:
         more = [f"{len(self.findings) - FINDINGS} more findings"][: len(self.findings) > FINDINGS]

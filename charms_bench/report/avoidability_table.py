@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from charms_bench.episodes.avoidability import Avoidability
+from charms_bench.foundation.words import counted
 from charms_bench.report.table import Column, Table
 from charms_bench.world.scene import SceneSettings
 
 COLUMNS = (
-    Column("collided_s", "s", "End of the decision interval in which the ego collided", form=".1f"),
+    Column("collided_s", "s", "When the ego collided, since the start", form=".1f"),
     Column(
         "escape",
         "",
@@ -62,9 +63,10 @@ def in_words(found: Sequence[Avoidability]) -> str:
         count[each.verdict] += 1
     single = sum(each.replacement is not None for each in found)
     return (
-        f"{len(found)} collisions of the ego: {count['avoidable']} avoidable by its meta-actions, "
-        f"{count['spawn']} unavoidable from the first decision on (the spawn), {count['unknown']} "
-        f"unknown. In {single}, replacing a single meta-action of one vehicle avoids the collision."
+        f"{counted(len(found), 'collision')} of the ego: {count['avoidable']} avoidable by its "
+        f"meta-actions, {count['spawn']} unavoidable from the first decision on (the spawn), "
+        f"{count['unknown']} unknown. In {single}, replacing a single meta-action of one vehicle "
+        "avoids the collision."
     )
 
 
@@ -73,7 +75,7 @@ def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
         "agent": each.ego,
         "traffic": each.traffic,
         "episode": each.episode,
-        "collided_s": each.step / settings.decision_hz,
+        "collided_s": each.collided_s,
         "escape": each.verdict,
         "avoided_by": "–",
         "single_action": "–",
@@ -81,7 +83,7 @@ def _record(each: Avoidability, settings: SceneSettings) -> dict[str, object]:
     if each.last_step is not None:
         tried = len(each.avoided_by) + len(each.hit_by)
         record["escape"] = f"decision {each.last_step}"
-        record["before_s"] = (each.step - each.last_step + 1) / settings.decision_hz
+        record["before_s"] = each.collided_s - (each.last_step - 1) / settings.decision_hz
         record["avoided_by"] = f"{len(each.avoided_by)} of {tried}"
     if (r := each.replacement) is not None:
         who = "ego" if r.is_ego else f"vehicle {r.vehicle}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -79,7 +80,8 @@ def _text(number: float | None, form: str) -> str:
     if number is None or math.isnan(number):
         return ""
     if form.endswith("g"):  # without an exponent
-        return f"{float(f'{number:{form}}'):,.10g}"
+        return f"{float(f'{number:{form}}'):z,.10g}"
+    form = re.sub("^[+]?", r"\g<0>z", form)  # no minus zero
     return f"{number:{form}}".replace("%", " %").replace("inf", "∞")
 
 

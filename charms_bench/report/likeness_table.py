@@ -44,7 +44,7 @@ def _scores(row: Likeness) -> dict[str, str]:
 
 def _shown(scores: Mapping[str, Score]) -> dict[str, str]:
     return {
-        title: f"{scores[name].value:.2f} [{scores[name].low:.2f}, {scores[name].high:.2f}]"
+        title: f"{scores[name].value:z.2f} [{scores[name].low:z.2f}, {scores[name].high:z.2f}]"
         if name in scores
         else ""
         for name, title in _SCORES.items()

@@ -110,9 +110,9 @@ def guess_summary(suite: Suite, cells: Sequence[CellRows]) -> str:
     right, asked = guessed(suite, cells)
     low, high = wilson(right, asked)
     text = (
-        f"From the summary of one episode, its ego is guessed right in {right / asked:.1%} of "
-        f"{asked:,} cases [{100 * low:.1f}, {100 * high:.1f}]; by chance it would be "
-        f"{1 / len(cells):.1%}."
+        f"From the summary of one episode, its ego is guessed right in {right / asked:z.1%} of "
+        f"{asked:,} cases [{100 * low:z.1f}, {100 * high:z.1f}]; by chance it would be "
+        f"{1 / len(cells):z.1%}."
     )
     return text.replace("%", " %")
 

@@ -35,7 +35,7 @@ def road(moment: Moment, width: int = 100) -> Text:
         for place in shown:
             rows[row][left + place] = (text[place], style)
     status = "   ".join(f"{what} {value}" for what, value in status_of(moment).items())
-    head = f"{moment.title}, episode {moment.episode}, {moment.t_s:.1f} s"
+    head = f"{moment.title}, episode {moment.episode}, {moment.t_s:z.1f} s"
     body = Text("\n").join(map(_merged, rows))
     return Text("\n").join([Text(head, "bold"), body, _marks(start, per_m, width), Text(status)])
 

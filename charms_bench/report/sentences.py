@@ -7,6 +7,7 @@ the next agent is multiplied by the number of all pairs that could have been cho
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from charms_bench.foundation.words import counted
 from charms_bench.report.number import Number
 from charms_bench.report.preventable_table import crashed
 from charms_bench.report.realism_table import FLOOR, WITHIN_LIMITS
@@ -73,7 +74,7 @@ def _of_egos(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cells
 
 
 def _verdict(p: float) -> str:
-    said = "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 1 else "p = 1"
+    said = "p < 0.001" if p < 0.001 else f"p = {p:z.3f}" if p < 1 else "p = 1"
     return f"{'separates' if p < 1 - CONFIDENCE else 'does not separate'} them ({said}"
 
 
@@ -123,7 +124,7 @@ def _of_one(ego: str, found: tuple[str, Number]) -> str:
         return f"{ego} crashed in {_rate(number)} in {traffic}."
     limit = "" if number.high is None else f" The {INTERVAL} ends at {_percent(number.high)} %."
     return (
-        f"{ego} crashed in none of {number.n or 0:,} episodes in {traffic}.{limit} "
+        f"{ego} crashed in none of {counted(number.n or 0, 'episode')} in {traffic}.{limit} "
         "`charms-bench rare` estimates smaller probabilities."
     )
 
@@ -159,7 +160,7 @@ def _speeds(metrics: Table) -> str:
     known = [number.value for number in numbers if number.value is not None]
     if len(known) < 2:
         return ""
-    return f" Mean speeds range from {min(known):.1f} to {max(known):.1f} m/s."
+    return f" Mean speeds range from {min(known):z.1f} to {max(known):z.1f} m/s."
 
 
 def _paired(first: CellRows, second: CellRows) -> tuple[float, float, float, float]:
@@ -189,7 +190,7 @@ def _sorted(rates: Iterable[tuple[str, Number]]) -> Rates:
 def _rate(number: Number) -> str:
     said = f"{_percent(number.value or 0.0)}\N{NO-BREAK SPACE}%"
     if number.n:
-        said += f" of {number.n:,} episodes"
+        said += f" of {counted(number.n, 'episode')}"
     if number.low is None or number.high is None:
         return said
     return f"{said} ({INTERVAL} {_percent(number.low)} to {_percent(number.high)})"

@@ -16,7 +16,7 @@ from rich.console import Group
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import RunFolderError, problem_in
 from charms_bench.foundation.fields import FrozenModel, Line
 from charms_bench.foundation.files import read_file
 from charms_bench.report.bars import Scale, line
@@ -114,9 +114,7 @@ def stored_training(folder: Path) -> Training:
                 read_file(folder / COLUMNS, MANIFEST_LIMIT_BYTES)
             )
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise RunFolderError(f"{folder / COLUMNS}: {where}: {first['msg']}") from error
+            raise RunFolderError(f"{folder / COLUMNS}: {problem_in(error)}") from error
     found = {name: read_csv(folder / name) for name in (STAGES, CURVES) if holds(folder, name)}
     for name, table in found.items():
         if "stage" not in table.columns:

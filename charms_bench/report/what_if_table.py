@@ -41,6 +41,6 @@ def what_if_table(found: WhatIf) -> Table:
         f"{found.step} on",
         ("vehicle", "future", "driver"),
         COLUMNS,
-        note=f"Measured from decision {found.step}, at t = {since_s:.1f} s, until the "
+        note=f"Measured from decision {found.step}, at t = {since_s:z.1f} s, until the "
         "vehicle crashed or the episode ended.",
     )

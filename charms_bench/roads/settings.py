@@ -10,6 +10,8 @@ from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import SceneSettings
 
 _OF_STRAIGHT_ROADS = (
@@ -72,6 +74,12 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
         return ""
     if agent.rollouts_with:
         return "it plans on copies of a straight road"
+    if agent.weights_sha256 and isinstance(observation_of(agent.observation), Kinematics):
+        return (
+            "a network of highway-env's Kinematics receives on this road neither the ranges nor "
+            "the target speeds of the environment that it was trained in; its row would be of "
+            "another task"
+        )
     if agent.actions == "meta" and speed < least:
         return (
             f"it commands target speeds from {least:g} m/s, and {whose} {speed:.3g} m/s; "

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.words import counted
 from charms_bench.runs.audit_files import audit_files, audit_networks
 from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.audit_software import audit_software, planned_again
@@ -69,7 +70,7 @@ def audit_run(
             progress(cells[shard.cell].cell, shard.episodes)
     whole = len(places_of(suite, engine))
     what = (
-        f"{wrong} of {count} shards that were simulated again differ"
+        f"{wrong} of {counted(count, 'shard')} that were simulated again differ"
         if wrong
         else f"{count} of {whole} shards, simulated again, have the same rows"
     )
@@ -96,7 +97,7 @@ def _differing_rows(folder: RunFolder, shard: Shard, files: ShardFiles) -> Itera
 def first_difference(stored: pl.DataFrame, again: pl.DataFrame) -> str:
     """Says where rows first differ from those of a new simulation; empty if nowhere."""
     if len(stored) != len(again):
-        return f"has {len(stored):,} rows; simulated again, {len(again):,}"
+        return f"has {counted(len(stored), 'row')}; simulated again, {len(again):,}"
     # On the straight road, rows are written without the columns of the others.
     lacking = [
         pl.lit(None, kind).alias(name) for name, kind in stored.schema.items() if name not in again

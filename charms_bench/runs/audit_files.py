@@ -12,6 +12,7 @@ import polars as pl
 
 from charms_bench.errors import RunFolderError
 from charms_bench.foundation.files import read_limited
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.audit_finding import Finding
@@ -57,7 +58,8 @@ def audit_files(folder: RunFolder, suite: Suite, cells: Sequence[Planned]) -> It
     found = [*_shards(folder, suite, names, cells), *_unexpected(folder, names)]
     yield from found
     if all(each.verdict == "unknown" for each in found):
-        what = f"the files of {len(names)} shards match their checksums and have their episodes"
+        what = f"the files of {counted(len(names), 'shard')} match their checksums and have their "
+        what += "episodes"
         yield Finding("files", "", "pass", what)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from charms_bench.engine import EngineName
 from charms_bench.errors import CharmsBenchError
+from charms_bench.plugins.specs import AgentSpec
 from charms_bench.runs.audit_finding import Finding, Verdict
 from charms_bench.runs.code_hashes import (
     commit,
@@ -137,7 +138,8 @@ def _agents(manifest: Mapping[str, Any], cells: Sequence[Planned]) -> Iterator[F
     recorded = manifest.get("agents", {})
     for cell in cells:
         if cell.problem:
-            yield Finding("software", cell.cell.title, "unknown", cell.problem)
+            what = f"{cell.problem}{_remedy(cell.problem, recorded)}"
+            yield Finding("software", cell.cell.title, "unknown", what)
     own = {name for cell in cells if cell.own for name in cell.agents}
     installed = {name: identity for cell in cells for name, identity in cell.agents.items()}
     for name, identity in installed.items():
@@ -152,6 +154,17 @@ def _agents(manifest: Mapping[str, Any], cells: Sequence[Planned]) -> Iterator[F
     if not any(cell.problem for cell in cells):
         for name in sorted(recorded.keys() - installed.keys()):
             yield Finding("software", name, "fail", "is in the manifest, but not in the suite")
+
+
+def _remedy(problem: str, recorded: Mapping[str, Mapping[str, str]]) -> str:
+    """Which distribution to install if the problem is a plugin of the run that is missing."""
+    for key, identity in recorded.items():
+        name = AgentSpec.model_validate_json(key).name if key.startswith("{") else key
+        name = name.removeprefix("traffic ")
+        of = f"{identity.get('distribution')} {identity.get('version')}"
+        if f"named '{name}'" in problem and identity.get("distribution"):
+            return f" '{name}' was of {of}; install that"
+    return ""
 
 
 def _listed(names: Collection[str]) -> str:

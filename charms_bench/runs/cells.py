@@ -8,7 +8,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from charms_bench.errors import RegistryError
+from charms_bench.foundation.words import counted
 from charms_bench.metrics import Metric, sums_by_episode
+from charms_bench.metrics.metric import problem_of_sums
 from charms_bench.world.following import BINS, QUANTITIES
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -32,7 +35,7 @@ class CellRows:
     """Values that the paper reports, by metric of the set `paper`."""
 
     def __repr__(self) -> str:
-        return f"<CellRows {self.agent} in {self.traffic}: {self.size:,} episodes>"
+        return f"<CellRows {self.agent} in {self.traffic}: {counted(self.size, 'episode')}>"
 
     @cached_property
     def episodes(self) -> pl.DataFrame:
@@ -45,7 +48,11 @@ class CellRows:
         return pl.concat(steps for _, steps in self.parts)
 
     def sums(self, metrics: Sequence[Metric], settings: SceneSettings) -> list[Floats]:
-        """Returns the sums [E, k] of each metric, by episode."""
+        """Returns the sums [E, k] of each metric, by episode.
+
+        Raises:
+            RegistryError: The sums of a metric are not those of its kind.
+        """
         ends = np.cumsum([len(metric.sums) for metric in metrics])
         whole = np.empty((self.size, ends[-1]))
         start = 0
@@ -54,7 +61,11 @@ class CellRows:
             sums = sums_by_episode(metrics, episodes, steps, settings, drivers)
             np.concatenate(sums, axis=1, out=whole[start:end])
             start = end
-        return np.split(whole, ends[:-1], axis=1)
+        found = np.split(whole, ends[:-1], axis=1)
+        for metric, each in zip(metrics, found, strict=True):
+            if problem := problem_of_sums(metric, each):
+                raise RegistryError(f"metric '{metric.name}' in {self.agent}: {problem}")
+        return found
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Reads YAML files from users into validated models; errors name file, line and field."""
 
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -20,6 +21,22 @@ SIZE_LIMIT_BYTES = 2**17
 """Twenty times the longest suite of this project; larger files take seconds to parse."""
 DEPTH_LIMIT = 20
 DIGITS_LIMIT = 40
+_PLAIN = {
+    "bool": ("true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": ("[-+]?(?:0|[1-9][0-9_]*|0x[0-9a-fA-F]+)", "-+0123456789"),
+    "float": (
+        r"[-+]?(?:\.[0-9]+|[0-9][0-9_]*(?:\.[0-9_]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf)|\.nan",
+        "-+0123456789.",
+    ),
+    "null": ("~|null|Null|NULL|", ["~", "n", "N", ""]),
+}
+"""What is not a text without quotes, as in YAML 1.2, and how it can begin."""
+_AMBIGUOUS = (
+    ("yes|Yes|YES|no|No|NO|on|On|ON|off|Off|OFF", "true or false"),
+    (r"[-+]?0(?:[0-9_]+|[ob][0-9_]+)", "an octal or binary number"),
+    (r"[-+]?[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?", "a number to the base of 60"),
+)
+"""What YAML 1.1 or programs read as something that its author may not mean."""
 
 
 class Document:
@@ -143,10 +160,11 @@ class _Refused(yaml.MarkedYAMLError):
 class _Loader(yaml.SafeLoader):
     """Loads only plain YAML, whose size in memory is bounded by its size as text.
 
-    Refuses tags, which could make objects, and aliases, repeated keys, deep nesting and numbers
-    with many digits.
+    Refuses tags, which could make objects, and aliases, merged and repeated keys, deep nesting,
+    numbers with many digits, and what versions of YAML read differently.
     """
 
+    yaml_implicit_resolvers: ClassVar[dict[str, Any]] = {}  # type: ignore[misc]  # of PyYAML
     _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
@@ -165,9 +183,27 @@ class _Loader(yaml.SafeLoader):
         self._depth -= 1
         if isinstance(node, yaml.MappingNode):
             _check_keys(node)
+        if isinstance(node, yaml.ScalarNode) and node.style is None:
+            _check_plain(node)
         if node is not None and node.tag.endswith(":int") and len(node.value) > DIGITS_LIMIT:
             raise _refused(f"a number has more than {DIGITS_LIMIT} digits", event)
         return node
+
+
+for _tag, (_pattern, _first) in _PLAIN.items():
+    _Loader.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(rf"(?:{_pattern})\Z"), list(_first)
+    )
+
+
+def _check_plain(node: yaml.ScalarNode) -> None:
+    for pattern, what in _AMBIGUOUS:
+        if re.fullmatch(pattern, node.value):
+            raise _refused(
+                f"{node.value} is {what} in some versions of YAML; write the number without "
+                f"leading zeros, true or false, or a text as '{node.value}' in quotes",
+                node,
+            )
 
 
 def _parsed(text: str) -> tuple[yaml.Node | None, Any]:
@@ -185,6 +221,8 @@ def _check_keys(node: yaml.MappingNode) -> None:
     for key, _ in node.value:
         if not isinstance(key, yaml.ScalarNode):
             raise _refused("a key must be a word, not a list or a mapping", key)
+        if key.value == "<<":
+            raise _refused("merge keys (<<) are not supported", key)
         if key.value in seen:
             raise _refused(f"the key '{key.value}' is given twice", key)
         seen.add(key.value)

@@ -25,7 +25,8 @@ def locked(folder: Path) -> Iterator[None]:
     lock = FileLock(folder / LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if links := sorted(path for path in folder.iterdir() if path.is_symlink()):
+        inside = (*folder.glob("*"), *folder.glob("*/*"))
+        if links := sorted(path for path in inside if path.is_symlink()):
             raise RunFolderError(
                 f"{links[0]}: is a link; expected a file or a folder; copy what it leads to"
             )

@@ -8,12 +8,20 @@ its values were computed with.
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import polars as pl
 
-from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, InputError, RegistryError
+from charms_bench.errors import (
+    PLUGIN_ERRORS,
+    CharmsBenchError,
+    InputError,
+    RegistryError,
+    suggestion,
+)
 from charms_bench.metrics import METRIC_SETS, Metric, MetricSet, sums_by_episode
+from charms_bench.metrics.metric import Interval
 from charms_bench.plugins.registry import METRICS, load
 from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
 from charms_bench.runs.document import name_and_options
@@ -68,16 +76,24 @@ def _metric_set(text: str) -> MetricSet:
 
 def _try_out(metric_set: MetricSet) -> None:
     """Computes the set for an episode of one step, to find a broken metric before a run."""
+    whose = f"metric set '{metric_set.name}'"
+    if not all(isinstance(metric, Metric) for metric in metric_set.metrics):
+        raise RegistryError(f"{whose}: expected metrics of the class Metric")
+    for metric in metric_set.metrics:
+        if metric.interval not in get_args(Interval):
+            known = suggestion(str(metric.interval), dict.fromkeys(get_args(Interval)))
+            what = f"no interval named '{metric.interval}'. {known}"
+            raise RegistryError(f"{whose}: {metric.name}: {what}")
     names = [metric.name for metric in metric_set.metrics]
     for name in names:
         if names.count(name) > 1:
-            raise RegistryError(f"metric set '{metric_set.name}': two metrics named '{name}'")
+            raise RegistryError(f"{whose}: two metrics named '{name}'")
     if not _problem_of(metric_set.metrics):
         return
     for metric in metric_set.metrics:
         if problem := _problem_of([metric]):
             raise RegistryError(
-                f"metric set '{metric_set.name}': {metric.name}: {problem}; expected sums of an "
+                f"{whose}: {metric.name}: {problem}; expected sums of an "
                 "episode's rows, and a value of shape (...) of totals (..., k)"
             )
 

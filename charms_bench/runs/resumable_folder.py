@@ -19,8 +19,9 @@ import polars as pl
 
 from charms_bench import __version__
 from charms_bench.engine import ENGINES, EngineName
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import RunFolderError, problem_in
 from charms_bench.foundation.files import PARTIAL, read_file, read_limited, write_bytes
+from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.columns import SCHEMAS
 from charms_bench.runs.code_hashes import commit, library_versions, module_blobs
@@ -145,8 +146,13 @@ class RunFolder:
             undeciding = {name: manifest[name] for name in _UNDECIDING if name in manifest}
             return Suite.model_validate({**manifest["suite"], **undeciding})
         except (KeyError, TypeError, ValueError) as error:
-            reason = str(error).replace("\n", " ")
+            reason = problem_in(error)
             raise RunFolderError(f"{self.path / MANIFEST}: describes no suite: {reason}") from error
+
+    def episodes(self) -> int:
+        """Returns the number of episodes of the run; 0 without a manifest."""
+        found = self.manifest().get("episodes", 0) if (self.path / MANIFEST).exists() else 0
+        return found if isinstance(found, int) else 0
 
     def engine(self) -> EngineName:
         """Returns the engine of the run.
@@ -362,16 +368,14 @@ class RunFolder:
         Raises:
             RunFolderError: The folder has shards of more episodes than the suite.
         """
-        if not (self.path / MANIFEST).exists():
-            return
-        episodes, names = self.manifest().get("episodes", 0), {shard.name for shard in shards}
+        episodes, names = self.episodes(), {shard.name for shard in shards}
         lost = [name for name in self.finished() if name not in names]
         if episodes > suite.episodes and lost:
             raise RunFolderError(
-                f"{self.path}: has {len(lost)} finished shards of a run of {episodes:,} episodes, "
-                f"which a run of {suite.episodes:,} would delete; choose another folder with "
-                f"--output, run with --episodes {episodes}, or delete them with --shorten "
-                "(in Python: output, episodes or shorten)"
+                f"{self.path}: has {counted(len(lost), 'finished shard')} of a run of "
+                f"{counted(episodes, 'episode')}, which a run of {suite.episodes:,} would delete; "
+                f"choose another folder with --output, run with --episodes {episodes}, or delete "
+                "them with --shorten (in Python: output, episodes or shorten)"
             )
 
     def drop_others(self, shards: Iterable[Shard]) -> None:

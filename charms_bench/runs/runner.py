@@ -11,6 +11,7 @@ from typing import TypeVar
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
 from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.foundation.words import counted
 from charms_bench.foundation.workers import in_processes
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
@@ -93,6 +94,7 @@ def run(
         }
         if not shorten:
             folder.refuse_to_drop(suite, tasks)
+        before = dict(blocks(suite.model_copy(update={"episodes": folder.episodes()}), engine))
         folder.write_manifest(suite, engine, agents)
         networks = {k: path for task in tasks.values() for k, path in task.networks.items()}
         for name, path in networks.items():
@@ -116,7 +118,7 @@ def run(
             missing[task] = shard
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
-        _note_replaced(suite, folder.finished(), missing.values(), notice)
+        _note_replaced(suite, before, folder.finished(), missing.values(), notice)
         simulate_all = cluster or partial(on_this_machine, simulate, engine, workers)
         with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
             try:
@@ -133,11 +135,23 @@ def run(
 
 
 def _note_replaced(
-    suite: Suite, finished: Iterable[str], missing: Collection[Shard], notice: Notice
+    suite: Suite,
+    before: Mapping[int, int],
+    finished: Iterable[str],
+    missing: Collection[Shard],
+    notice: Notice,
 ) -> None:
-    """Says which egos' finished shards, by their names, have other keys now."""
+    """Says which egos' finished shards, by their names, have other keys now.
+
+    `before` has the numbers of episodes of the shards that the folder was made for, by first seed.
+    If a shard has more or fewer episodes now, that is why its key differs.
+    """
     names = {shard.name for shard in missing}
-    places = {shard.name.rpartition("-")[0]: shard for shard in missing}
+    places = {
+        shard.name.rpartition("-")[0]: shard
+        for shard in missing
+        if before.get(shard.first_seed) == shard.episodes
+    }
     replaced = Counter(
         suite.cells[places[place].cell].ego.title
         for name in finished
@@ -145,8 +159,8 @@ def _note_replaced(
     )
     for ego, count in replaced.items():
         notice(
-            f"{ego}: {count} finished shards are replaced, because the agent, the traffic model or "
-            "the software has changed"
+            f"{ego}: {counted(count, 'finished shard')} replaced, because the agent, the traffic "
+            "model or the software has changed"
         )
 
 

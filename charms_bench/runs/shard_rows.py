@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 
 from charms_bench.errors import RunFolderError
+from charms_bench.foundation.words import counted
 from charms_bench.recording.columns import DRIVER_KEYS, LENGTHS, OF_ROADS, SCHEMAS, TIME_OF_TRAFFIC
 from charms_bench.runs.shards import Shard
 from charms_bench.world.following import BINS, QUANTITIES
@@ -103,7 +104,7 @@ def _problem_of_keys(kind: str, rows: pl.DataFrame, first_seed: int, episodes: i
     if any(rows[name].null_count() for name in _WITHOUT_NULL[kind]):
         return "a value is missing"
     if kind == "episodes" and len(rows) != episodes:
-        return f"it has {len(rows)} of the {episodes} episodes {first_seed} to {last}"
+        return f"it has {len(rows)} of the {counted(episodes, 'episode')} {first_seed} to {last}"
     if not _is_in_order(rows, _KEYS[kind]):
         return f"its rows are not in order of {', '.join(_KEYS[kind])}, or two have the same"
     return ""

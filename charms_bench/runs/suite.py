@@ -12,6 +12,8 @@ from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, mo
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
 from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name
+from charms_bench.foundation.names import alike
+from charms_bench.foundation.words import counted
 from charms_bench.metrics import METRIC_SETS, PAPER, ROADS, MetricSet
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
@@ -139,7 +141,7 @@ class Suite(FrozenModel):
 
     def __repr__(self) -> str:
         cells = f"{len(self.egos)} egos x {len(self.traffics)} traffic models"
-        return f"<Suite {self.suite}: {cells}, {self.episodes:,} episodes each>"
+        return f"<Suite {self.suite}: {cells}, {counted(self.episodes, 'episode')} each>"
 
     __str__ = __repr__
 
@@ -156,14 +158,14 @@ class Suite(FrozenModel):
     def _fits_together(self) -> "Suite":
         for what, entries in (("egos", self.egos), ("traffic models", self.traffics)):
             titles = [entry.title for entry in entries]
-            for title in titles:
-                if titles.count(title) > 1:
-                    raise ValueError(f"two {what} are called '{title}'; give them different labels")
+            if title := alike(titles):
+                how = "are called" if titles.count(title) > 1 else "look in tables as if called"
+                raise ValueError(f"two {what} {how} '{title}'; give them different labels")
         if self.pairs and (len(self.egos) < 2 or len(self.traffics) > 1):
             raise ValueError("pairs needs two or more egos and one traffic model")
         if self.references and len(self.egos) > 1:
             raise ValueError("references are compared with traffic models; expected one ego")
-        if len({reference.title for reference in self.references}) < len(self.references):
+        if alike([reference.title for reference in self.references]):
             raise ValueError("a reference is given twice")
         if self.scene.recording and any(each.traffic.scenario for each in self.traffics):
             raise ValueError("a scenario and scene.recording both place vehicles; remove one")
@@ -179,7 +181,7 @@ class Suite(FrozenModel):
         total = self.episodes * len(self.egos) * len(self.traffics)
         if total > EPISODES_LIMIT:
             raise ValueError(
-                f"{total:,} episodes in all cells; expected at most {EPISODES_LIMIT:,}"
+                f"{counted(total, 'episode')} in all cells; expected at most {EPISODES_LIMIT:,}"
             )
         return self
 

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Collection, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
 from charms_bench.errors import DataError, suggestion
-from charms_bench.foundation.files import is_compressed, size_of
+from charms_bench.foundation.files import is_compressed, read_limited, size_of
 
 SIZE_LIMIT_BYTES = 2**30
 ROW_LIMIT = 5_000_000
@@ -47,24 +48,28 @@ def read_table(
     """The named columns of a CSV file; other columns are ignored.
 
     Line `i + 2` of the file becomes row `i`. Every number is finite and within its range. The file,
-    of at most `limit` bytes, may lack `optional` columns of text.
+    of at most `limit` bytes, may lack `optional` columns, and may have others of text by these
+    names.
 
     Raises:
         DataError: The file cannot be read or is too large, a column is missing, or a value is
             not allowed.
     """
-    header = _header(path, limit)
-    columns = {**columns, **{name: None for name in optional if name in header}}
+    header = header_of(path, limit)
+    columns = {**dict.fromkeys(optional), **columns}
+    columns = {name: columns[name] for name in columns if name in header or name not in optional}
+    if missing := [name for name in columns if name not in header]:
+        readable = [each[:40] for each in header[:40] if each.isprintable()]
+        known = suggestion(missing[0], dict.fromkeys(readable))
+        names = "', '".join(missing)
+        raise DataError(f"{path}: line 1: no column{'s' * (len(missing) > 1)} '{names}'. {known}")
     for name in columns:
-        if name not in header:
-            readable = [each[:40] for each in header[:40] if each.isprintable()]
-            known = suggestion(name, dict.fromkeys(readable))
-            raise DataError(f"{path}: line 1: no column '{name}'. {known}")
         if header.count(name) > 1:
             raise DataError(f"{path}: line 1: the column '{name}' appears twice")
     numbers = {name: cells for name, cells in columns.items() if cells is not None}
     types = {name: pl.Float64 if name in numbers else pl.String for name in columns}
-    options: dict[str, Any] = {"quote_char": None, "n_rows": ROW_LIMIT + 1, "glob": False}
+    options: dict[str, Any] = {"n_rows": ROW_LIMIT + 1, "glob": False}
+    options["quote_char"] = '"' if _is_quoted(path) else None
     try:
         with path.open("rb") as file:  # polars cannot open every name that a file can have
             scanned = pl.scan_csv(file, schema_overrides=types, **options)
@@ -84,7 +89,23 @@ def read_table(
     return table.with_columns(pl.col(whole).cast(pl.Int64))
 
 
-def _header(path: Path, limit: int) -> list[str]:
+def read_parquet(path: Path) -> pl.DataFrame:
+    """A Parquet table with the same limits; raises a `DataError`."""
+    try:
+        data = read_limited(path, SIZE_LIMIT_BYTES)
+        table = pl.read_parquet(BytesIO(data), n_rows=ROW_LIMIT + 1)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except pl.exceptions.PolarsError as error:
+        reason = str(error).partition("\n")[0]
+        raise DataError(f"{path}: not a Parquet table: {reason}") from error
+    if table.height > ROW_LIMIT:
+        raise DataError(f"{path}: more than {ROW_LIMIT:,} rows; split the recording")
+    return table
+
+
+def header_of(path: Path, limit: int = SIZE_LIMIT_BYTES) -> list[str]:
+    """The names of a table's columns; raises a `DataError` for a file that must not be read."""
     try:
         if size_of(path) > limit:
             raise DataError(f"{path}: larger than {limit:,} bytes; split the recording")
@@ -98,7 +119,19 @@ def _header(path: Path, limit: int) -> list[str]:
         raise DataError(f"{path}: line 1: empty; expected the names of the columns")
     if len(first) == _LINE_LIMIT_BYTES:
         raise DataError(f"{path}: line 1: longer than {_LINE_LIMIT_BYTES:,} bytes")
-    return first.decode("utf-8-sig", errors="replace").rstrip("\r\n").split(",")
+    return _cells(first.decode("utf-8-sig", errors="replace"))
+
+
+def _cells(line: str) -> list[str]:
+    """The cells of a line, without quotes around them."""
+    cells = line.rstrip("\r\n").split(",")
+    return [c[1:-1] if len(c) > 1 and c[0] == c[-1] == '"' else c for c in cells]
+
+
+def _is_quoted(path: Path) -> bool:
+    """Whether the names of the columns are in quotes, so that cells may be, too."""
+    with path.open("rb") as file:
+        return b'"' in file.readline(_LINE_LIMIT_BYTES)
 
 
 def _usable(values: pl.Series, allowed: Numbers) -> bool:
@@ -117,7 +150,7 @@ def _first_mistake(
         for number, line in enumerate(lines, start=2):
             if len(line) == _LINE_LIMIT_BYTES:
                 return DataError(f"{path}: line {number}: longer than {_LINE_LIMIT_BYTES:,} bytes")
-            fields = line.decode(errors="replace").rstrip("\r\n").split(",")
+            fields = _cells(line.decode(errors="replace"))
             if len(fields) != len(header):
                 return DataError(
                     f"{path}: line {number}: {len(fields)} fields, but the header has "

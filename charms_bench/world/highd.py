@@ -4,10 +4,13 @@ A recording consists of three files, `NN_tracks.csv`, `NN_tracksMeta.csv` and `N
 [Krajewski et al. 2018]. The files use image coordinates: y grows downwards, a position is the upper
 left corner of a box, a vehicle's length is called `width`, and direction 1 drives towards smaller
 x. A `Recording` uses the drivers' frame of reference; see `TRACKS`.
+
+Columns that follow from the positions may be missing: velocities, accelerations and lanes, and the
+frames, directions and numbers of vehicles. `ngsim` reads NGSIM's raw tables.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,6 +71,8 @@ _TRACKS_META: Columns = {
 }
 _SUMMARY = {"rows": "numFrames", "first": "initialFrame", "last": "finalFrame"}
 """What the tracks tell of each vehicle, and the columns that must say the same."""
+_DERIVED = ("xVelocity", "yVelocity", "xAcceleration", "laneId")
+"""The columns of tracks that follow from the positions."""
 _META_LIMIT_BYTES = 2**24
 """A hundred times the size of the file of a long recording."""
 _MARKINGS = {UPPER: "upperLaneMarkings", LOWER: "lowerLaneMarkings"}
@@ -83,7 +88,7 @@ _KINDS = ("tracks", "tracksMeta", "recordingMeta")
 
 @dataclass(frozen=True)
 class Trio:
-    """The three files of a recording."""
+    """The three files of a recording; all the same for a recording in one table."""
 
     number: int
     tracks: Path
@@ -91,9 +96,9 @@ class Trio:
     recording_meta: Path
 
     @property
-    def paths(self) -> tuple[Path, Path, Path]:
-        """All three."""
-        return self.tracks, self.tracks_meta, self.recording_meta
+    def paths(self) -> tuple[Path, ...]:
+        """All of them, each once."""
+        return tuple(dict.fromkeys((self.tracks, self.tracks_meta, self.recording_meta)))
 
 
 @dataclass(frozen=True)
@@ -135,23 +140,28 @@ class Recording:
 
 
 def find_trios(folder: Path) -> list[Trio]:
-    """The recordings of a folder, sorted by number.
+    """The recordings of a folder, sorted by number, or that of one table of NGSIM.
 
     Raises:
         DataError: The folder has no recordings, or a recording lacks a file.
     """
+    if folder.is_file():
+        return _in_tables([folder], folder)
     found: dict[str, dict[str, Path]] = {}
+    others: list[Path] = []
     try:
         for path in sorted(folder.iterdir()):
             if match := re.fullmatch(rf"([0-9]{{1,9}})_({'|'.join(_KINDS)})\.csv", path.name):
                 found.setdefault(match[1], {})[match[2]] = path
+            elif path.suffix in (".csv", ".xml"):
+                others.append(path)
     except OSError as error:
         raise DataError(
             f"{folder}: cannot be read: {error.strerror}; recordings are not part of charms-bench, "
             "so give the folder of your own ones, in highD's format"
         ) from error
     if not found:
-        raise DataError(f"{folder}: no recordings; expected files named like 01_tracks.csv")
+        return _in_tables(others, folder)
     trios: dict[int, Trio] = {}
     for prefix, files in found.items():
         for kind in _KINDS:
@@ -165,6 +175,24 @@ def find_trios(folder: Path) -> list[Trio]:
             raise DataError(f"{folder}: recording {number} appears twice; rename one of them")
         trios[number] = Trio(number, *(files[kind] for kind in _KINDS))
     return [trios[number] for number in sorted(trios)]
+
+
+def _in_tables(paths: Sequence[Path], place: Path) -> list[Trio]:
+    """The tables of NGSIM among some files; raises a `DataError` if there is none."""
+    from charms_bench.world.ngsim import is_ngsim
+
+    found = [path for path in paths if path.suffix == ".csv" and is_ngsim(path)]
+    if not found and any(path.suffix == ".xml" for path in paths):
+        raise DataError(
+            f"{place}: CommonRoad scenarios are not read; commonroad-io reads them, and "
+            "commonroad-dataset-converter makes such files of highD"
+        )
+    if not found:
+        raise DataError(
+            f"{place}: no recordings; expected files named like 01_tracks.csv, or a CSV table of "
+            "NGSIM with the columns Vehicle_ID, Frame_ID, Local_X and Local_Y"
+        )
+    return [Trio(number, path, path, path) for number, path in enumerate(found, start=1)]
 
 
 def read_folder(folder: Path) -> Iterator[Recording]:
@@ -182,8 +210,15 @@ def read_recording(trio: Trio) -> Recording:
     Raises:
         DataError: A file cannot be read, or the three files contradict each other.
     """
+    if trio.tracks == trio.recording_meta:
+        from charms_bench.world.ngsim import read_ngsim
+
+        return read_ngsim(trio)
     frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
+    tracks = read_table(trio.tracks, _TRACKS, optional=_DERIVED).with_row_index("line", offset=2)
+    tracks = _derived(tracks, frame_rate)
+    meta = _completed(meta, tracks)
     lanes = {d: markings[d].size - 1 for d in meta["drivingDirection"].unique().sort()}
     for direction, count in lanes.items():
         if count < 1:
@@ -192,12 +227,12 @@ def read_recording(trio: Trio) -> Recording:
                 f"{markings[direction].size} markings, but vehicles drive in direction "
                 f"{direction}; expected two or more"
             )
-    tracks = read_table(trio.tracks, _TRACKS).with_row_index("line", offset=2)
     # laneId 1 lies above the first marking; each marking of either direction begins another lane.
     last = markings[UPPER].size + markings[LOWER].size + 1
     expected = f"{trio.recording_meta.name} has {last - 1}, so expected 1 to {last}"
     outside = f"column 'laneId': {{}} is outside the markings; {expected}"
-    _refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
+    if "laneId" in tracks.columns:
+        _refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
     tracks = _joined(trio, tracks, meta)
     parts = [_normalised(trio, tracks, direction, markings) for direction in lanes]
     every = pl.concat(part for part, _ in parts).sort("vehicle", "frame")
@@ -208,9 +243,59 @@ def read_recording(trio: Trio) -> Recording:
     return Recording(trio, frame_rate, lanes, widths, every, wrong, occasion, location)
 
 
-def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], dict[str, str]]:
+def _derived(tracks: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
+    """The tracks with velocities and accelerations that follow from positions, if they lack them.
+
+    They are in the order of the file.
+    """
+    order = tracks.sort("id", "frame", maintain_order=True)
+    for name, source in (("xVelocity", "x"), ("yVelocity", "y"), ("xAcceleration", "xVelocity")):
+        if name not in tracks.columns:
+            values = slope(order["id"], order["frame"], order[source].to_numpy(), rate_hz)
+            order = order.with_columns(pl.Series(name, values))
+    return order.sort("line")
+
+
+def slope(
+    vehicle: pl.Series, frame: pl.Series, values: Floats, rate_hz: float, around: int = 1
+) -> Floats:
+    """How fast values change, per second, from so many frames before to as many after.
+
+    Rows are sorted by vehicle and frame. Where there is nothing before or after, it is what there
+    is that counts; of a single frame, it is 0.
+    """
+    vehicles, frames = vehicle.to_numpy(), frame.to_numpy()
+    size = vehicles.size
+    ends = np.flatnonzero(np.diff(vehicles, append=-1) != 0) if size else np.zeros(0, np.int64)
+    begins = np.concatenate([[0], ends[:-1] + 1]) if size else ends
+    lengths = ends - begins + 1
+    first, last = np.repeat(begins, lengths), np.repeat(ends, lengths)
+    before = np.maximum(np.arange(size) - around, first)
+    after = np.minimum(np.arange(size) + around, last)
+    duration_s = (frames[after] - frames[before]) / rate_hz
+    change = values[after] - values[before]
+    found: Floats = np.divide(change, duration_s, out=np.zeros(size), where=duration_s > 0)
+    return found
+
+
+def _completed(meta: pl.DataFrame, tracks: pl.DataFrame) -> pl.DataFrame:
+    """What the tracks say of each vehicle, where the table of vehicles lacks it."""
+    frame = pl.col("frame")
+    said = tracks.group_by("id").agg(
+        initialFrame=frame.min(),
+        finalFrame=frame.max(),
+        numFrames=pl.len().cast(pl.Int64),
+        drivingDirection=pl.when(pl.mean("xVelocity") < 0).then(UPPER).otherwise(LOWER),
+    )
+    lacking = [name for name in said.columns if name not in meta.columns]
+    if not lacking:
+        return meta
+    return meta.join(said.select("id", *lacking), on="id", how="inner", maintain_order="left")
+
+
+def _read_recording_meta(path: Path) -> tuple[float, int | None, dict[int, Floats], dict[str, str]]:
     """Frame rate, number of vehicles, markings of each direction by image y, and `_OCCASION`."""
-    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES, _OCCASION)
+    table = read_table(path, _RECORDING_META, _META_LIMIT_BYTES, ("numVehicles", *_OCCASION))
     if table.height != 1:
         raise DataError(f"{path}: {table.height} rows; expected one")
     row = table.row(0, named=True)
@@ -218,11 +303,11 @@ def _read_recording_meta(path: Path) -> tuple[float, int, dict[int, Floats], dic
         raise DataError(
             f"{path}: line 2: column 'frameRate': {row['frameRate']:g} Hz; expected more than 0"
         )
-    if row["numVehicles"] == 0:
+    if row.get("numVehicles") == 0:
         raise DataError(f"{path}: line 2: column 'numVehicles': no vehicles; remove this recording")
     markings = {d: _markings(path, column, row[column] or "") for d, column in _MARKINGS.items()}
     stated = {name: row[name] for name in _OCCASION if row.get(name)}
-    return row["frameRate"], row["numVehicles"], markings, stated
+    return row["frameRate"], row.get("numVehicles"), markings, stated
 
 
 def _markings(path: Path, column: str, text: str) -> Floats:
@@ -241,10 +326,12 @@ def _markings(path: Path, column: str, text: str) -> Floats:
     return values
 
 
-def _read_tracks_meta(trio: Trio, vehicles: int) -> pl.DataFrame:
+def _read_tracks_meta(trio: Trio, vehicles: int | None) -> pl.DataFrame:
     path = trio.tracks_meta
-    meta = read_table(path, _TRACKS_META, _META_LIMIT_BYTES).with_row_index("line", offset=2)
-    if meta.height != vehicles:
+    derived = ("drivingDirection", *_SUMMARY.values())
+    meta = read_table(path, _TRACKS_META, _META_LIMIT_BYTES, derived)
+    meta = meta.with_row_index("line", offset=2)
+    if vehicles is not None and meta.height != vehicles:
         raise DataError(
             f"{path}: {meta.height:,} vehicles, but {trio.recording_meta.name} announces "
             f"{vehicles:,}; is the file cut short?"
@@ -286,7 +373,7 @@ def _normalised(
     own = _to_the_right(markings[direction], direction)
     lanes = own.size - 1
     centre = sign * (part["y"] + part["height"] / 2).to_numpy()
-    y, lane, on_road = _lateral(centre, own)
+    y, lane, on_road = lateral(centre, own)
     lane_id = lanes + 1 - lane if direction == UPPER else markings[UPPER].size + 2 + lane
     speed = sign * part["xVelocity"]
     mean = speed.mean()
@@ -310,7 +397,8 @@ def _normalised(
         "length": part["width"],
         "width": part["height"],
     }
-    wrong = on_road & (part["laneId"].to_numpy() != lane_id)
+    said = part["laneId"].to_numpy() if "laneId" in part.columns else lane_id
+    wrong = on_road & (said != lane_id)
     return pl.DataFrame(columns, schema_overrides=TRACKS), int(wrong.sum())
 
 
@@ -323,7 +411,7 @@ def _to_the_right(markings: Floats, direction: int) -> Floats:
     return np.sort(_sign(direction) * markings)
 
 
-def _lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
+def lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
     """Stretched y, lane and whether on the road, of positions to the right.
 
     A position on a marking belongs to the lane to its left, like highway-env's closest lane.

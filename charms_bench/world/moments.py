@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from charms_bench.errors import DataError
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled
+from charms_bench.world.csv_table import header_of
 from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.recordings import Split
@@ -115,6 +116,8 @@ def content_of(folder: Path) -> str:
 @lru_cache(maxsize=2)
 def _content(paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...]) -> str:
     digest = hashlib.sha256()
+    for path in paths:
+        header_of(path)
     for path in paths:
         with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())

@@ -63,6 +63,9 @@ EGO, LEFT_FRONT, LEFT_REAR, FRONT, REAR, RIGHT_FRONT, RIGHT_REAR = range(7)
 """The rows of `neighbours` and `paper_neighbours`."""
 COMMANDS, ACTION_MASK = 7, -1
 """Their rows with the options of these names."""
+TRAINED_IN = "charms_bench"
+"""The attribute in which the observation space of an environment says which environment it is, by
+what a checkpoint of a training there can be told from others."""
 X_SCALE_M = 165.0
 Y_SCALE_M = 12.0
 SPEED_SCALE_MPS = 66.0
@@ -167,9 +170,17 @@ def observation_described(text: str) -> Neighbours | Kinematics:
     if not text.startswith("{"):
         return named_observation(text.partition(":")[0])
     try:
-        return named_observation(json.loads(text))
+        return named_observation(json.loads(text, object_pairs_hook=_each_once))
     except (ValueError, RecursionError) as error:
         raise InputError(f"observation: is not JSON: {error}") from error
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"'{name[:80]}' is given twice")
+    return dict(pairs)
 
 
 def commands_of(scene: Scene, vehicles: Vehicles) -> Floats:

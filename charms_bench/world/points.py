@@ -16,6 +16,8 @@ from charms_bench.world.scenario import LatinHypercube, Parameter, Scenario
 Floats = NDArray[np.float64]
 DECIMALS = 6
 """Values are rounded, so that the last bits of a distribution's function do not matter."""
+SOBOL_POINTS = 2**30
+"""Those of SciPy's sequence."""
 _STREAM = 2
 """The random stream of a seed that draws points; see `Simulation.reset` for another."""
 
@@ -27,6 +29,8 @@ def count_of(scenario: Scenario) -> int | None:
         return math.prod(each.steps for each in scenario.parameters.values())
     if isinstance(points, LatinHypercube):
         return points.latin_hypercube
+    if points == "sobol":
+        return SOBOL_POINTS
     return len(points) if isinstance(points, tuple) else None
 
 
@@ -38,13 +42,12 @@ def values_at(scenario: Scenario, numbers: NDArray[Any]) -> dict[str, Floats]:
     if not parameters:
         return {}
     if points == "grid":
-        steps = [each.steps for each in parameters.values()]
-        places = np.unravel_index(numbers.astype(np.int64), steps)
-        shares = [place / (step - 1) for place, step in zip(places, steps, strict=True)]
-        return {
-            name: _rounded(each.range[0] + share * (each.range[1] - each.range[0]))
-            for (name, each), share in zip(parameters.items(), shares, strict=True)
-        }
+        values, rest = {}, numbers.astype(np.int64)
+        for name, each in reversed(parameters.items()):  # the last parameter changes fastest
+            rest, place = np.divmod(rest, each.steps)
+            share = place / (each.steps - 1)
+            values[name] = _rounded(each.range[0] + share * (each.range[1] - each.range[0]))
+        return {name: values[name] for name in parameters}
     return from_shares(parameters, _shares(scenario, numbers.astype(np.int64)))
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 import gymnasium
 from charms_agents.training import sb3_export
-from charms_agents.training.network_file import read_network
+from charms_agents.training.network_file import KINDS, read_network
 from charms_agents.training.sb3_export import export_zip
 from handmade_weights import dqn_weights, ppo_weights
 from stable_baselines3.common.torch_layers import FlattenExtractor
@@ -209,8 +210,25 @@ def test_a_dqn_that_was_given_another_activation_keeps_it(tmp_path: Path) -> Non
 
 
 def test_an_activation_that_cannot_be_exported_is_named(tmp_path: Path) -> None:
-    _, path = saved_ppo(tmp_path, activation_fn=torch.nn.ELU)
-    refused(path, r"has <class 'torch.nn.modules.activation.ELU'> between.*expected ReLU or Tanh")
+    _, path = saved_ppo(tmp_path, activation_fn=torch.nn.Hardsigmoid)
+    refused(path, r"has <class '.*Hardsigmoid'> between.*expected ReLU, Tanh, ELU, ")
+    _, path = saved_ppo(tmp_path, activation_fn=partial(torch.nn.LeakyReLU, 0.3))
+    refused(path, r"has functools.partial.*LeakyReLU.* between")
+
+
+@pytest.mark.parametrize("name", sorted({*KINDS} - {"ReLU", "Tanh"}))
+def test_the_common_activations_are_exported(tmp_path: Path, name: str) -> None:
+    model, path = saved_ppo(tmp_path, activation_fn=getattr(torch.nn, name))
+    made = export_zip(path, tmp_path / "out.onnx", FACTS)
+    observations = np.random.default_rng(0).uniform(-1, 1, (200, 7, 5)).astype(np.float32)
+    with torch.no_grad():
+        expected = model.policy.get_distribution(torch.tensor(observations)).distribution.logits
+    values = OnnxPolicy(tmp_path / "out.onnx").values(observations)
+    log_sum = np.log(np.exp(values).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(values - log_sum, expected, rtol=0, atol=1e-4)
+    assert made["activation"] == name
+    with pytest.raises(ModelError, match="was not written by this pipeline"):
+        read_network(tmp_path / "out.onnx")
 
 
 @pytest.mark.parametrize("kind", ["SAC", "TD3", "DDPG"])
@@ -381,7 +399,7 @@ def test_networks_of_another_shape_are_named(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"log_std": torch.zeros(5)}, "a PPO; policy.pth holds: log_std, as of a PPO with cont"),
+        ({"log_std": torch.zeros(5)}, "has 5 actions; expected 2"),
         ({"lstm_critic__weight_ih_l0": torch.zeros(4, 4)}, "policy.pth holds: lstm_critic.weight"),
         ({"pi_features_extractor__cnn__0__bias": torch.zeros(2)}, "CnnPolicy"),
         ({"action_net__weight": None, "action_net__bias": None}, "holds: value_net.weight"),

@@ -542,4 +542,12 @@ def test_a_network_that_has_changed_is_named_before_its_shards_are_replaced(
         answer = charms_bench(*words, cwd=tmp_path)
         assert answer.returncode == 0, answer.stderr
         said.append(answer.stderr)
-    assert ["mine: 1 finished shards are replaced" in each for each in said] == [False, True]
+    assert ["mine: 1 finished shard replaced" in each for each in said] == [False, True]
+
+
+def test_more_episodes_are_not_a_change_of_the_agent(suite_file: Path, tmp_path: Path) -> None:
+    words = ("run", suite_file, "--workers", 1, "--output", "run", "--episodes")
+    for episodes in (2, 3):
+        answer = charms_bench(*words, episodes, cwd=tmp_path)
+        assert answer.returncode == 0, answer.stderr
+        assert "replaced" not in answer.stderr

@@ -56,3 +56,19 @@ def test_with_a_display_it_is_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "═" not in done.output
     assert len(sizes) > 15  # fifteen pictures per second, and the start
     assert {shape[1:] for shape in sizes} == {(800, 3)}
+
+
+def test_the_scene_and_a_traffic_model_of_a_suite_are_watched(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        "suite: mine\nepisodes: 4\nseed: 7\nscene: {duration_s: 3.0, lanes: 2}\n"
+        "egos: [{agent: idm_mobil}, {agent: charms}]\npairs: false\n"
+        "traffic_models: [{traffic: level_0, label: Blind}, {traffic: idm_mobil}]\n"
+    )
+    words = ("watch", "level_0", "--suite", "mine.yaml", "--text", "--traffic")
+    done = charms_bench(*words, "Blind", cwd=tmp_path)
+    assert "level_0 in Blind, episode 7: " in done.stdout, done
+    assert "3.0 s" in done.stdout or "collision" in done.stdout
+    missing = charms_bench(*words, "idm", cwd=tmp_path)
+    assert (missing.returncode, "no traffic model 'idm'" in missing.stderr) == (2, True)
+    several = charms_bench("watch", "level_0", "--suite", "mine.yaml", cwd=tmp_path)
+    assert "2 traffic models; choose one with --traffic" in several.stderr

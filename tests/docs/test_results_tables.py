@@ -75,6 +75,7 @@ def test_a_number_has_its_interval_and_the_papers_value(tool: ModuleType) -> Non
 
 def test_collisions_are_counted_by_the_decisions_that_were_left(tool: ModuleType) -> None:
     fields = {"ego": "A", "traffic": "T", "ending": "side", "replacement": None, "nodes": 1}
+    fields |= {"collided_s": 9.9}
     found = [
         Avoidability(
             **fields, episode=k, step=30, verdict=verdict, last_step=last, avoided_by=by, hit_by=hit

@@ -14,6 +14,7 @@ from charms_bench.episodes.avoidability import Avoidability, avoidability, colli
 from charms_bench.episodes.escape import EscapeSearch
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
+from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
@@ -97,6 +98,15 @@ def test_the_recorded_agent_collides_again_and_a_replacement_does_not(
             assert (each.last_step or 0) >= each.replacement.step
             replaced += 1
     assert replaced > 0
+
+
+def test_a_collision_has_one_time(cell: RecordedCell) -> None:
+    seed = collisions(cell)[0]
+    (found,) = avoidability(cell, [seed], budget=1, agents=())
+    (replayed,) = replay(cell, [seed])
+    assert what_happened(replayed).endswith(f"at t = {found.collided_s:.1f} s")
+    hz = cell.cell.scene.decision_hz
+    assert (found.step - 1) / hz < found.collided_s <= found.step / hz
 
 
 def test_a_budget_that_ends_leaves_an_unknown(cell: RecordedCell) -> None:

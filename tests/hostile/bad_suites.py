@@ -111,7 +111,7 @@ NOT_YAML: dict[str, str | bytes] = {
     "an own tag": "title: !mine x\n" + SUITE,
     "binary of no digits": "title: 0b_\n" + SUITE,
     "hex of no digits": "title: 0x_\n" + SUITE,
-    "a 99th month": "title: 2001-99-99\n" + SUITE,
+    "an octal seed": "seed: 010\n" + SUITE,
     "a 99th hour": "title: 2001-01-01 99:99:99\n" + SUITE,
     "5,000 digits": "title: " + "9" * 5000 + "\n" + SUITE,
     "5,000 hex digits": f"title: {HUGE}\n" + SUITE,

@@ -278,6 +278,50 @@ def assign(self, rng, scenes, vehicles):
 """,
     ),
     _policy(
+        "A policy that overwrites its observations after it has decided",
+        """
+def decide(self, observations):
+    actions = np.full(len(observations), IDLE)
+    observations.flags.writeable = True
+    observations[:] = 0.0
+    return actions
+""",
+    ),
+    _policy(
+        "A policy that overwrites its memory after it has decided",
+        """
+memory_width = 2
+def decide(self, observations, memory, noise):
+    after = memory + 1
+    memory[:] = 5.0
+    return np.full(len(observations), IDLE), after
+""",
+    ),
+    _traffic(
+        "A traffic of one agent that assigns another",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    return np.full((scenes, vehicles), "level_0")
+""",
+    ),
+    _traffic(
+        "A traffic of one agent that assigns too few",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    return np.full((scenes, vehicles - 1), "idm_mobil")
+""",
+    ),
+    _traffic(
+        "A traffic of one agent that assigns nothing",
+        """
+agents = ("idm_mobil",)
+def assign(self, rng, scenes, vehicles):
+    pass
+""",
+    ),
+    _policy(
         "A policy that ends its process",
         """
 def decide(self, observations):

@@ -103,9 +103,22 @@ def test_the_next_run_undoes_what_was_forged(title: str, folder: Path) -> None:
     assert contents(folder) == before
 
 
-@pytest.mark.parametrize("name", ["steps", "checksums", "tables", "networks", "manifest.json"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "steps",
+        "checksums",
+        "tables",
+        "networks",
+        "manifest.json",
+        "tables/other.md",
+        "other/file",
+    ],
+)
 def test_nothing_behind_a_link_is_written_or_deleted(name: str, folder: Path) -> None:
     path, target = folder / "run" / name, folder / "outside" / name
+    path.parent.mkdir(exist_ok=True)
+    target.parent.mkdir(exist_ok=True)
     path.rename(target) if path.exists() else target.mkdir()
     path.symlink_to(target)
     for words in (("rescore", "run"), ("run", "suite.yaml", "--output", "run", "--episodes", 1)):

@@ -1,5 +1,7 @@
 """Fits of populations to trips, and the trips themselves."""
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -156,3 +158,12 @@ def test_lane_changes_of_i75_have_the_published_rate():
 def test_recordings_without_long_trips_are_rejected():
     with pytest.raises(DataError, match="no driver follows one leader for 20 s"):
         read_trips(DATA / "us101_corrected")
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+def test_a_table_that_is_not_a_file_is_not_read(
+    make: Callable[[Path], object], tmp_path: Path
+) -> None:
+    make(tmp_path / "table.parquet")
+    with pytest.raises(DataError, match="is a pipe or a device, not a file"):
+        read_trips(tmp_path / "table.parquet")

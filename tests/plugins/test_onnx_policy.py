@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -63,6 +64,128 @@ def test_it_decides_as_often_as_the_file_says(network_file: NetworkFile) -> None
     path = with_metadata(network_file(), decision_hz="5")
     assert OnnxPolicy(path).decision_hz == 5.0
     assert OnnxPolicy(path, decision_hz=1.0).decision_hz == 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("decison_hz", "decision_hz"),
+        ("Decision_hz", "decision_hz"),
+        ("observations", "observation"),
+        ("observation_space", "observation"),
+        ("action", "actions"),
+        ("history_length", "history"),
+        ("target_speeds_mps", "target_speed_steps_mps"),
+    ],
+)
+def test_a_misspelt_key_of_the_metadata_is_named(
+    network_file: NetworkFile, key: str, meant: str
+) -> None:
+    path = network_file(metadata={key: "5"})
+    with pytest.raises(ModelError, match=f"metadata: no key '{key}'. Did you mean '{meant}'"):
+        OnnxPolicy(path)
+
+
+def test_metadata_may_say_more(network_file: NetworkFile) -> None:
+    metadata = {"author": "me", "description": "fast", "version": "2", "decision_hz": "5"}
+    assert OnnxPolicy(network_file(metadata=metadata)).decision_hz == 5
+
+
+@pytest.mark.parametrize("said", ["continous", "Continuous", "discrete", ""])
+def test_a_misspelt_kind_of_actions_is_named(network_file: NetworkFile, said: str) -> None:
+    with pytest.raises(ModelError, match=f"metadata: actions is '{said}'; expected continuous"):
+        OnnxPolicy(network_file(metadata={"actions": said}))
+
+
+def test_a_key_of_the_metadata_that_is_there_twice_is_named(network_file: NetworkFile) -> None:
+    onnx = pytest.importorskip("onnx")
+    path = network_file(metadata={"decision_hz": "5"})
+    loaded = onnx.load(path)
+    loaded.metadata_props.add(key="decision_hz", value="1")
+    onnx.save(loaded, path)
+    with pytest.raises(ModelError, match="metadata: has the key 'decision_hz' 2 times"):
+        OnnxPolicy(path)
+
+
+def test_an_option_of_the_observation_that_is_there_twice_is_named(
+    network_file: NetworkFile,
+) -> None:
+    said = '{"type": "Kinematics", "absolute": true, "absolute": false}'
+    path = network_file(np.zeros((25, 5)), metadata={"observation": said})
+    with pytest.raises(ModelError, match="'absolute' is given twice"):
+        OnnxPolicy(path)
+
+
+def mean_over_the_others(path: Path, history: int = 1) -> Path:
+    """The mean row of the other vehicles that are present, which has no value without any."""
+    onnx = pytest.importorskip("onnx")
+    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
+    frames = (history,) * (history > 1)
+    nodes = [
+        helper.make_node("Slice", ["seen", "from", "to", "row"], ["others"]),
+        helper.make_node("Slice", ["others", "zero", "from", "column"], ["present"]),
+        helper.make_node("ReduceSum", ["others", "row"], ["sum"], keepdims=0),
+        helper.make_node("ReduceSum", ["present", "row"], ["count"], keepdims=0),
+        helper.make_node("Div", ["sum", "count"], ["mean" if frames else "values"]),
+    ]
+    if frames:
+        nodes.append(helper.make_node("ReduceSum", ["mean", "from"], ["values"], keepdims=0))
+    numbers = {"zero": 0, "from": 1, "to": 7, "row": 1 + len(frames), "column": 2 + len(frames)}
+    arrays = [onnx.numpy_helper.from_array(np.array([n]), name) for name, n in numbers.items()]
+    inputs = [helper.make_tensor_value_info("seen", kind, ["batch", *frames, 7, 5])]
+    outputs = [helper.make_tensor_value_info("values", kind, ["batch", 5])]
+    graph = helper.make_graph(nodes, "policy", inputs, outputs, arrays)
+    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(made, {"history": str(history)} if frames else {})
+    onnx.save(made, path)
+    return path
+
+
+def test_a_network_that_masks_absent_vehicles_is_asked_about_real_observations(
+    tmp_path: Path,
+) -> None:
+    policy = OnnxPolicy(mean_over_the_others(tmp_path / "mean.onnx"))
+    for rule in agent_rules(policy):
+        rule()
+
+
+def test_a_network_that_fails_at_the_first_decision_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="returns values that are NaN"):
+        OnnxPolicy(mean_over_the_others(tmp_path / "mean.onnx", history=3))
+
+
+def test_the_attention_of_pytorch_is_taken(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+
+    class Attends(torch.nn.Module):  # type: ignore[misc,name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.embed, self.head = torch.nn.Linear(5, 8), torch.nn.Linear(8, 5)
+            self.attention = torch.nn.MultiheadAttention(8, 2, batch_first=True)
+
+        def forward(self, seen):  # type: ignore[no-untyped-def]
+            rows = self.embed(seen)
+            absent = seen[..., 0] == 0
+            attended, _ = self.attention(rows, rows, rows, key_padding_mask=absent)
+            return self.head(attended[:, 0])
+
+    torch.manual_seed(0)
+    network, path = Attends().eval(), tmp_path / "attends.onnx"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            torch.zeros(2, 7, 5),
+            path,
+            dynamo=False,
+            input_names=["observations"],
+            dynamic_axes={"observations": [0]},
+        )
+    seen = np.random.default_rng(0).uniform(-1, 1, (90, 7, 5)).astype(np.float32)
+    seen[:, 0, 0], seen[:45, 3:] = 1.0, 0.0
+    with torch.no_grad():
+        expected = network(torch.from_numpy(seen)).numpy()
+    np.testing.assert_allclose(OnnxPolicy(path).values(seen), expected, rtol=0, atol=1e-5)
 
 
 def test_it_has_the_speed_steps_that_the_file_says(network_file: NetworkFile) -> None:

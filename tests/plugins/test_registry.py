@@ -11,7 +11,15 @@ from command_line import charms_bench
 
 from charms_bench.errors import RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
-from charms_bench.plugins.registry import AGENTS, TRAFFIC, make_agent, make_traffic, plugins
+from charms_bench.plugins.registry import (
+    AGENTS,
+    EVENTS,
+    TRAFFIC,
+    make_agent,
+    make_event,
+    make_traffic,
+    plugins,
+)
 from charms_bench.plugins.traffic import OneAgent
 
 
@@ -48,6 +56,46 @@ def test_a_broken_plugin_is_blamed_on_its_distribution_when_it_is_asked_for() ->
 def test_something_that_is_no_agent_is_refused() -> None:
     with pytest.raises(RegistryError, match="is a NoAgent, not a Policy or a DriverModel"):
         make_agent("outside_no_agent")
+
+
+CLASSES = {
+    "Undefined": ("Event", "definition = 1"),
+    "Silent": ("Event", ""),
+    "Late": ("Traffic", "agents = ('idm_mobil',)\n    after_deviation = None"),
+    "Nameless": ("Traffic", "agents = ('',)"),
+    "Numbered": ("DriverModel", "files_sha256 = 7"),
+    "Weighed": ("Policy", "weights_sha256 = b'x'"),
+}
+METHODS = "\n".join(f"    def {name}(self, *given): pass" for name in ("level", "assign", "drive"))
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "message"),
+    [
+        ("Silent", EVENTS, "has no `definition`; expected a text"),
+        ("Undefined", EVENTS, "has definition 1; expected a text"),
+        ("Late", TRAFFIC, "has after_deviation None; expected a text"),
+        ("Nameless", TRAFFIC, r"has agents \('',\); a name is empty"),
+        ("Numbered", AGENTS, "has files_sha256 7; expected a text"),
+        ("Weighed", AGENTS, "has weights_sha256 b'x'; expected a text"),
+    ],
+)
+def test_an_attribute_of_another_type_is_named(
+    name: str, group: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base, body = CLASSES[name]
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / f"of_{name.lower()}.py").write_text(
+        f"from charms_bench import {base}\n\nclass {name}({base}):\n"
+        f"    {body}\n{METHODS}\n    def decide(self, *given): pass\n"
+    )
+    known = tmp_path / "attributes-0.1.dist-info"
+    known.mkdir()
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: attributes\nVersion: 0.1\n")
+    (known / "entry_points.txt").write_text(f"[{group}]\nmade = of_{name.lower()}:{name}\n")
+    make = {AGENTS: make_agent, TRAFFIC: make_traffic, EVENTS: make_event}[group]
+    with pytest.raises(RegistryError, match=message):
+        make("made")
 
 
 def test_options_an_agent_does_not_take_are_named() -> None:
@@ -110,3 +158,10 @@ def test_a_name_that_ends_in_onnx_is_the_path_of_a_network(
 def test_an_unknown_traffic_lists_traffics_and_agents() -> None:
     with pytest.raises(RegistryError, match=r"no traffic named 'x'.*outside_traffic.*stackelberg"):
         make_traffic("x")
+
+
+def test_a_message_has_no_address_of_an_object() -> None:
+    with pytest.raises(RegistryError) as caught:
+        make_agent("stackelberg", {"gain": object()})
+    assert " at 0x" not in str(caught.value)
+    assert str(RegistryError(f"found {object()!r}")) == "found <object object>"

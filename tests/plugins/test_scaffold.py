@@ -11,7 +11,7 @@ import pytest
 from plugin_folder import installed, python
 
 from charms_bench.errors import InputError
-from charms_bench.plugins.scaffold import new_agent
+from charms_bench.plugins.scaffold import Kind, new_agent
 
 FILES = ("README.md", "pyproject.toml", "tailgater.py", "suite.yaml", "tests/test_tailgater.py")
 
@@ -29,6 +29,20 @@ def test_a_new_agent_passes_its_own_tests_and_stands_in_a_table(tmp_path: Path) 
     written = new_agent("tailgater", tmp_path / "new" / "tailgater")
     assert written == tuple(tmp_path / "new" / "tailgater" / name for name in FILES)
     drives_at_once(tmp_path / "new" / "tailgater", installed(tmp_path / "new" / "tailgater"))
+
+
+@pytest.mark.parametrize("kind", ["planner", "memory", "driver-model", "traffic"])
+def test_every_kind_passes_its_own_tests_and_stands_in_a_table(kind: Kind, tmp_path: Path) -> None:
+    folder = tmp_path / "tailgater"
+    new_agent("tailgater", folder, kind)
+    environment = installed(folder)
+    tested = python(["pytest", "-q", "-p", "no:cacheprovider"], folder, environment)
+    assert tested.returncode == 0, tested.stdout
+    run = ["charms_bench", "run", "suite.yaml", "--episodes", "2", "--workers", "1", "--json"]
+    finished = python(run, folder, environment)
+    assert finished.returncode == 0, finished.stderr
+    key = "traffic" if kind == "traffic" else "agent"
+    assert {row[key] for row in json.loads(finished.stdout)} == {"tailgater", "IDM+MOBIL"}
 
 
 @pytest.mark.slow

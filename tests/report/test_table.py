@@ -135,3 +135,11 @@ def test_a_reference_has_its_difference_beside_it() -> None:
 
 def test_numbers_that_are_not_defined_are_null_in_the_frame() -> None:
     assert TABLE.frame().filter(pl.col("value").is_null()).height == 1
+
+
+@pytest.mark.parametrize("form", ["", ".1f", "%", ".0f", "margin", ",.2f", ".3g", ".1%"])
+def test_there_is_no_minus_zero(form: str) -> None:
+    cells = write_column(Column("x", form=form), [Number(-1e-9), Number(-0.0, -1e-9, 1.0)])
+    signed = write_column(Column("x", form=form, signed=True), [Number(-0.0)])
+    texts = [text for cell in (*cells, *signed) for text in (cell.value, cell.low) if text]
+    assert [text for text in texts if text.startswith("-") and not text.strip("-0.% ,")] == []

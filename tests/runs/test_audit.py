@@ -16,8 +16,10 @@ import pytest
 from command_line import Called, charms_bench
 
 import charms_bench as harness
+from charms_bench.runs import audit_software
 from charms_bench.runs.code_hashes import SOURCES, commit, module_blobs
 
+MINE = {"distribution": "my-plugins", "version": "0.1.0"}
 SUITE = """\
 suite: small
 episodes: 160
@@ -526,3 +528,15 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     answer = charms_bench("audit", "run", cwd=tmp_path)
     assert answer.returncode == 2
     assert "holds no evaluation (manifest.json)" in answer.stderr
+
+
+def test_a_missing_plugin_is_named_by_its_distribution() -> None:
+    recorded = {
+        "idm_mobil": {"distribution": "charms-bench", "version": "1"},
+        '{"name": "overtaker", "options": {"gap_m": 3}}': MINE,
+        "traffic rush_hour": MINE,
+    }
+    for name in ("overtaker", "rush_hour"):
+        said = audit_software._remedy(f"no agent named '{name}'. Known: idm_mobil.", recorded)
+        assert said == f" '{name}' was of my-plugins 0.1.0; install that"
+    assert audit_software._remedy("something else", recorded) == ""

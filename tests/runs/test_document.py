@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from charms_bench.errors import RenamedKeyWarning, SuiteError
-from charms_bench.runs.document import Document
+from charms_bench.runs.document import Document, value_of
 from charms_bench.runs.suite import Suite
 
 SUITE = """\
@@ -56,6 +56,74 @@ def test_a_mistake_is_named_with_its_line_and_field(
     tmp_path: Path, old: str, new: str, expected: str
 ) -> None:
     assert expected in complaint(tmp_path, SUITE.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    "text", ["010", "-010", "09", "0o10", "0b11", "1:30", "1:30.5", "yes", "No", "on", "OFF"]
+)
+def test_what_versions_of_yaml_read_differently_is_an_error(tmp_path: Path, text: str) -> None:
+    said = complaint(tmp_path, SUITE.replace("episodes: 4", f"episodes: 4\nseed: {text}"))
+    assert f"suite.yaml:3: {text} is " in said
+    with pytest.raises(ValueError, match=f"^{text} is "):
+        value_of(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1_000", 1000),
+        ("1e5", 1e5),
+        ("-1.5e-3", -1.5e-3),
+        ("2024-01-01", "2024-01-01"),
+        ("2024-99-01", "2024-99-01"),
+        ("'010'", "010"),
+        ("'no'", "no"),
+        ("=", "="),
+        ("0x10", 16),
+        ("~", None),
+        ("true", True),
+    ],
+)
+def test_a_value_is_what_its_author_means(text: str, value: object) -> None:
+    assert value_of(text) == value
+    assert type(value_of(text)) is type(value)
+
+
+def test_merge_keys_are_an_error(tmp_path: Path) -> None:
+    text = SUITE.replace("lanes: 3", "<<: {lanes: 3}")
+    assert "suite.yaml:5: merge keys (<<) are not supported" in complaint(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("A", "A "),
+        ("A B", "A  B"),
+        ("é", "e\u0301"),
+        ("ＰＰＯ", "PPO"),
+        ("PPO", "РРО"),
+        ("PPO", "PPO\ufe0f"),
+        ("PPO", "PPO\u3164"),
+        ("A", "Α"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["egos", "traffic_models"])
+def test_labels_that_look_alike_are_an_error(
+    one: str, other: str, kind: str, tmp_path: Path
+) -> None:
+    entry = '- {%s: idm_mobil, label: "%s"}\n'
+    what = "agent" if kind == "egos" else "traffic"
+    lines = "".join(f"  {entry % (what, label)}" for label in (one, other))
+    old = "  - agent: idm_mobil\n" if kind == "egos" else "  - traffic: idm_mobil\n"
+    assert "look in tables as if called" in complaint(tmp_path, SUITE.replace(old, lines))
+
+
+def test_labels_that_differ_may_look_similar(tmp_path: Path) -> None:
+    path = tmp_path / "suite.yaml"
+    labels = ("PPO", "ppo", "PPO 1", "PPO-1", "P.P.O", "Ümit", "Umit")
+    entries = "".join(f"  - {{agent: idm_mobil, label: {label}}}\n" for label in labels)
+    path.write_text(SUITE.replace("  - agent: idm_mobil\n", entries), encoding="utf-8")
+    assert len(Document(path).validate(Suite).egos) == 8
 
 
 TRUCKS = "scene:\n  vehicle_types:\n  - {name: truck, proportion: 1.0}\n"

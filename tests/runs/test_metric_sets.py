@@ -4,12 +4,14 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 from command_line import Called, charms_bench
 
 from charms_bench.errors import InputError
-from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD
+from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD, Metric, MetricSet
+from charms_bench.metrics.metric import Interval, problem_of_sums
 from charms_bench.runs.metric_sets import metric_sets
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
@@ -67,6 +69,34 @@ def test_a_plugins_set_has_its_own_version() -> None:
 def test_what_is_no_metric_set_is_said_in_a_sentence(texts: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         metric_sets(texts)
+
+
+@pytest.mark.parametrize(
+    ("interval", "sums", "message"),
+    [
+        ("proportion", [[2.0, 1.0], [2.0, 3.0]], "an episode has 3 events of 2"),
+        ("wilson", [[1.0, 2.0]], "an episode has 2 events of 1"),
+        ("rate", [[2.0, -1.0]], "finite and not negative"),
+        ("garwood", [[2.0, float("nan")]], "finite and not negative"),
+        ("proportion", [[2.0, 2.0], [0.0, 0.0]], ""),
+        ("rate", [[2.0, 3.0]], ""),
+    ],
+)
+def test_sums_that_are_not_of_the_kind_of_the_interval_are_named(
+    interval: Interval, sums: list[list[float]], message: str
+) -> None:
+    metric = Metric("haste", "", "", "steps", (pl.len(), pl.len()), interval=interval)
+    problem = problem_of_sums(metric, np.array(sums))
+    assert message in problem
+    assert bool(problem) == bool(message)
+
+
+def test_an_unknown_kind_of_interval_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    metric = Metric("haste", "", "", "", (pl.len(), pl.len()), interval="wilsn")  # type: ignore[arg-type]
+    made = MetricSet("mine", 1, (metric,))
+    monkeypatch.setattr("charms_bench.runs.metric_sets.load", lambda group, name: made)
+    with pytest.raises(InputError, match=r"'mine': haste: no interval named 'wilsn'.*'wilson'"):
+        metric_sets(["mine"])
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from charms_bench.runs.pairing import pairs_of
 from charms_bench.runs.runner import plan, run
 from charms_bench.runs.shard import ShardFiles, simulate
 from charms_bench.runs.suite import Suite
+from charms_bench.world.scene import SceneSettings
 
 NetworkFile = Callable[..., Path]
 POLICIES = Path(str(files("charms_agents") / "policies"))
@@ -31,6 +32,7 @@ WAYS: dict[str, Callable[[str], Any]] = {
     "pch": lambda path: {"name": "pch", "options": {"styles": {"safe-egoistic": path}}},
 }
 """The ways to name a network in a traffic."""
+SLOW = {"speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
 
 
 def suite_of(folder: Path, traffic: object, ego: object = "idm_mobil") -> Suite:
@@ -102,6 +104,31 @@ def test_a_key_follows_the_order_of_a_mixture_and_its_share_of_each_network(
         {"idm_mobil": 0.3, "a.onnx": 0.1, "b.onnx": 0.1, "c.onnx": 0.5},
     ]
     assert len({key_of(tmp_path, {"mixture": mixture}) for mixture in mixtures}) == 3
+
+
+def test_a_run_says_what_its_networks_observe_and_do(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    network_file(name="mine.onnx")
+    (tmp_path / "suite.yaml").write_text(
+        "suite: small\nepisodes: 2\nscene: {duration_s: 2.0, traffic_vehicles: 6}\n"
+        "egos: [{agent: {onnx: mine.onnx, decision_hz: 1}, label: PPO}, {agent: idm_mobil}]\n"
+        "traffic_models: [{traffic: idm_mobil}]\n"
+    )
+    what = "PPO: observes neighbours; chooses meta actions at 1 Hz\n"
+    for command in (["run", "suite.yaml", "--workers", "1"], ["show", "runs/small"]):
+        assert what in charms_bench(*command, cwd=tmp_path).stdout
+
+
+def test_a_network_of_kinematics_is_refused_on_a_road(
+    network_file: NetworkFile, tmp_path: Path
+) -> None:
+    network = network_file(np.zeros((25, 5)), metadata={"observation": '{"type": "Kinematics"}'})
+    for ego, traffic in ((network.name, "idm_mobil"), ("idm_mobil", network.name)):
+        suite = suite_of(tmp_path, {"road": "merge-v0", "drivers": traffic}, ego)
+        scene = SceneSettings.model_validate({"profile": {"name": "charms", **SLOW}})
+        with pytest.raises(InputError, match="receives on this road neither the ranges nor"):
+            run(suite.model_copy(update={"scene": scene}), tmp_path / "run", workers=1)
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
@@ -170,3 +171,17 @@ def test_a_scenario_is_refused_because_nothing_of_it_is_drawn(tmp_path: Path) ->
     ):
         api.rare(suite, output=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_an_agent_is_estimated_beside_the_egos_and_shown(
+    suite: Path, network_file: Callable[..., Path]
+) -> None:
+    network_file(name="mine.onnx")
+    words = ("--agent", "mine.onnx", "--runs", 5, "--samples", 100, "--workers", 1)
+    made = charms_bench("rare", suite.name, *words, cwd=suite.parent)
+    assert made.returncode == 0, made
+    folder = str(next((suite.parent / "runs").iterdir()).relative_to(suite.parent))
+    shown = charms_bench("show", folder, cwd=suite.parent)
+    assert "mine" in shown.stdout
+    tables = json.loads(charms_bench("show", folder, "--json", cwd=suite.parent).stdout)
+    assert any(row["agent"] == "mine" for table in tables.values() for row in table)

@@ -1,10 +1,12 @@
 """Suites of scenarios: errors with lines, runs, replays, comparisons, preventable collisions."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
+from command_line import charms_bench as command_line
 
 import charms_bench
 from charms_bench.engine.simulation import Simulation
@@ -218,6 +220,17 @@ def test_a_search_without_failures_writes_no_suite(tmp_path: Path) -> None:
         ("Level 0", "Traffic", "no scenario called 'Traffic'"),
     ],
 )
+def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
+    suite, folder = written(tmp_path), tmp_path / "found"
+    words = ("--agent", "level_0", "--traffic", "Braking", "--failures", 2, "--output", folder)
+    made = command_line("search", suite, *words)
+    assert made.returncode == 0, made
+    assert "level_0 in Braking: 2 failures" in made.stdout
+    shown = command_line("show", folder)
+    assert "found.yaml" in shown.stdout, shown
+    assert len(json.loads(command_line("show", folder, "--json").stdout)["failures"]) == 2
+
+
 def test_a_search_names_what_it_can_search(
     tmp_path: Path, agent: str, traffic: str, error: str
 ) -> None:

@@ -193,7 +193,7 @@ def test_a_traffic_that_assigns_strangers_is_found() -> None:
         def assign(self, rng, scenes, vehicles):  # type: ignore[no-untyped-def]  # as authors may
             return np.full((scenes, vehicles), "stranger")
 
-    with pytest.raises(AssertionError, match=r"assigned \['stranger'\]"):
+    with pytest.raises(AssertionError, match="assign returned 'stranger'"):
         contract.traffic_assigns_its_agents(Strange())
 
 

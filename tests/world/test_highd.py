@@ -99,7 +99,7 @@ def test_a_number_is_given_once(tmp_path: Path) -> None:
 
 # file, what stands in it, what is put there, what is said of it
 MISTAKES: list[OLD_NEW] = [
-    ("tracks", "xVelocity", "vx", r"line 1: no column 'xVelocity'. Did you mean"),
+    ("tracks", "width", "widht", r"line 1: no column 'width'. Did you mean"),
     ("tracks", "yAcceleration", "x", "line 1: the column 'x' appears twice"),
     ("tracks", "\n2,1,", "\n=1+1,1,", r"line 3: column 'frame': expected a whole .* '=1\+1'"),
     ("tracks", "\n2,1,101.2", "\n2,1,nan", "line 3: column 'x': .* -100000 to 100000 m, found 'n"),

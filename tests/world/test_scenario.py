@@ -57,6 +57,18 @@ def test_a_grid_has_all_combinations_and_the_last_parameter_varies_fastest() -> 
     assert found["v"].tolist() == [20, 30, 20, 30, 20, 30]
 
 
+def test_a_grid_may_have_more_points_than_an_integer_of_64_bits_counts() -> None:
+    steps = {"range": [0, 9999], "steps": 10_000}
+    grid = scenario(parameters={"gap": steps, "v": steps, **dict.fromkeys("abc", steps)})
+    found = values_at(grid.model_copy(update={"points": "grid"}), np.array([123_456_789]))
+    assert [found[name].tolist() for name in "abc"] == [[1], [2345], [6789]]
+
+
+def test_a_seed_beyond_the_sobol_sequence_is_named() -> None:
+    with pytest.raises(ScenarioError, match=r"has 1,073,741,824 points; episode 1073741824 needs"):
+        place(scenario(), SETTINGS, np.array([2**30]))
+
+
 def test_a_latin_hypercube_has_one_point_in_every_stratum() -> None:
     found = values_at(scenario(points={"latin_hypercube": 50}), np.arange(50))
     for name, (low, high) in {"gap": (10, 30), "v": (20, 30)}.items():

@@ -1,4 +1,4 @@
-"""Policy networks: linear layers with ReLU or tanh between them, in torch and in arrays."""
+"""Policy networks: linear layers with an activation between them, in torch and in arrays."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from torch.nn import Linear, Module, ReLU, Sequential, Tanh
 from torch.optim import Optimizer
 
-from charms_bench.world.actions import ACTIONS, ActionKind
+from charms_bench.world.actions import ACTIONS, ActionKind, outputs_of
 
 ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
-"""The activations that are allowed between layers, by their ONNX name."""
+"""The activations that are trained here, by their ONNX name."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 """The weight (outputs, inputs) and the bias (outputs,) of each linear layer, first to last."""
@@ -30,11 +30,11 @@ def untrained(hidden_layers: Sequence[int], seed: int, inputs: int = 35) -> Sequ
 
 
 def network_of(
-    layers: Layers, activation: type[Module] = ReLU, kind: ActionKind = "meta"
+    layers: Layers, activation: type[Module] = ReLU, squashed: bool = False
 ) -> Sequential:
     """A network of copies of the layers, with an activation between them.
 
-    For continuous actions, a tanh follows the last layer.
+    If it is squashed, a tanh follows the last layer.
     """
     modules = []
     for weight, bias in layers:
@@ -44,7 +44,7 @@ def network_of(
             module.bias.copy_(torch.from_numpy(bias.copy()))
         modules.append(module)
     network = _alternating(modules, activation)
-    return network if kind == "meta" else network.append(Tanh())
+    return network.append(Tanh()) if squashed else network
 
 
 def side_by_side(network: Sequential, factor: float, other: Sequential) -> Sequential:
@@ -71,8 +71,9 @@ def side_by_side(network: Sequential, factor: float, other: Sequential) -> Seque
 
 
 def kind_of(network: Sequential) -> ActionKind:
-    """The kind of a network's actions: continuous if it ends with a tanh."""
-    return "continuous" if isinstance(network[-1], Tanh) else "meta"
+    """The kind of a network's actions, which follows from the number of its outputs."""
+    outputs = len(layers_of(network)[-1][1])
+    return "continuous" if outputs == outputs_of("continuous") else "meta"
 
 
 def layers_of(network: Sequential) -> Layers:

@@ -1,4 +1,7 @@
-"""Policy networks as ONNX files: an LSTM, linear layers, the action mask and the random choice."""
+"""Policy networks as ONNX files: an LSTM, linear layers, the action mask and the random choice.
+
+`onnx_input` has what comes before them.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -9,9 +12,10 @@ import torch
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
-from torch.nn import LSTM, ReLU, Sequential
+from torch.nn import LSTM, Module, ReLU, Sequential
 
 from charms_agents.training.network import ACTIVATIONS, kind_of, layers_of, network_of
+from charms_agents.training.onnx_input import Given
 from charms_bench.errors import ModelError
 from charms_bench.foundation.files import write_atomically
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -34,6 +38,33 @@ DRAW_RANGE = {"smallest": SMALLEST_DRAW, "largest": LARGEST_DRAW}
 """The range of random numbers whose double logarithm is finite, and its names in a file."""
 STEPS = 4
 """Decisions in a row for which a network with memory is compared."""
+_READ = {"Flatten", "Gemm", "Sub", "Mul", "Add", "Clip", "Log", "Neg", *ACTIVATIONS}
+"""The operators of the files that `read_network` reads."""
+Steps = tuple[tuple[str, tuple[str | float, ...]], ...]
+"""Operators and their inputs: a number, `x`, or the operator whose result it is."""
+_STEPS: dict[type[Module], Steps] = {
+    **{kind: ((name, ("x",)),) for name, kind in ACTIVATIONS.items()},
+    torch.nn.ELU: (("Elu", ("x",)),),
+    torch.nn.CELU: (("Celu", ("x",)),),
+    torch.nn.SELU: (("Selu", ("x",)),),
+    torch.nn.LeakyReLU: (("LeakyRelu", ("x",)),),
+    torch.nn.Hardswish: (("HardSwish", ("x",)),),
+    torch.nn.Sigmoid: (("Sigmoid", ("x",)),),
+    torch.nn.Softplus: (("Softplus", ("x",)),),
+    torch.nn.Softsign: (("Softsign", ("x",)),),
+    torch.nn.SiLU: (("Sigmoid", ("x",)), ("Mul", ("x", "Sigmoid"))),
+    torch.nn.Mish: (("Softplus", ("x",)), ("Tanh", ("Softplus",)), ("Mul", ("x", "Tanh"))),
+    torch.nn.GELU: (
+        ("Mul", ("x", 0.5**0.5)),
+        ("Erf", ("Mul",)),
+        ("Add", ("Erf", 1.0)),
+        ("Mul", ("Add", 0.5)),
+        ("Mul", ("x", "Mul")),
+    ),
+}
+"""How ONNX computes the activations, with torch's default options."""
+KINDS = {kind.__name__: kind for kind in _STEPS}
+"""The activations that a file can have, by their torch name."""
 
 
 def read_network(path: Path) -> Sequential:
@@ -50,8 +81,9 @@ def read_network(path: Path) -> Sequential:
     tensors = (tensor for tensor in graph.initializer if tensor.name not in DRAW_RANGE)
     arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in tensors}
     names = [(f"weight_{index}", f"bias_{index}") for index in range(len(arrays) // 2)]
-    if set(arrays) != {name for pair in names for name in pair} or not names:
-        raise ModelError(f"{path}: was not written by this pipeline; it holds {list(arrays)}")
+    others = {node.op_type for node in graph.node} - _READ
+    if set(arrays) != {name for pair in names for name in pair} or not names or others:
+        raise ModelError(f"{path}: was not written by this pipeline; it holds {[*arrays, *others]}")
     found = [ACTIVATIONS[node.op_type] for node in graph.node if node.op_type in ACTIVATIONS]
     layers = [(arrays[weight], arrays[bias]) for weight, bias in names]
     return network_of(layers, found[0] if found else ReLU)
@@ -66,21 +98,24 @@ def export(
     masked: bool = False,
     lstm: LSTM | None = None,
     stochastic: bool = False,
+    given: Given | None = None,
 ) -> dict[str, int]:
     """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
     Args:
-        network: Linear layers with ReLU or tanh between them; for continuous actions, a tanh
-            follows the last layer.
+        network: Linear layers with an activation of `KINDS` between them; a tanh may follow the
+            last layer of one with continuous actions, which are otherwise clipped.
         facts: Further metadata, beside the observation and the actions.
-        observations: (M, rows, columns) on which the file's actions are compared with the
-            network's. If the file is masked, their last row is the action mask.
+        observations: (M, rows, columns), or (M, history, rows, columns), on which the file's
+            actions are compared with the network's. If the file is masked, their last row is the
+            action mask.
         masked: Whether the file has a second input, the action mask, and never chooses a masked
             action.
         lstm: The network's inputs are the outputs of this LSTM, and the file has its states. The
             observations are compared as those of `STEPS` decisions in a row.
         stochastic: Whether the file has an input of random numbers, by which it draws its actions;
             the network's values are the logits.
+        given: What the network is given of the observations; by default, the observations.
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different
@@ -90,27 +125,35 @@ def export(
         ModelError: The file acts differently from the network; nothing is written.
         RunFolderError: The file cannot be written.
     """
-    shape, steps = observation.shape, STEPS if lstm else 1
+    given, steps = given or Given(), STEPS if lstm else 1
+    (rows, columns), history = observation.shape, given.history
     facts = {"observation": described(observation), **facts}
-    data = _serialised(network, facts, shape, masked, lstm, stochastic)
-    flat = torch.tensor(observations[:, : shape[0]].reshape(len(observations), -1))  # writable
+    if history > 1:
+        facts["history"] = str(history)
+    shape = (*(history,) * (history > 1), rows, columns)
+    data = _serialised(network, facts, shape, masked, lstm, stochastic, given)
+    seen = observations[..., :rows, :].reshape(len(observations), history, -1)
+    flat = torch.tensor(given.of(seen))  # writable
+    newest = observations if history == 1 else observations[:, -1]
     noise = np.random.default_rng(0).random((len(flat), len(ACTIONS) * stochastic), np.float32)
     with torch.no_grad():
         hidden = lstm(flat.reshape(steps, -1, flat.shape[1]))[0].flatten(0, 1) if lstm else flat
         expected: NDArray[np.float32] = network(hidden).numpy()
     if masked:
-        expected += (observations[:, ACTION_MASK] - 1) * MASKED
+        expected += (newest[:, ACTION_MASK] - 1) * MASKED
     if stochastic:
         expected -= np.log(-np.log(noise))
     continuous = kind_of(network) == "continuous"
+    if continuous:
+        expected = np.clip(expected, -1.0, 1.0)
     checked: dict[str, int] = {}
 
     def write(partial: Path) -> None:
         partial.write_bytes(data)
         policy = OnnxPolicy(partial)
         memory, actions = None, []
-        for seen, draws in zip(np.split(observations, steps), np.split(noise, steps), strict=True):
-            values, memory = policy.values_and_memory(seen, memory, draws.astype(np.float64))
+        for part, draws in zip(np.split(observations, steps), np.split(noise, steps), strict=True):
+            values, memory = policy.values_and_memory(part, memory, draws.astype(np.float64))
             actions.append(policy.actions_of(values))
         found = np.concatenate(actions)
         if continuous:
@@ -134,21 +177,21 @@ def export(
 def _serialised(
     network: Sequential,
     facts: dict[str, str],
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     masked: bool,
     lstm: LSTM | None,
     stochastic: bool,
+    given: Given,
 ) -> bytes:
     layers = layers_of(network)
-    operators = {kind: name for name, kind in ACTIVATIONS.items()}
-    after = [operators[type(module)] for module in network if type(module) in operators]
+    after = [type(module) for module in network if type(module) in _STEPS]
     kind = kind_of(network)
     inputs = [_port("observations", "batch", *shape)]
     outputs = [_port("values", "batch", outputs_of(kind))]
     nodes = [helper.make_node("Flatten", ["observations"], ["flat"], axis=1)]
     arrays: dict[str, NDArray[Any]] = {}
     constants: dict[str, float] = {}
-    last = "flat"
+    last = given.add_to(nodes, arrays, "flat")
     if lstm:
         nodes.append(helper.make_node("Unsqueeze", [last, "time"], ["sequence"]))
         arrays["time"] = np.array([0])
@@ -168,7 +211,7 @@ def _serialised(
         nodes.append(helper.make_node("Gemm", [last, *parameters], [out], transB=1))
         if activated:
             last = ends[0] if final else f"hidden_{index}"
-            nodes.append(helper.make_node(after[index], [out], [last]))
+            nodes += _activated(after[index], out, last, constants)
     if masked:
         inputs.append(_port(MASK_INPUT, "batch", len(ACTIONS)))
         constants |= {"one": 1.0, "masked": MASKED}
@@ -195,6 +238,25 @@ def _serialised(
     onnx.checker.check_model(exported, full_check=True)
     data: bytes = exported.SerializeToString(deterministic=True)
     return data
+
+
+def _activated(
+    kind: type[Module], x: str, result: str, constants: dict[str, float]
+) -> list[NodeProto]:
+    """The nodes of an activation of `x`; the numbers that they need are added to `constants`."""
+    nodes, names, steps = [], {"x": x}, _STEPS[kind]
+    for number, (operator, inputs) in enumerate(steps):
+        taken = []
+        for each in inputs:
+            if isinstance(each, str):
+                taken.append(names[each])
+            else:
+                taken.append(f"number_{each:g}")
+                constants[taken[-1]] = each
+        out = result if number == len(steps) - 1 else f"{result}_{number}"
+        nodes.append(helper.make_node(operator, taken, [out]))
+        names[operator] = out
+    return nodes
 
 
 def _add_cells(

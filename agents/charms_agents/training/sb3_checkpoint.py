@@ -14,7 +14,7 @@ from zipfile import ZipFile, ZipInfo, is_zipfile
 
 import torch
 
-from charms_agents.training.network import ACTIVATIONS
+from charms_agents.training.network_file import KINDS
 from charms_bench.foundation.files import read_limited
 from charms_bench.world.actions import CONTROLS
 
@@ -32,8 +32,6 @@ _OF_TENSORS = re.compile(
 )
 """The names that the pickle of a `state_dict` may refer to."""
 _MEMBER = b"PK\x01\x02"
-KINDS = {kind.__name__: kind for kind in ACTIVATIONS.values()}
-"""The activations that can be exported, by their torch name."""
 _ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 _BOUNDS = ("low", "high")
 
@@ -103,7 +101,7 @@ def activation_of(data: bytes, usual: str) -> str | None:
         return usual
     match = _ACTIVATION.fullmatch(str(said))
     if match is None or match[1] not in KINDS:
-        raise Refusal(f"has {str(said)[:80]} between its layers; expected {' or '.join(KINDS)}")
+        raise Refusal(f"has {str(said)[:80]} between its layers; expected {', '.join(KINDS)}")
     return match[1]
 
 
@@ -117,6 +115,16 @@ def check_features_extractor(data: bytes) -> None:
         raise Refusal(
             f"has the features extractor {str(said)[:80]}; expected MlpPolicy without one"
         )
+
+
+def check_squashed(data: bytes) -> None:
+    """Refuses a PPO or A2C whose actions go through a tanh."""
+    try:
+        squashes = json.loads(data)["policy_kwargs"].get("squash_output")
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return
+    if squashes:
+        raise Refusal("squashes its output; expected a PPO or A2C without squash_output")
 
 
 def is_maskable(data: bytes) -> bool:

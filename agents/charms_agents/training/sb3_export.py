@@ -10,33 +10,36 @@ from numpy.typing import NDArray
 from torch.nn import LSTM
 
 from charms_agents.training.network import Layers, layers_of, network_of
-from charms_agents.training.network_file import export
+from charms_agents.training.network_file import KINDS, export
+from charms_agents.training.onnx_input import Given
 from charms_agents.training.sb3_checkpoint import (
-    KINDS,
     WEIGHTS,
     Refusal,
     Tensors,
     activation_of,
     check_action_space,
     check_features_extractor,
+    check_squashed,
     is_maskable,
     read_checkpoint,
     tensors_of,
 )
+from charms_agents.training.sb3_space import input_of, read_statistics, trained_on
 from charms_bench.errors import ModelError
 from charms_bench.testing import example_scene
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import Neighbours, neighbours
+from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
 
+NOT_OBSERVATIONS = Path("none")
 CHECKED_SEEDS = range(4)
 """Seeds of the example scenes on whose observations the two networks are compared."""
 _Q_LAYER = re.compile(r"q_net\.q_net\.(\d{1,3})\.(weight|bias)")
 _POLICY_LAYER = re.compile(r"mlp_extractor\.policy_net\.(\d{1,3})\.(weight|bias)")
 _LOGITS = re.compile(r"action_net\.(weight|bias)")
 _OF_POLICY = re.compile(
-    r"(mlp_extractor\.(policy|value)_net\.\d{1,3}|action_net|value_net)\.(weight|bias)"
+    r"(mlp_extractor\.(policy|value)_net\.\d{1,3}|action_net|value_net)\.(weight|bias)|log_std"
 )
 _LSTM_LAYER = re.compile(r"lstm_actor\.(?:weight|bias)_[ih]h_l(\d{1,3})()")
 _OF_RECURRENT = re.compile(
@@ -58,36 +61,44 @@ class _Deciding(NamedTuple):
     actions: ActionKind
     samples: bool = False
     """Whether its values are logits, from which it draws actions in training."""
+    squashed: bool = False
+    """Whether a tanh follows the last layer."""
 
 
 def export_zip(
     checkpoint: Path,
     output: Path,
     facts: dict[str, str],
-    observation: Neighbours | Kinematics = neighbours,
+    observation: Neighbours | Kinematics | None = None,
     stochastic: bool = False,
+    normalise: Path | None = None,
 ) -> dict[str, Any]:
     """Writes the network that decides for a DQN, PPO, A2C, SAC or TD3 as an ONNX file.
 
     For a DQN this is the Q-network. For a PPO or A2C it is the policy up to its logits; the largest
-    logit belongs to the most probable action. For a SAC it is the actor up to the tanh of its mean,
-    and for a TD3 or DDPG the actor; their actions are continuous. The file of a `MaskablePPO` also
-    takes the action mask, unless the observation is `Kinematics`. The file of a `RecurrentPPO` has
-    the states of its actor's LSTM. If `data` cannot be read, the activation is assumed to be
-    Stable-Baselines3's default: tanh for a PPO or A2C, ReLU for the others. A checkpoint does not
-    hold the statistics of a `VecNormalize`, so they are not exported.
+    logit belongs to the most probable action. With continuous actions, it is the policy up to its
+    mean. For a SAC it is the actor up to the tanh of its mean, and for a TD3 or DDPG the actor. The
+    file of a `MaskablePPO` also takes the action mask, unless the observation is `Kinematics`. The
+    file of a `RecurrentPPO` has the states of its actor's LSTM. Stacked observations become the
+    file's history; before the first decision, they are zeros as with `VecFrameStack`, or the first
+    observation as with Gymnasium's `FrameStackObservation`. If `data` cannot be read, the
+    observation is assumed to be `neighbours`, and the activation Stable-Baselines3's default: tanh
+    for a PPO or A2C, ReLU for the others.
 
     Args:
         checkpoint: The zip that Stable-Baselines3 saved.
         output: The `.onnx` file.
         facts: Further metadata, beside what this function finds.
-        observation: The observation that the network was trained on.
+        observation: The observation that the network was trained on; by default, the one that the
+            checkpoint states or whose bounds it has.
         stochastic: Whether the file draws its actions from the distribution of a PPO or A2C, as in
             training; by default, they are the most probable ones.
+        normalise: A NumPy archive with the mean, var and clip of a `VecNormalize`, which a
+            checkpoint does not hold; `NOT_OBSERVATIONS` if it normalised rewards only.
 
     Returns:
         sizes (inputs, units of each hidden layer, outputs), activation, sha256 of the
-        checkpoint, and observations and ties from `export`.
+        checkpoint, observation, decision_hz, history, and observations and ties from `export`.
 
     Raises:
         ModelError: The checkpoint is not a zip of one of these with a suitable MLP; nothing is
@@ -99,21 +110,31 @@ def export_zip(
         content_sha256, weights, data = read_checkpoint(checkpoint)
         tensors = tensors_of(weights)
         found = _deciding(tensors)
+        _check_positions(found.layers)
         said = activation_of(data, found.activation)
         check_features_extractor(data)
         if found.actions == "continuous":
             check_action_space(data)
-        if stochastic and not found.samples:
-            raise Refusal("does not draw its actions; --stochastic is for a PPO or A2C")
-        rows, columns = observation.shape
-        source = (
-            f"the observation '{observation.name}' of {rows} rows of {columns}; name the "
-            "observation that it was trained on with --observation"
-        )
-        lstm = _lstm(tensors, rows * columns, source)
-        width = lstm.hidden_size if lstm else rows * columns
-        layers = _layers(found, width, "the outputs of the LSTM" if lstm else source)
-        network = network_of(layers, KINDS[said or found.activation], found.actions)
+            check_squashed(data)
+        if stochastic and (not found.samples or found.actions != "meta"):
+            raise Refusal(
+                "does not draw its actions; --stochastic is for a PPO or A2C with meta-actions"
+            )
+        trained, width = trained_on(data), _width(tensors, found)
+        if normalise == NOT_OBSERVATIONS:
+            trained, normalise = trained._replace(has_original=False), None
+        seen = input_of(trained, observation, width, normalise is not None)
+        given = Given(seen.history, seen.repeats)
+        if normalise is not None:
+            statistics = read_statistics(normalise, trained, seen)
+            given = Given(seen.history, seen.repeats, *statistics)
+        lstm = _lstm(tensors, width, seen.order)
+        source = "the outputs of the LSTM" if lstm else "the numbers that it is given"
+        layers = _layers(found, lstm.hidden_size if lstm else width, source)
+        if not lstm:
+            weight, bias = layers[0]
+            layers[0] = np.ascontiguousarray(weight[:, seen.order]), bias
+        network = network_of(layers, KINDS[said or found.activation], found.squashed)
     except Refusal as error:
         raise ModelError(f"{checkpoint}: {error}") from error
     name = checkpoint.name.encode(errors="replace").decode()
@@ -123,14 +144,24 @@ def export_zip(
         "source_sha256": content_sha256,
         "activation": activation,
     }
+    observation = seen.observation
     masked = is_maskable(data) and isinstance(observation, Neighbours)
     asked = observation.model_copy(update={"action_mask": True}) if masked else observation
     scenes = np.concatenate([_seen(asked, seed) for seed in CHECKED_SEEDS])
-    facts = {**provenance, **facts}
-    checked = export(network, output, facts, scenes, observation, masked, lstm, stochastic)
+    if given.history > 1:
+        scenes = _stacked(scenes, given.history)
+    facts = {**provenance, "decision_hz": f"{seen.decision_hz:g}", **facts}
+    checked = export(network, output, facts, scenes, observation, masked, lstm, stochastic, given)
     hidden = [lstm.hidden_size] * lstm.num_layers if lstm else []
-    sizes = [rows * columns, *hidden, *(bias.size for _, bias in layers_of(network))]
-    return {"sizes": sizes, "activation": activation, "sha256": content_sha256, **checked}
+    sizes = [width, *hidden, *(bias.size for _, bias in layers_of(network))]
+    found_facts = {
+        "observation": observation.name,
+        "decision_hz": float(facts["decision_hz"]),
+        "history": given.history,
+    }
+    return {
+        "sizes": sizes, "activation": activation, "sha256": content_sha256, **found_facts, **checked
+    }  # fmt: skip
 
 
 def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
@@ -139,13 +170,28 @@ def _seen(observation: Neighbours | Kinematics, seed: int) -> Observations:
     return observation(scene, np.nonzero(np.ones(scene.x.shape, np.bool_)))
 
 
+def _stacked(seen: Observations, history: int) -> Observations:
+    """As many histories of observations (M, ...), some of which begin within their episode."""
+    rng = np.random.default_rng(0)
+    frames = seen[rng.integers(len(seen), size=(len(seen), history))]
+    begins = rng.integers(history, size=len(seen))
+    frames[np.arange(history) < begins[:, None]] = 0
+    return frames
+
+
+def _width(tensors: Tensors, deciding: _Deciding) -> int:
+    """How many numbers the network takes; 0 if it has no such layer."""
+    first = tensors.get("lstm_actor.weight_ih_l0", deciding.layers.get(0, {}).get("weight"))
+    return first.shape[1] if first is not None and first.ndim == 2 else 0
+
+
 def _deciding(tensors: Tensors) -> _Deciding:
     if any("features_extractor." in name for name in tensors):
         raise Refusal("has a features extractor with weights, like CnnPolicy; expected MlpPolicy")
     if q_network := _matching(_Q_LAYER, tensors):
         return _Deciding(q_network, "ReLU", "meta")
     if any(name.startswith("actor.") for name in tensors):
-        return _Deciding(_actor(tensors), "ReLU", "continuous")
+        return _Deciding(_actor(tensors), "ReLU", "continuous", squashed=True)
     logits = {match[1]: tensors[name] for name in tensors if (match := _LOGITS.fullmatch(name))}
     policy = _matching(_POLICY_LAYER, tensors)
     other = [name for name in tensors if not _OF_POLICY.fullmatch(name)]
@@ -153,14 +199,13 @@ def _deciding(tensors: Tensors) -> _Deciding:
         other = [name for name in other if not _OF_RECURRENT.fullmatch(name)]
     if not logits or other:
         found = ", ".join(other[:4]) or ", ".join(list(tensors)[:4]) or "no tensors"
-        if "log_std" in tensors:
-            found += ", as of a PPO with continuous actions, which is not exported"
         raise Refusal(
             f"expected the Q-network of a DQN, the actor of a SAC or TD3, or only the policy and "
             f"value networks of a PPO; {WEIGHTS} holds: {found}"
         )
     policy[max(policy, default=-2) + 2] = logits
-    return _Deciding(policy, "Tanh", "meta", samples=True)
+    kind: ActionKind = "continuous" if "log_std" in tensors else "meta"
+    return _Deciding(policy, "Tanh", kind, samples=True)
 
 
 def _actor(tensors: Tensors) -> Numbered:
@@ -186,8 +231,11 @@ def _matching(pattern: re.Pattern[str], tensors: Tensors) -> Numbered:
     return found
 
 
-def _lstm(tensors: Tensors, width: int, source: str) -> LSTM | None:
-    """The LSTM of a RecurrentPPO's actor, which takes `width` numbers; None for other policies."""
+def _lstm(tensors: Tensors, width: int, order: NDArray[np.int64]) -> LSTM | None:
+    """The LSTM of a RecurrentPPO's actor; None for other policies.
+
+    It takes `width` numbers, and its file takes them in another order.
+    """
     if not (count := len(_matching(_LSTM_LAYER, tensors))):
         return None
     bias = tensors.get("lstm_actor.bias_hh_l0")
@@ -204,18 +252,16 @@ def _lstm(tensors: Tensors, width: int, source: str) -> LSTM | None:
             if (tensor := tensors.get(f"lstm_actor.{name}")) is None:
                 raise Refusal(f"has no lstm_actor.{name}; expected the LSTM of a RecurrentPPO")
             if tensor.shape != shape or not units:
-                of = f", for {source}" if name == "weight_ih_l0" else ""
                 found = tuple(tensor.shape)
-                raise Refusal(f"lstm_actor.{name} is of shape {found}; expected {shape}{of}")
+                raise Refusal(f"lstm_actor.{name} is of shape {found}; expected {shape}")
             arrays[name] = torch.from_numpy(_array(tensor, f"lstm_actor.{name}"))
+    arrays["weight_ih_l0"] = arrays["weight_ih_l0"][:, torch.from_numpy(order)]
     lstm = LSTM(width, units, count)
     lstm.load_state_dict(arrays)
     return lstm
 
 
-def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
-    """The layers as arrays; refuses layers that do not fit together, or take another width."""
-    network = deciding.layers
+def _check_positions(network: Numbered) -> None:
     # Linear layers are at 0, 2, 4, ..., activations between them.
     if sorted(network) != list(range(0, 2 * len(network), 2)) or any(
         set(parts) != {"weight", "bias"} for parts in network.values()
@@ -224,6 +270,11 @@ def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
             f"expected linear layers with an activation between each two; "
             f"found weights at positions {sorted(network)}"
         )
+
+
+def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
+    """The layers as arrays; refuses layers that do not fit together, or take another width."""
+    network = deciding.layers
     layers: Layers = []
     for index in sorted(network):
         weight, bias = network[index]["weight"], network[index]["bias"]

@@ -20,7 +20,7 @@ def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
     speed = found.decisions["speed"].to_numpy()
     speeds.hist(speed, bins=np.arange(np.floor(speed.min()), speed.max() + 1), color=SERIES[0])
     speeds.axvline(speed.mean(), color="black", linewidth=1)
-    title = f"Speed, mean {speed.mean():.1f} m/s"
+    title = f"Speed, mean {speed.mean():z.1f} m/s"
     speeds.set(title=title, xlabel="m/s", ylabel="vehicles at a decision")
     following = found.decisions["leader_distance"].drop_nulls().to_numpy()
     distances.hist(following, bins=40, range=(0, FOLLOWING_RANGE_M), color=SERIES[0])
@@ -35,7 +35,7 @@ def draw(found: Survey, learnable: Mapping[str, Learnable], path: Path) -> None:
             axes.barh(places + offset, shares.values(), 0.38, color=colour, label=title)
             axes.set_yticks(places, [action.replace("_", " ").lower() for action in shares])
         axes.invert_yaxis()
-        axes.xaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
+        axes.xaxis.set_major_formatter(lambda share, _: f"{share:z.0%}")
         axes.set(title=f"Labels: {name}")
         axes.legend(frameon=False, fontsize=9)
     save(figure, path)

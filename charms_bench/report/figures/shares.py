@@ -14,7 +14,7 @@ def draw(found: Mapping[str, float], title: str, path: Path) -> None:
     """
     figure, (axes,) = panels(1, 6.4, 0.9 + 0.32 * len(found))
     bars = axes.barh(list(found), list(found.values()), color=SERIES[0])
-    axes.bar_label(bars, [f"{share:.1%}" for share in found.values()], padding=3)
+    axes.bar_label(bars, [f"{share:z.1%}" for share in found.values()], padding=3)
     axes.invert_yaxis()
     axes.margins(x=0.12)
     axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g}%")

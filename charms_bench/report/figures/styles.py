@@ -32,7 +32,7 @@ def draw_separations(pairs: Table) -> Figure:
     for row in pairs.rows:
         first, second = map(names.index, row.labels)
         counted[second, first] = sum(number.marked for number in row.numbers)
-    texts = [[f"{count:.0f}" for count in line] for line in counted]
+    texts = [[f"{count:z.0f}" for count in line] for line in counted]
     figure, (axes,) = panels(1, 5.4, 4.2)
     most = 1.6 * len(pairs.columns)
     heat_map(axes, counted, texts, names, names, cmap="Blues", vmin=0, vmax=most)

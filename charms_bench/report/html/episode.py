@@ -32,10 +32,10 @@ def for_page(
         "ego": ego,
         "traffic": traffic,
         "episode": replay.episode,
-        "criticality": f"{measured['criticality'].item():.2f}",
+        "criticality": f"{measured['criticality'].item():z.2f}",
         "what": what_happened(replay, since=since),
-        "start": f"{max(0.0, critical_time_s(replay, since) - BEFORE_S):.1f}",
-        "seconds": f"{replay.t_s[-1]:.1f}",
+        "start": f"{max(0.0, critical_time_s(replay, since) - BEFORE_S):z.1f}",
+        "seconds": f"{replay.t_s[-1]:z.1f}",
         "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),
     }

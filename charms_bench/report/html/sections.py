@@ -8,6 +8,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from charms_bench.episodes.what_if import WhatIf
+from charms_bench.foundation.words import counted
 from charms_bench.people.reference import read_references
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
@@ -90,7 +91,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         title=suite.title or suite.suite,
         facts=(
             f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), place(suite))}",
-            f"{suite.episodes:,} episodes each, seeds {suite.seed:,} to {last:,}",
+            f"{counted(suite.episodes, 'episode')} each, seeds {suite.seed:,} to {last:,}",
             _scenes(suite),
             f"{scene.duration_s:g} s per episode",
             f"run folder {source.path.name}",

@@ -1,0 +1,283 @@
+"""What a Stable-Baselines3 checkpoint was trained on: its observations, their frames and rate.
+
+The JSON of `data` has the shape and the bounds of the observation space as text. Those of
+`neighbours` are finite and those of highway-env's `Kinematics` are not. The spaces of the
+environments of charms-bench also have `TRAINED_IN`.
+"""
+
+import base64
+import json
+import pickletools
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charms_agents.training.sb3_checkpoint import Refusal
+from charms_bench.errors import InputError
+from charms_bench.foundation.files import json_of, read_limited
+from charms_bench.world.kinematics_observation import Kinematics
+from charms_bench.world.observations import (
+    TRAINED_IN,
+    Neighbours,
+    PaperNeighbours,
+    neighbours,
+    observation_described,
+)
+
+DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
+"""The usual decision rate of networks trained on an observation: here, and in highway-env."""
+STATISTICS_LIMIT_BYTES = 2**22
+FRAMES_LIMIT = 100
+_OWN = "charms_bench/"
+_STRAIGHT = ("Ego-v0", "highway-v0", "highway-fast-v0")
+"""The environments whose road, observation and target speeds suites have."""
+_TARGET_SPEEDS_MPS = [20, 25, 30]
+"""highway-env's default."""
+_SAVE = "numpy.savez('norm.npz', mean=env.obs_rms.mean, var=env.obs_rms.var, clip=env.clip_obs)"
+
+
+class Trained(NamedTuple):
+    """What `data` says of the observations; parts that cannot be read are empty."""
+
+    shape: tuple[int, ...] = ()
+    bounds: NDArray[np.float64] | None = None
+    """(2, ...) the lowest and the highest values."""
+    where: Mapping[str, Any] = {}
+    has_original: bool = False
+    """Whether there are observations from before a `VecNormalize`."""
+    on_policy: bool = False
+    """Whether only a `VecNormalize` explains that there are."""
+    seen: NDArray[np.float32] | None = None
+    """(M, numbers) the last observations."""
+
+
+class Input(NamedTuple):
+    """What the exported network receives."""
+
+    observation: Neighbours | Kinematics
+    decision_hz: float
+    history: int
+    order: NDArray[np.int64]
+    """Where each number of (history, rows, columns) is in the input of the checkpoint's network."""
+    repeats: bool
+    """Whether the first observation of an episode also stands for the time before it, as with
+    Gymnasium's `FrameStackObservation`; otherwise, zeros do."""
+
+
+class Statistics(NamedTuple):
+    """What a `VecNormalize` does to observations; see `Given`."""
+
+    mean: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    clip: float
+
+
+def trained_on(data: bytes) -> Trained:
+    """What `data` says of the observations."""
+    try:
+        said = json.loads(data)
+        space = said["observation_space"]
+        shape = tuple(map(int, space["_shape"]))
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        return Trained()
+    where = space.get(TRAINED_IN)
+    return Trained(
+        shape,
+        _bounds(space, shape),
+        where if isinstance(where, dict) else {},
+        # Off-policy algorithms have it without a VecNormalize, too.
+        said.get("_last_original_obs") is not None,
+        "replay_buffer_class" not in said,
+        _numbers_in(said.get("_last_obs"), prod(shape)),
+    )
+
+
+def _numbers_in(value: Any, size: int) -> NDArray[np.float32] | None:
+    """The float32 array (M, size) whose pickle `data` has; the pickle is not loaded."""
+    try:
+        pickled = base64.b64decode(value[":serialized:"])
+        for _, argument, _ in pickletools.genops(pickled):
+            if isinstance(argument, bytes | bytearray) and len(argument) % (4 * size) == 0:
+                return np.frombuffer(bytes(argument), "<f4").reshape(-1, size)
+    except (ValueError, LookupError, TypeError, ZeroDivisionError):
+        pass
+    return None
+
+
+def _bounds(space: Mapping[str, Any], shape: tuple[int, ...]) -> NDArray[np.float64] | None:
+    found = []
+    for name in ("low", "high"):
+        text = str(space.get(name)).replace("[", " ").replace("]", " ")
+        try:
+            values = [float(each) for each in text.split()]  # long arrays are shortened by ...
+        except ValueError:
+            try:
+                values = [float(str(space.get(f"{name}_repr")))]
+            except ValueError:
+                return None
+        if len(values) == 1:
+            values *= prod(shape)
+        if len(values) != prod(shape):
+            return None
+        found.append(np.array(values).reshape(shape))
+    return np.array(found)
+
+
+def input_of(
+    trained: Trained, asked: Neighbours | Kinematics | None, width: int, has_statistics: bool
+) -> Input:
+    """What the exported network receives, whose first layer takes `width` numbers.
+
+    Args:
+        asked: The observation that the user names; None finds out which one it is.
+        has_statistics: Whether the user gives the statistics of the normalisation.
+
+    Raises:
+        Refusal: It cannot be found out, or the checkpoint contradicts what the user says.
+    """
+    observation, hz = _stated(trained.where)
+    if observation is not None and asked not in (None, observation):
+        raise Refusal(
+            f"was trained on {_words(observation)} ({_OWN}{trained.where['environment']}), not on "
+            f"{_words(asked)}; leave out --observation"
+        )
+    observation = observation or asked or neighbours
+    rows, columns = observation.shape
+    size, shape = rows * columns, trained.shape
+    frames, repeats, across = 1, False, False
+    if shape == (rows, columns) or shape == (size,) or not shape:
+        pass
+    elif shape[1:] in ((rows, columns), (size,)):
+        frames, repeats = shape[0], True
+    elif len(shape) == 2 and shape[0] == rows and shape[1] % columns == 0:
+        frames, across = shape[1] // columns, True
+    elif len(shape) == 1 and shape[0] % size == 0:
+        raise Refusal(
+            f"takes {shape[0]} numbers, like {shape[0] // size} flattened observations in an order "
+            "that it does not state; stack them without flattening"
+        )
+    if frames > FRAMES_LIMIT:
+        raise Refusal(f"takes {frames} observations at once; expected at most {FRAMES_LIMIT}")
+    if width != frames * size:
+        raise Refusal(
+            f"layer 0 takes {width} numbers; expected {size}, the observation "
+            f"'{observation.name}' of {rows} rows of {columns}; name the observation that it was "
+            "trained on with --observation"
+        )
+    order = np.arange(width)
+    if across:
+        order = order.reshape(rows, frames, columns).transpose(1, 0, 2).ravel()
+    if trained.bounds is not None and not has_statistics:
+        newest = trained.bounds.reshape(2, -1)[:, order[-size:]].reshape(2, rows, columns)
+        _check_bounds(newest, observation)
+    if not has_statistics and _is_normalised(trained, observation, order[-size]):
+        raise Refusal(
+            "was trained with VecNormalize, whose statistics a checkpoint does not hold; save them "
+            f"in Python with {_SAVE}, and give --normalise norm.npz; --normalise none if it "
+            "normalised rewards only"
+        )
+    return Input(observation, hz or DECISION_HZ[observation.name], frames, order, repeats)
+
+
+def _is_normalised(trained: Trained, observation: Neighbours | Kinematics, place: int) -> bool:
+    """Whether a `VecNormalize` changed the observations.
+
+    A vehicle's own presence, at this place, is 1 unless it was changed.
+    """
+    has_presence = isinstance(observation, Neighbours) or observation.features[0] == "presence"
+    if not trained.has_original:
+        return False
+    if trained.seen is None or not trained.seen.size or not has_presence:
+        return trained.on_policy
+    return bool((trained.seen[:, place] != 1).any())
+
+
+def _stated(where: Mapping[str, Any]) -> tuple[Neighbours | Kinematics | None, float | None]:
+    """The observation and the rate of charms-bench's environment; None for another one."""
+    if "environment" not in where:
+        return None, None
+    name = str(where["environment"])[:80]
+    if name not in _STRAIGHT:
+        raise Refusal(
+            f"was trained in {_OWN}{name}; an agent of a suite has neither the observation nor the "
+            "target speeds of that environment, so it would drive differently"
+        )
+    try:
+        speeds = json_of(str(where.get("action", "{}")).encode()).get("target_speeds")
+        if speeds not in (None, _TARGET_SPEEDS_MPS):
+            raise Refusal(f"was trained with the target speeds {speeds} m/s, which suites lack")
+        return observation_described(str(where["observation"])), float(where["decision_hz"])
+    except (InputError, LookupError, ValueError, TypeError, AttributeError) as error:
+        raise Refusal(f"was trained on an observation that no agent receives: {error}") from error
+
+
+def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinematics) -> None:
+    """Refuses an observation (rows, columns) that does not have these bounds."""
+    low, high = bounds
+    if (np.abs(bounds) == 1).all() and (low < high).all():
+        return  # also those of an environment of somebody's own
+    is_unbounded = np.isneginf(low).all() and np.isposinf(high).all()
+    if isinstance(observation, Kinematics):
+        if not is_unbounded:
+            raise Refusal(
+                "was trained on an observation with bounds, and Kinematics has none; name the "
+                "observation that it was trained on with --observation"
+            )
+        return
+    if is_unbounded and isinstance(observation, PaperNeighbours):
+        return  # the authors' environment has no bounds
+    if is_unbounded:
+        raise Refusal(
+            f"was trained on an observation without bounds, and {observation.name} has bounds; for "
+            f"highway-env's Kinematics, give --observation '{{type: Kinematics, vehicles_count: "
+            f"{len(low)}}}' with the options of its environment; for {observation.name} that was "
+            "normalised, give --normalise"
+        )
+    if not ((low == -high).all() and (high[1:] == 1).all()):
+        raise Refusal(
+            f"was trained on an observation with other bounds than those of {observation.name}, as "
+            "behind a wrapper that changes it; an exported network receives the observation itself"
+        )
+
+
+def _words(observation: Neighbours | Kinematics | None) -> str:
+    assert observation is not None
+    options = observation.model_dump(mode="json", exclude_defaults=True)
+    return json.dumps({"type": observation.name, **options}) if options else observation.name
+
+
+def read_statistics(path: Path, trained: Trained, seen: Input) -> Statistics:
+    """The statistics in a NumPy archive, in the order of the harness; no pickle is loaded.
+
+    Raises:
+        Refusal: It cannot be read, or does not fit.
+    """
+    wanted = f"expected a file made in Python with {_SAVE}; clip=numpy.inf for Gymnasium's wrapper"
+    try:
+        if not read_limited(path, STATISTICS_LIMIT_BYTES).startswith(b"PK"):
+            raise Refusal(f"{path} is not a NumPy archive; {wanted}")
+        with np.load(path, allow_pickle=False) as archive:
+            if sum(each.file_size for each in archive.zip.infolist()) > STATISTICS_LIMIT_BYTES:
+                raise Refusal(f"{path} unpacks to more than {STATISTICS_LIMIT_BYTES:,} bytes")
+            arrays = {name: np.asarray(archive[name], np.float64) for name in archive.files}
+    except OSError as error:
+        raise Refusal(f"{path} cannot be read: {error.strerror or error}") from error
+    except Refusal:
+        raise
+    except Exception as error:  # zipfile and numpy raise many kinds
+        raise Refusal(f"{path} cannot be read: {error}; {wanted}") from error
+    if missing := {"mean", "var", "clip"} - set(arrays):
+        raise Refusal(f"{path} has no {min(missing)}; {wanted}")
+    mean, var, clip = arrays["mean"], arrays["var"], arrays["clip"]
+    if mean.size != seen.order.size or var.shape != mean.shape or clip.size != 1:
+        shape = trained.shape or (seen.order.size,)
+        raise Refusal(f"{path} has mean {mean.shape} and var {var.shape}; expected {shape}")
+    variance = var + arrays.get("epsilon", np.array(1e-8)).item()
+    if not (np.isfinite(mean).all() and (variance > 0).all() and clip.item() > 0):
+        raise Refusal(f"{path}: expected finite means, and variances and a clip above 0")
+    deviation = np.sqrt(variance)
+    return Statistics(mean.ravel()[seen.order], deviation.ravel()[seen.order], clip.item())
