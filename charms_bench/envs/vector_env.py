@@ -140,6 +140,10 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
             raise InputError("reset takes one of the options 'reset_mask' and 'state'")
         rows = self._autoreset.of_reset(learners.scenes_of(mask))
         super().reset(seed=seeds[0])
+        for row in rows.tolist():
+            if (own := seeds[row]) is not None:
+                self._generators[row] = seeded(np.array([own], dtype=np.uint64))[0]
+                self._next_seed = None
         if state is None:
             self._start(rows, seeds)
         else:
@@ -168,8 +172,9 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         rewards, terminations, truncations, endings = learners.step(actions)
         observations = self._observe(vehicles, drove)
         infos: dict[str, Any] = {}
-        waited = learners.of_scenes(due)
-        rewards[waited], terminations[waited], truncations[waited] = 0.0, False, False
+        if due.size:
+            waited, rewards = learners.of_scenes(due), rewards.copy()
+            rewards[waited], terminations[waited], truncations[waited] = 0.0, False, False
         ended = terminations | truncations
         if (rows := np.nonzero(ended)[0]).size:
             facts = {
@@ -224,12 +229,9 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
         seeds = np.empty(rows.size, dtype=np.uint64)
         for k, row in enumerate(rows.tolist()):
             own = given[row] if given else None
-            if own is not None:
-                self._generators[row] = seeded(np.array([own], dtype=np.uint64))[0]
-                self._next_seed = None
-            elif self._next_seed is not None:
+            if own is None and self._next_seed is not None:
                 own, self._next_seed = self._next_seed, self._next_seed + 1
-            else:  # as `EgoEnv.reset`: `integers(2**62)` are the upper bits of a word
+            if own is None:  # as `EgoEnv.reset`: `integers(2**62)` are the upper bits of a word
                 own = EVALUATION_SEEDS + (int(word(self._generators[row])) >> 2)
             seeds[k] = own
         self._learners.reset(seeds, rows)

@@ -153,6 +153,17 @@ def test_seeds_count_on_from_the_first_one_where_it_is_given(make: Callable[...,
         make(2, first_seed=-1)
 
 
+def test_a_seed_beside_a_state_decides_the_episodes_after_it() -> None:
+    env, one = ego_vector_env(1, **SHORT), EgoEnv(**SHORT)
+    env.reset(seed=1)
+    state = env.get_state().scenes
+    env.reset(seed=2, options={"state": state})
+    one.reset(seed=2)
+    for _ in range(6):
+        env.step([1])
+    assert env.simulation.seeds.tolist() == [one.reset()[1]["seed"]]
+
+
 def test_a_saved_environment_draws_the_same_next_seeds() -> None:
     env, later = ego_vector_env(3, **SHORT), ego_vector_env(3, **SHORT)
     env.reset(seed=1)
