@@ -134,7 +134,7 @@ def test_a_shorter_run_deletes_finished_episodes_only_if_told_to(folder: Path) -
     words = ("run", "suite.yaml", "--workers", 1, "--output", "run", "--episodes", 1)
     refused = charms_bench(*words, cwd=folder, columns=300)
     assert refused.returncode == 2
-    assert "has 1 finished shards of a run of 2 episodes, which a run of 1 would" in refused.stderr
+    assert "has 1 finished shard of a run of 2 episodes, which a run of 1 would" in refused.stderr
     assert contents(folder) == before
     assert charms_bench(*words, "--shorten", cwd=folder).returncode == 0
     assert len(harness.open_run(folder / "run").episodes) == 1
