@@ -22,7 +22,7 @@ import torch
 from charms_agents.training.curve import Point, point_of, write_csv
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.job import reinforcement_job
-from charms_agents.training.sb3_export import export_zip
+from charms_agents.training.sb3_export import NOT_OBSERVATIONS, export_zip
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
 from charms_agents.training.standardised import folded, standardise
 from charms_agents.training.suite_file import load_training
@@ -168,7 +168,9 @@ def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: P
         "target_speed_steps_mps": json.dumps(job.speed_steps_mps),
     }
     network = folder / f"{algorithm}.onnx"
-    checked = export_zip(folder / f"{algorithm}.zip", network, facts, suite.observed)
+    # VecNormalize divides rewards only; `_take_plain_observations` has standardised the weights.
+    given = suite.observed, False, NOT_OBSERVATIONS
+    checked = export_zip(folder / f"{algorithm}.zip", network, facts, *given)
     (folder / f"{algorithm}.zip").unlink()
     write_csv(folder / f"{algorithm}.csv", Point, curve.points)
     own = ("hyperparameters", "curve_steps")  # of the suite's learner
