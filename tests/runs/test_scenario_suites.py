@@ -212,14 +212,6 @@ def test_a_search_without_failures_writes_no_suite(tmp_path: Path) -> None:
     assert not (tmp_path / "search" / "found.yaml").exists()
 
 
-@pytest.mark.parametrize(
-    ("agent", "traffic", "error"),
-    [
-        ("Level 9", "Braking", "no agent named 'Level 9'.*Did you mean 'Level 0'"),
-        ("Level 0", "Brakes", "no scenario called 'Brakes'.*Known: Braking"),
-        ("Level 0", "Traffic", "no scenario called 'Traffic'"),
-    ],
-)
 def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
     suite, folder = written(tmp_path), tmp_path / "found"
     words = ("--agent", "level_0", "--traffic", "Braking", "--failures", 2, "--output", folder)
@@ -231,6 +223,14 @@ def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
     assert len(json.loads(command_line("show", folder, "--json").stdout)["failures"]) == 2
 
 
+@pytest.mark.parametrize(
+    ("agent", "traffic", "error"),
+    [
+        ("Level 9", "Braking", "no agent named 'Level 9'.*Did you mean 'Level 0'"),
+        ("Level 0", "Brakes", "no scenario called 'Brakes'.*Known: Braking"),
+        ("Level 0", "Traffic", "no scenario called 'Traffic'"),
+    ],
+)
 def test_a_search_names_what_it_can_search(
     tmp_path: Path, agent: str, traffic: str, error: str
 ) -> None:
