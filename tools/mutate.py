@@ -25,6 +25,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from hashlib import sha256
+from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -115,6 +116,8 @@ class Runner:
             code = mutation.applied(path.read_bytes())
             path.unlink()
             path.write_bytes(code)
+            # Python takes old bytecode for a file of the same size and the same second.
+            Path(cache_from_source(str(path))).unlink(missing_ok=True)
             return self.run(place, tests, mutation.path, limit_s)
         finally:
             shutil.rmtree(place, ignore_errors=True)
