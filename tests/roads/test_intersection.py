@@ -5,88 +5,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_configurations import random_configuration
 
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.kinematics import FEATURES
 from charms_bench.roads.scenes import IDM, NOTHING
 from charms_bench.testing.road_parity import Comparison, verify_configurations
 
 SLOWER, IDLE = 0, 1
 
 
-def random_action(rng: np.random.Generator) -> dict[str, Any]:
-    if rng.random() < 0.15:
-        return {
-            "type": "ContinuousAction",
-            "steering_range": [-0.5, 0.6],
-            "dynamical": bool(rng.random() < 0.5),
-        }
-    speeds = np.sort(rng.choice(np.arange(0.0, 15.0), rng.integers(2, 5), replace=False))
-    lateral = bool(rng.random() < 0.3)
-    return {
-        "type": "DiscreteMetaAction",
-        "longitudinal": bool(not lateral or rng.random() < 0.7),
-        "lateral": lateral,
-        "target_speeds": speeds.tolist(),
-    }
-
-
-def random_observation(rng: np.random.Generator, action: dict[str, Any]) -> dict[str, Any]:
-    if rng.random() < 0.2 and action["type"] == "DiscreteMetaAction":
-        return {"type": "TimeToCollision", "horizon": int(rng.integers(3, 12))}
-    names = rng.permutation(FEATURES)[: rng.integers(1, 14)].tolist()
-    if rng.random() < 0.2:
-        return {"type": "OccupancyGrid", "features": [*names, "on_road"]}
-    flags = ("absolute", "normalize", "clip", "see_behind", "observe_intentions")
-    return {
-        "type": "Kinematics",
-        "features": names,
-        "features_range": {"x": [-80, 90], "vy": [-10, 20], "cos_d": [0, 1], "ang_off": [-2, 3]}
-        if rng.random() < 0.5
-        else None,
-        "vehicles_count": int(rng.integers(2, 12)),
-        "order": "sorted" if rng.random() < 0.7 else "as_they_come",
-        **{flag: bool(rng.random() < 0.5) for flag in flags},
-    }
-
-
-def random_configuration(seed: int, agents: bool) -> dict[str, Any]:
-    """Values for the keys that `intersection` documents."""
-    rng = np.random.default_rng(seed)
-    action = random_action(rng)
-    observation = random_observation(rng, action)
-    if agents:
-        action = {"type": "MultiAgentAction", "action_config": action}
-        observation = {"type": "MultiAgentObservation", "observation_config": observation}
-    return {
-        "action": action,
-        "observation": observation,
-        "policy_frequency": int(rng.integers(1, 6)),
-        "simulation_frequency": int(rng.integers(5, 21)),
-        "duration": int(rng.integers(3, 25)),
-        "destination": rng.choice([None, "o0", "o1", "o2", "o3"]),
-        "controlled_vehicles": int(rng.integers(1, 6)),
-        "initial_vehicle_count": int(rng.integers(0, 25)),
-        "spawn_probability": float(rng.random()),
-        "collision_reward": float(-rng.random()),
-        "high_speed_reward": float(rng.random()),
-        "arrived_reward": float(rng.random()),
-        "reward_speed_range": [float(rng.uniform(0, 5)), float(rng.uniform(6, 10))],
-        "normalize_reward": bool(rng.random() < 0.5),
-        "offroad_terminal": bool(rng.random() < 0.3),
-        "neighbour_vehicles_connected_lanes": bool(rng.random() < 0.5),
-    }
-
-
-AGENTS = {False: "intersection-v0", True: "intersection-multi-agent-v0"}
-"""The environments with one agent and with several."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("agents", AGENTS)
-def test_100_random_configurations_give_the_episodes_of_highway_env(agents: bool) -> None:
-    configs = [random_configuration(seed, agents) for seed in range(100)]
-    assert verify_configurations(AGENTS[agents], configs, workers=1).differing == []
+@pytest.mark.parametrize("name", ["intersection-v0", "intersection-multi-agent-v0"])
+def test_100_random_configurations_give_the_episodes_of_highway_env(name: str) -> None:
+    configs = [random_configuration(name, seed) for seed in range(100)]
+    assert verify_configurations(name, configs, workers=1).differing == []
 
 
 @pytest.mark.slow
