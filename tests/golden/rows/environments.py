@@ -174,3 +174,19 @@ for name, reward in REWARDS.items():
     def rewarded(folder: Path, reward: Any = reward) -> Values:
         env = ego_vector_env(8, reward=reward, first_seed=3, **SMALL)
         return steps_in(env, choices(8), 60)
+
+
+@case("available actions on roads")
+def available_actions(folder: Path) -> Values:
+    digests, actions = Digests(), choices()
+    for name in ("merge-v1", "exit-v1", "roundabout-v1", "two-way-v0", "u-turn-v1"):
+        env: Any = gymnasium.make(f"charms_bench/{name}").unwrapped
+        for seed in range(5):
+            env.reset(seed=seed)
+            is_over = False
+            while not is_over:
+                available = env.get_available_actions()
+                digests.add(**{name: [each in available for each in range(len(ACTIONS))]})
+                _, _, terminated, truncated, _ = env.step(next(actions))
+                is_over = terminated or truncated
+    return digests.values()
