@@ -46,19 +46,19 @@ def row_modules(
     these are included.
     """
     found: dict[str, Path] = {}
-    waiting = [entry]
+    waiting, seen = [entry], {entry}
     while waiting:
         name = waiting.pop()
         path = sources.joinpath(*name.split("."))
         source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
         if without and f"{name}.".startswith(f"{without}."):
             continue
-        if name not in found and source.is_file():  # else it is a name inside a module
+        if source.is_file():  # else it is a name inside a module
             found[name] = source
-            waiting += [
-                name.rpartition(".")[0] or name,
-                *imported_modules(source.read_text(encoding="utf-8")),
-            ]
+            imports = imported_modules(source.read_text(encoding="utf-8"))
+            named = {name.rpartition(".")[0] or name, *imports} - seen
+            waiting += named
+            seen |= named
     return dict(sorted(found.items()))
 
 

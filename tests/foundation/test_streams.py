@@ -30,7 +30,7 @@ def called(redirection: str, folder: Path, *words: str) -> subprocess.CompletedP
 
 
 @pytest.mark.parametrize(
-    "redirection", ["2>&-", ">&- 2>&- <&-", pytest.param("2>/dev/full", marks=needs_full), ">&-"]
+    "redirection", [">&- 2>&- <&-", pytest.param("2>/dev/full", marks=needs_full)]
 )
 def test_a_run_whose_messages_nobody_can_read_is_finished(redirection: str, tmp_path: Path) -> None:
     (tmp_path / "suite.yaml").write_text(SUITE)
