@@ -6,43 +6,60 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from command_line import charms_bench
 from plugin_folder import installed, python
 
 from charms_bench.errors import InputError
 from charms_bench.plugins.scaffold import Kind, new_agent
 
 FILES = ("README.md", "pyproject.toml", "tailgater.py", "suite.yaml", "tests/test_tailgater.py")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
-def drives_at_once(folder: Path, environment: dict[str, str]) -> None:
-    tested = python(["pytest", "-q", "-p", "no:cacheprovider"], folder, environment)
-    assert tested.returncode == 0, tested.stdout
-    run = ["charms_bench", "run", "suite.yaml", "--episodes", "4", "--json"]
-    finished = python(run, folder, environment)
+def name_of(kind: Kind) -> str:
+    return f"my_{kind.replace('-', '_')}"
+
+
+def stands_in_a_table(name: str, folder: Path) -> None:
+    run = ("run", "suite.yaml", "--episodes", 2, "--workers", 1, "--json")
+    finished = charms_bench(*run, cwd=folder)
     assert finished.returncode == 0, finished.stderr
-    assert {row["agent"] for row in json.loads(finished.stdout)} == {"tailgater", "IDM+MOBIL"}
+    rows = json.loads(finished.stdout)
+    assert {row["agent"] for row in rows} | {row["traffic"] for row in rows} == {name, "IDM+MOBIL"}
 
 
-def test_a_new_agent_passes_its_own_tests_and_stands_in_a_table(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[Kind, Path]:
+    """A distribution of each kind, as if all were installed."""
+    made = tmp_path_factory.mktemp("new")
+    for kind in KINDS:
+        new_agent(name_of(kind), made / kind, kind)
+        installed(made / kind)
+    return {kind: made / kind for kind in KINDS}
+
+
+def test_agents_of_all_kinds_pass_their_own_tests(folders: dict[Kind, Path]) -> None:
+    paths = [*map(str, folders.values())]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, *sys.path])}
+    tests = ["pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", *paths]
+    tested = python(tests, folders["policy"], environment)
+    assert tested.returncode == 0, tested.stdout
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_agent_stands_in_a_table_at_once(
+    kind: Kind, folders: dict[Kind, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(folders[kind])
+    stands_in_a_table(name_of(kind), folders[kind])
+
+
+def test_a_new_agent_is_these_files(tmp_path: Path) -> None:
     written = new_agent("tailgater", tmp_path / "new" / "tailgater")
     assert written == tuple(tmp_path / "new" / "tailgater" / name for name in FILES)
-    drives_at_once(tmp_path / "new" / "tailgater", installed(tmp_path / "new" / "tailgater"))
-
-
-@pytest.mark.parametrize("kind", ["planner", "memory", "driver-model", "traffic"])
-def test_every_kind_passes_its_own_tests_and_stands_in_a_table(kind: Kind, tmp_path: Path) -> None:
-    folder = tmp_path / "tailgater"
-    new_agent("tailgater", folder, kind)
-    environment = installed(folder)
-    tested = python(["pytest", "-q", "-p", "no:cacheprovider"], folder, environment)
-    assert tested.returncode == 0, tested.stdout
-    run = ["charms_bench", "run", "suite.yaml", "--episodes", "2", "--workers", "1", "--json"]
-    finished = python(run, folder, environment)
-    assert finished.returncode == 0, finished.stderr
-    key = "traffic" if kind == "traffic" else "agent"
-    assert {row[key] for row in json.loads(finished.stdout)} == {"tailgater", "IDM+MOBIL"}
 
 
 @pytest.mark.slow
@@ -53,7 +70,12 @@ def test_a_new_agent_can_be_installed_by_pip(tmp_path: Path) -> None:
     subprocess.run([*pip, str(tmp_path)], check=True)
     assert (site / "tailgater.py").exists()
     (tmp_path / "tailgater.py").unlink()  # what is tested is what was installed
-    drives_at_once(tmp_path, {**os.environ, "PYTHONPATH": str(site)})
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    tested = python(["pytest", "-q", "-p", "no:cacheprovider"], tmp_path, environment)
+    assert tested.returncode == 0, tested.stdout
+    finished = python(["charms_bench", "run", "suite.yaml", "--json"], tmp_path, environment)
+    assert finished.returncode == 0, finished.stderr
+    assert {row["agent"] for row in json.loads(finished.stdout)} == {"tailgater", "IDM+MOBIL"}
 
 
 def test_a_name_of_several_words_becomes_a_class(tmp_path: Path) -> None:

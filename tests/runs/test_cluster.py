@@ -30,6 +30,7 @@ SHARDS = 8
 SUITE = """\
 suite: away
 episodes: 600
+scene: {duration_s: 8}
 egos: [{agent: {onnx: ../network.onnx}}, {agent: stackelberg}]
 traffic_models: [{traffic: {mixture: {../network.onnx: 0.1, idm_mobil: 0.9}}}]
 """

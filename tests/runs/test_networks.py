@@ -195,6 +195,7 @@ def test_a_network_that_cannot_be_used_is_named_with_its_line_before_anything_ru
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_both_engines_agree_with_networks_in_the_traffic(
     network_file: NetworkFile, tmp_path: Path
 ) -> None:
