@@ -226,7 +226,7 @@ def agent_answers_the_same_in_another_process(agent: Agent) -> None:
 
 
 def agent_answers_in_time(agent: Agent) -> None:
-    """Asked about many vehicles, it takes at most 3 ms per vehicle; the best of up to five times."""
+    """Asked about many vehicles, it takes at most 3 ms per vehicle, the best of five times."""
     ask = _asked(agent)
     took_ms = np.inf
     for _ in range(5):
