@@ -49,7 +49,7 @@ def compact(table: Table, width: int = 100) -> Group:
             widths.pop()
             break
     shown = table.take(range(len(widths)))
-    more = ", ".join(column.heading for column in table.columns[len(widths) :])
+    more = "; ".join(column.heading for column in table.columns[len(widths) :])
     below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
     above = [Text(table.title)] * bool(table.title)
     shown = replace(shown, title="")

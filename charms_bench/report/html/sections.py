@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from charms_bench.episodes.what_if import WhatIf
 from charms_bench.foundation.words import counted
 from charms_bench.people.reference import read_references
-from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.heat_map import draw_matrices, reading
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.learning import draw_curves
 from charms_bench.report.figures.paper_values import draw_beside_paper
@@ -154,9 +154,9 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
             "narrower than its disc is hidden by it."
         )
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
-    caption = f"Egos down, {place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
-        figure = draw_matrices([replace(matrix, title="")], first=k)
+        caption = f"Egos down, {place(suite)}s across. {reading(matrix)}"
+        figure = draw_matrices([replace(matrix, title="")])
         found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
