@@ -200,7 +200,7 @@ def _rate(number: Number) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
+    return f"{100 * share:z.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
 
 
 def _listed(names: Sequence[str], most: int = NAMED) -> str:

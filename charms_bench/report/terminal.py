@@ -250,5 +250,5 @@ def _block(table: Table, place: int) -> list[_Line]:
 def _axis(scale: Scale, column: Column) -> Text:
     """The ends of a scale, above its bars."""
     factor, sign = (100, " %") if column.form.endswith("%") else (1, "")
-    low, high = (f"{factor * end:.4g}{sign}" for end in (scale.low, scale.high))
+    low, high = (f"{factor * end:z,.4g}{sign}" for end in (scale.low, scale.high))
     return Text(low + high.rjust(scale.width - len(low)), style="dim")

@@ -228,8 +228,8 @@ def status_of(moment: Moment) -> dict[str, str]:
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = moment.gap_ahead, moment.ttc
     return {
-        "ego's speed": f"{moment.speed[ego]:.1f} m/s",
-        "acceleration": f"{moment.acceleration[ego]:+.1f} m/s²",
+        "ego's speed": f"{moment.speed[ego]:z.1f} m/s",
+        "acceleration": f"{moment.acceleration[ego]:+z.1f} m/s²",
         "action": doing,
         "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
         "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",

@@ -212,7 +212,7 @@ function readingsOf(replay, frame) {
     "decision": crashed ? "crashed" : action >= 0 ? replay.actions[action] : steered,
     "reward": known("reward", 2, ""),
     "speed": `${read("speed").toFixed(1)} m/s`,
-    "acceleration": `${acceleration < 0 ? "−" : "+"}${Math.abs(acceleration).toFixed(1)} m/s²`,
+    "acceleration": `${acceleration <= -0.05 ? "−" : "+"}${Math.abs(acceleration).toFixed(1)} m/s²`,
     "gap ahead": known("ahead", 1, " m"),
     "gap behind": known("behind", 1, " m"),
     "TTC": known("ttc", 1, " s"),
