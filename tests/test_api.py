@@ -107,7 +107,7 @@ def test_a_notebook_shows_a_run_and_a_table(run: charms_bench.Run) -> None:
     assert "Stackelberg" in shown
     assert "Acceleration, std" not in shown, "the suite prints other columns"
     assert "Acceleration, std" in run.table._repr_html_()
-    assert repr(run).endswith("2 egos x 1 traffic models, 6 episodes each>")
+    assert repr(run).endswith("2 egos x 1 traffic model, 6 episodes each>")
 
 
 def test_a_report_is_one_file(run: charms_bench.Run, tmp_path: Path) -> None:

@@ -231,14 +231,13 @@ def commands() -> str:
     command = typer.main.get_command(app)
     context = typer.Context(command, info_name="charms-bench")
     text = get_docs_for_click(obj=command, ctx=context, name="charms-bench").partition("\n")[2]
-    whole = {
-        name: (each.help or "").partition("\n")[0]
-        for name, each in command.commands.items()  # type: ignore[attr-defined]  # of a group
-    }
-    shown = re.sub(
-        r"^\* `(\S+)`: .*\.\.\.$", lambda m: f"* `{m[1]}`: {whole[m[1]]}", text, flags=re.MULTILINE
-    )
-    return shown.strip().replace("```console", "```text") + "\n"
+    groups: dict[str, str] = {}
+    for name, each in command.commands.items():  # type: ignore[attr-defined]  # of a group
+        line = f"* `{name}`: {(each.help or '').partition(chr(10))[0]}\n"
+        groups[each.rich_help_panel] = groups.get(each.rich_help_panel, "") + line
+    listed = "\n".join(f"**{title}**:\n\n{lines}" for title, lines in groups.items())
+    text = re.sub(r"\*\*Commands\*\*:\n\n(\* .*\n)+", lambda _: listed, text)
+    return text.strip().replace("```console", "```text") + "\n"
 
 
 WRITERS: dict[str, Callable[[], str]] = {

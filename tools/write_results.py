@@ -31,13 +31,17 @@ from reproduction import compared, side_by_side, with_verdicts
 from transfer import transfer_numbers, transfer_table, with_worst
 
 from charms_bench import open_run
+from charms_bench.cli.evaluations import HEADLINE_WIDTH
 from charms_bench.episodes.avoidability import Avoidability
 from charms_bench.plugins.registry import AGENTS, plugins
 from charms_bench.report.avoidability_table import in_words, rescuers_table
+from charms_bench.report.headline import headline
+from charms_bench.report.html.table import written
 from charms_bench.report.markdown import markdown
 from charms_bench.report.stored import RunTables, stored_tables
 from charms_bench.report.suite_table import matrices
 from charms_bench.report.table import Column, Row, Table
+from charms_bench.report.terminal import fitting
 from charms_bench.report.training_tables import stored_training
 from charms_bench.runs.resumable_folder import RunFolder
 
@@ -60,13 +64,9 @@ EGO = {
 }
 """The columns of a table in the documentation: what metric each shows, and how (`Column.form`)."""
 CRASHED = {"crashed episodes": ("crashed_episodes", ".1%")}
-README = {
-    **CRASHED,
-    "mean speed near a leader, m/s": ("speed_mean", ".1f"),
-    "conflicts per 1,000 km": ("conflicts_per_1000km", ",.0f"),
-    "lane changes per km": ("lane_changes_per_km", ".1f"),
-}
-README_NAMES = {"CHARMS": "CHARMS (this project's)", "ppo": "PPO (the script above)"}
+NOT_IN_README = "CHARMS best response"
+DENSE = "transfer-density-2-0-mine-ppo-dqn"
+"""The run of the readme's agents at twice the density."""
 STYLES = {
     "speed, m/s": ("speed_mean", ".2f"),
     "speed std": ("speed_std", ".2f"),
@@ -112,19 +112,15 @@ def ego(run: Path) -> str:
 
 
 def readme(run: Path) -> str:
-    """The table of the readme, with the crashes in traffic twice as dense."""
-    table = shown(tables_of(run).metrics, README)
-    dense = shown(tables_of(run.parent / "transfer-density-2-0-ppo").metrics, CRASHED)
-    crashed = {row.labels: row.numbers for row in dense.rows}
-    rows = tuple(
-        Row(
-            (README_NAMES.get(row.labels[0], row.labels[0]),),
-            (row.numbers[0], *crashed[row.labels], *row.numbers[1:]),
-        )
-        for row in table.rows
-    )
-    columns = (table.columns[0], Column("at twice the density", form=".1%"), *table.columns[1:])
-    return markdown(replace(table, columns=columns, rows=rows))
+    """The table that `charms-bench run` prints, and the crashes in traffic twice as dense."""
+    table = headline(RunFolder(run).suite(), tables_of(run))
+    table = table.take(range(len(fitting(table, HEADLINE_WIDTH))))
+    rows = tuple(row for row in table.rows if row.labels != (NOT_IN_README,))
+    dense = shown(tables_of(run.parent / DENSE).metrics, CRASHED)
+    crashed = {row.labels: cell.value for row, (cell,) in written(dense)}
+    listed = ", ".join(f"{row.labels[0]} {crashed[row.labels]}" for row in rows)
+    words = f"At twice the density, these proportions of the episodes end in a crash: {listed}."
+    return f"{markdown(replace(table, rows=rows))}\n{fill(words, 100)}\n"
 
 
 def tables_of(run: Path) -> RunTables:
@@ -309,7 +305,7 @@ def transfer(run: Path) -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "readme": ("ego-ppo", readme),
+    "readme": ("ego-mine-ppo-dqn", readme),
     "runs": ("ego", made_at),
     "ego": ("ego", ego),
     "edge-cases": ("ego", edges),

@@ -31,13 +31,27 @@ def packaged(network: str) -> OnnxPolicy:
     return OnnxPolicy(str(file))
 
 
-efficient_competitive, efficient_egoistic, efficient_prosocial, efficient_altruistic = (
-    partial(packaged, f"charms_efficient_{svo}") for svo in SVOS
-)
-safe_competitive, safe_egoistic, safe_prosocial, safe_altruistic = (
-    partial(packaged, f"charms_safe_{svo}") for svo in SVOS
-)
+efficient_competitive = partial(packaged, "charms_efficient_competitive")
+"""CHARMS, efficient and competitive."""
+efficient_egoistic = partial(packaged, "charms_efficient_egoistic")
+"""CHARMS, efficient and egoistic: the style of the paper's Table II."""
+efficient_prosocial = partial(packaged, "charms_efficient_prosocial")
+"""CHARMS, efficient and prosocial."""
+efficient_altruistic = partial(packaged, "charms_efficient_altruistic")
+"""CHARMS, efficient and altruistic."""
+safe_competitive = partial(packaged, "charms_safe_competitive")
+"""CHARMS, safe and competitive."""
+safe_egoistic = partial(packaged, "charms_safe_egoistic")
+"""CHARMS, safe and egoistic."""
+safe_prosocial = partial(packaged, "charms_safe_prosocial")
+"""CHARMS, safe and prosocial."""
+safe_altruistic = partial(packaged, "charms_safe_altruistic")
+"""CHARMS, safe and altruistic."""
 best_response = partial(packaged, "best_response")
+"""The best response to CHARMS traffic, eq. 13 of the paper."""
 imitation = partial(packaged, "imitation")
+"""A network that imitates recorded drivers."""
 prior_level_k = partial(packaged, "prior_level_k")
+"""The paper's Level-k baseline, efficient."""
 prior_level_k_safe = partial(packaged, "prior_level_k_safe")
+"""The paper's Level-k baseline, safe."""

@@ -359,7 +359,8 @@ class Run:
 
     def __repr__(self) -> str:
         suite = self.suite
-        cells = f"{len(suite.egos)} egos x {len(suite.traffics)} traffic models"
+        egos, traffics = len(suite.egos), len(suite.traffics)
+        cells = f"{counted(egos, 'ego')} x {counted(traffics, 'traffic model')}"
         return f"<Run {self.path}: {cells}, {counted(suite.episodes, 'episode')} each>"
 
     def _repr_html_(self) -> str:

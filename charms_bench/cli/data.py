@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
+    DATA,
     EgoLabel,
     FigurePath,
     Json,
@@ -25,7 +26,7 @@ from charms_bench.cli.terminal import (
 from charms_bench.foundation.words import counted
 
 
-@app.command()
+@app.command(rich_help_panel=DATA)
 def data(
     folder: Annotated[
         Path,
@@ -154,7 +155,7 @@ def _print_learnable(name: str, found: Any) -> None:
     print_records(reason, rejected, {"decisions": ",.0f"})
 
 
-@app.command()
+@app.command(rich_help_panel=DATA)
 def calibrate(
     recordings: Annotated[
         Path,
@@ -171,7 +172,7 @@ def calibrate(
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Fit drivers to recordings, and predict drivers that were held out."""
+    """Fit drivers to recordings, and predict held-out drivers."""
     from charms_bench.errors import InputError
     from charms_bench.foundation.files import absolute, write_bytes
     from charms_bench.people.calibrated import calibrate as calibrated
@@ -222,7 +223,7 @@ def calibrate(
         say(f"Written: {shown(absolute(path))}")
 
 
-@app.command()
+@app.command(rich_help_panel=DATA)
 def likeness(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file of the suite.")],
     recordings: Annotated[
@@ -256,7 +257,7 @@ def likeness(
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Score how much the egos and traffic models of a suite drive like recorded drivers."""
+    """Score how much egos and traffic drive like recorded drivers."""
     from charms_bench.foundation.files import absolute
     from charms_bench.people.population import read_population
     from charms_bench.report.figures.drawing import check_figure
@@ -292,7 +293,7 @@ def likeness(
         say(f"Figure: {shown(figure)}")
 
 
-@app.command()
+@app.command(rich_help_panel=DATA)
 def dataset(
     run: RunPath,
     kind: Annotated[
@@ -315,7 +316,7 @@ def dataset(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Simulate a run's episodes again and write them as a dataset for other tools."""
+    """Write the episodes of a run as a dataset for other tools."""
     from charms_bench import api
 
     opened = api.open_run(run, suite_folder)

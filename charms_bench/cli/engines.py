@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from charms_bench.cli.terminal import (
+    ENGINE,
     FAIL,
     Json,
     Workers,
@@ -29,7 +30,7 @@ Road = Annotated[
 ]
 
 
-@app.command()
+@app.command(rich_help_panel=ENGINE)
 def verify(
     suite: Annotated[
         Path | None,
@@ -52,7 +53,7 @@ def verify(
     workers: Workers = None,
     as_json: Json = False,
 ) -> None:
-    """Compare the compiled engine with highway-env's own vehicles, step by step.
+    """Compare the compiled engine with highway-env's own vehicles.
 
     Both use the same elementary functions. The exit code is 1 if the engines differ.
     """
@@ -140,9 +141,9 @@ def _known(road: str) -> str:
     return road
 
 
-@app.command("warm-up")
+@app.command("warm-up", rich_help_panel=ENGINE)
 def compile_engine() -> None:
-    """Compile the engine, which otherwise happens in the first run.
+    """Compile the engine before the first run.
 
     It is compiled once for each installation, for the processor of this machine.
     """
@@ -153,7 +154,7 @@ def compile_engine() -> None:
     say("The engine is compiled." if compiled else "The engine was compiled before.")
 
 
-@app.command()
+@app.command(rich_help_panel=ENGINE)
 def bench(
     context: typer.Context,
     vehicles: Annotated[

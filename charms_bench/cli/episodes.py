@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
+    FAILURES,
     EgoLabel,
     Json,
     RunPath,
@@ -31,7 +32,7 @@ Episode = Annotated[
 ]
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def edge_cases(
     run: RunPath,
     top: Annotated[
@@ -59,7 +60,7 @@ def edge_cases(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Rank the episodes of a run by criticality and describe each one."""
+    """Rank the episodes of a run by criticality."""
     from charms_bench import api
 
     opened = api.open_run(run, suite_folder)
@@ -115,7 +116,7 @@ def _print_avoidability(
         print_table(table)
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def replay(
     run: RunPath,
     episode: Episode,
@@ -134,7 +135,7 @@ def replay(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Simulate an episode again and write an animation and trajectories."""
+    """Write an animation and the trajectories of an episode."""
     from charms_bench import api
     from charms_bench.episodes.animation import check_animation
     from charms_bench.episodes.commonroad import check_commonroad
@@ -175,7 +176,7 @@ def replay(
         say(f"{titles[kind]}: {shown(Path(file))}")
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def what_if(
     run: RunPath,
     episode: Episode,
@@ -208,7 +209,7 @@ def what_if(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Simulate an episode again, with another agent driving one vehicle."""
+    """Let another agent drive from a decision of an episode on."""
     from charms_bench import api
     from charms_bench.episodes.dataset import name_of
     from charms_bench.foundation.files import absolute
@@ -241,7 +242,7 @@ def what_if(
     say(f"Page: {shown(page)}")
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def search(
     suite: Annotated[Path, typer.Argument(metavar="SUITE", help="YAML file with a scenario.")],
     agent: Annotated[
@@ -267,10 +268,10 @@ def search(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Search a scenario for failures of an agent, or continue an interrupted search.
+    """Search a scenario for failures of an agent.
 
     A failure is a collision that a driver named by `preventable_by` avoids in the same scenario.
-    The folder has them as a suite, `found.yaml`.
+    The folder has them as a suite, `found.yaml`. An interrupted search continues.
     """
     from charms_bench import api
     from charms_bench.episodes.search import FOUND

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
+    EVALUATE,
     FAIL,
     UNKNOWN,
     EgoAgents,
@@ -43,7 +44,7 @@ VERDICTS = {
 }
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def suites(
     copy: Annotated[
         str | None,
@@ -51,7 +52,10 @@ def suites(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List the suites that come with charms-bench; `charms-bench run NAME` runs one."""
+    """List the suites that come with charms-bench.
+
+    `charms-bench run NAME` runs one.
+    """
     from charms_bench.errors import suggestion
     from charms_bench.runs.document import Document
     from charms_bench.runs.packaged import packaged_suites
@@ -77,7 +81,7 @@ def suites(
         say(f"{name:{width}}  {title}")
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def run(
     suite: Annotated[
         Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
@@ -210,7 +214,7 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
     say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def show(
     run: Annotated[
         Path,
@@ -318,7 +322,7 @@ def _print_training(training: Any, as_json: bool, curves: bool = False) -> None:
         out().print(drawn_curves(training, out().width))
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def compare(
     first: Annotated[Path, typer.Argument(metavar="RUN_A", help="Folder of a finished run.")],
     second: Annotated[
@@ -368,7 +372,7 @@ def compare(
         )
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False) -> None:
     """Compute the metrics of a run again, without simulating."""
     from charms_bench import api
@@ -378,7 +382,7 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
     _print_result(opened, as_json, table if metric_sets else None)
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def report(
     runs: Annotated[
         list[Path], typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings.")
@@ -421,7 +425,7 @@ def report(
     )
 
 
-@app.command()
+@app.command(rich_help_panel=EVALUATE)
 def audit(
     run: RunPath,
     everything: Annotated[
@@ -435,7 +439,7 @@ def audit(
     suite_folder: SuiteFolder = Path(),
     as_json: Json = False,
 ) -> None:
-    """Check whether the rows, tables and networks of a run are correct.
+    """Check the rows, tables and networks of a run.
 
     Some shards are simulated again, and all tables are computed again. The exit code is 0 if
     every check passes, 1 if a check fails, and 3 if a check cannot be made with the installed

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from charms_bench.cli.terminal import (
+    AGENTS,
     FAIL,
     FigurePath,
     Json,
@@ -19,38 +20,50 @@ from charms_bench.cli.terminal import (
 from charms_bench.errors import PLUGIN_ERRORS, InputError, raised
 
 
-@app.command()
+@app.command(rich_help_panel=AGENTS)
 def agents(as_json: Json = False) -> None:
     """List the installed agents and traffic models.
 
-    The plugins are not imported. A name that two distributions claim cannot be used.
+    The plugins are not imported. What each does is the first line of its docstring. A name that two
+    distributions claim cannot be used.
     """
+    from charms_bench.plugins.first_line import first_line
     from charms_bench.plugins.registry import AGENTS, TRAFFIC, plugins
 
     facts = ("role", "version", "distribution")
     found = [
         {"name": plugin.name, **{fact: getattr(plugin, fact) for fact in facts}}
         | ({"rival": plugin.rival} if plugin.rival else {})
+        | {"summary": first_line(plugin.entry_point)}
         for group in (AGENTS, TRAFFIC)
         for plugin in plugins(group).values()
     ]
     if as_json:
         print_json(found)
         return
+    groups: dict[str, list[dict[str, str]]] = {}
     for record in found:
+        source = f"{record['distribution']} {record['version']}"
         if "rival" in record:
-            record["distribution"] += f" and {record['rival']}: unusable, uninstall one"
-    print_records("name", found, dict.fromkeys(facts, ""))
+            source += f" and {record['rival']}: unusable, uninstall one"
+        name = {"agent": "Agents", "traffic": "Traffic models"}[record["role"]]
+        groups.setdefault(f"{name} of {source}", []).append(record)
+    for title, records in groups.items():
+        say(title)
+        print_records("name", records, {"summary": ""})
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    rich_help_panel=AGENTS,
+)
 def traffic(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Traffic model; its options follow, e.g. --tau 1.5.")],
     figure: FigurePath = None,
     as_json: Json = False,
 ) -> None:
-    """Print the proportions of agents that a traffic model assigns to its vehicles."""
+    """Print the proportions of agents in a traffic model."""
     from charms_bench.foundation.files import absolute
     from charms_bench.plugins.registry import make_traffic
     from charms_bench.plugins.traffic_shares import SAMPLED, shares
@@ -94,7 +107,7 @@ def _options(words: list[str]) -> dict[str, Any]:
     return options
 
 
-@app.command()
+@app.command(rich_help_panel=AGENTS)
 def check(
     name: Annotated[str, typer.Argument(help="Agent or traffic model.")], as_json: Json = False
 ) -> None:
@@ -132,7 +145,7 @@ def check(
         raise typer.Exit(FAIL)
 
 
-@app.command()
+@app.command(rich_help_panel=AGENTS)
 def new_agent(
     name: Annotated[str, typer.Argument(help="Name of the agent in suites.")],
     folder: Annotated[
@@ -146,7 +159,7 @@ def new_agent(
         ),
     ] = "policy",
 ) -> None:
-    """Write a package with a new agent or traffic model, its tests and a suite."""
+    """Write a package with a new agent or traffic model."""
     from charms_bench.plugins.scaffold import new_agent as write
 
     folder = folder or Path(name)
@@ -155,7 +168,7 @@ def new_agent(
     say(f"Next: cd {folder} && pip install . pytest && pytest && charms-bench run suite.yaml")
 
 
-@app.command()
+@app.command(rich_help_panel=AGENTS)
 def export(
     files: Annotated[
         list[Path],

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from charms_bench.cli.terminal import (
+    FAILURES,
     EgoAgents,
     Json,
     Workers,
@@ -18,7 +19,7 @@ from charms_bench.cli.terminal import (
 )
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def rare(
     suite: Annotated[
         Path, typer.Argument(metavar="SUITE", help="YAML file, or a name that `suites` lists.")
@@ -51,7 +52,7 @@ def rare(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Estimate the probability of a crash or another rare event in an episode of a suite.
+    """Estimate the probability of a rare event, such as a crash.
 
     The command uses subset simulation. The column `plain episodes` shows how many episodes of plain
     simulation would give an interval as narrow. Finished runs are not repeated.

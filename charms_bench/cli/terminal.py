@@ -15,6 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
+from typer.core import TyperGroup
 
 from charms_bench.errors import InputError
 from charms_bench.foundation.streams import QUIET
@@ -36,8 +37,33 @@ EXITS = {
     141: "the reader of the output has left",
     143: "stopped by SIGTERM",
 }
+EVALUATE = "Evaluate"
+FAILURES = "Find and explain failures"
+AGENTS = "Agents and traffic models"
+ENGINE = "The engine"
+DATA = "Human driving and datasets"
+"""The groups of commands in `--help`, each a command's `rich_help_panel`."""
+
+
+class _InGroups(TyperGroup):
+    """Lists the commands by their groups; typer's own plain help has no groups."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        width = max(map(len, self.commands))
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for name, command in self.commands.items():
+            line = command.get_short_help_str(formatter.width)
+            groups.setdefault(getattr(command, "rich_help_panel", ""), []).append(
+                (name.ljust(width), line)
+            )
+        for title, lines in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(lines)
+
+
 app = typer.Typer(
     name="charms-bench",
+    cls=_InGroups,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from charms_bench.cli.terminal import app, interruptible, out, say
+from charms_bench.cli.terminal import FAILURES, app, interruptible, out, say
 
 if TYPE_CHECKING:
     from charms_bench.envs.watched_episode import Watched
@@ -18,7 +18,7 @@ WIDEST = 120
 """Most characters of the road in a terminal."""
 
 
-@app.command()
+@app.command(rich_help_panel=FAILURES)
 def watch(
     agent: Annotated[
         str, typer.Argument(help="Ego: an installed agent, or the path of an ONNX file.")

@@ -11,7 +11,7 @@ from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import write_atomically
-from charms_bench.world.picture import BRAKE, INDICATOR, WRECK, Moment, picture
+from charms_bench.world.picture import AHEAD_M, BRAKE, INDICATOR, WRECK, Moment, picture
 from charms_bench.world.tracks import Motion
 
 HOLD_S = 2.0
@@ -57,6 +57,7 @@ def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:
         traffic=sorted({name for k, name in enumerate(replay.agents) if k != replay.ego}),
         gap_ahead=view.gap_ahead[frame],
         ttc=view.ttc[frame],
+        ahead_m=max(AHEAD_M, view.reach_m),
         plan=replay.plan and replay.plan.at(frame),
         **{field.name: getattr(replay, field.name)[frame] for field in fields(Motion)},
     )

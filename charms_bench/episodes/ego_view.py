@@ -10,6 +10,12 @@ from charms_bench.world.gaps import gap_to, time_to_collision
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane
 from charms_bench.world.scene import Bools, Floats, Ints
 
+HAZARD_TTC_S = 6.0
+"""A vehicle ahead with a shorter time to collision is a hazard."""
+FARTHEST_M = 150.0
+ROOM_M = 5.0
+"""What a picture shows beyond the centre of a hazard."""
+
 
 @dataclass(frozen=True)
 class EgoView:
@@ -27,6 +33,8 @@ class EgoView:
     """s, to the leader at constant speeds; NaN unless the ego closes in."""
     reward: Floats
     """highway-env's reward of the last complete decision interval."""
+    reach_m: float
+    """How far ahead of the ego a picture has to reach, to show each hazard on its lane."""
 
 
 def ego_view(replay: Replay) -> EgoView:
@@ -52,7 +60,16 @@ def ego_view(replay: Replay) -> EgoView:
         gap_behind=gap(to_follower, follower),
         ttc=time_to_collision(gap_ahead, closing),
         reward=_rewards(replay),
+        reach_m=_reach_m(replay, ahead, on_lane & (ahead >= 0)),
     )
+
+
+def _reach_m(replay: Replay, ahead: Floats, among: Bools) -> float:
+    ego = replay.ego
+    closing = replay.speed[:, [ego]] - replay.speed
+    is_hazard = among & (ahead < HAZARD_TTC_S * closing) & ~replay.crashed[:, [ego]]
+    farthest = np.where(is_hazard, ahead, 0.0).max()
+    return float(min(farthest + ROOM_M, FARTHEST_M))
 
 
 def _nearest(distance: Floats, among: Bools) -> tuple[Ints, Floats]:

@@ -45,7 +45,7 @@ def pair_matrix(pairs: Table) -> Table:
             Number(apart.get((name, other), apart.get((other, name)))) for other in names
         ]
         rows.append(Row((f"{k} {name}",), tuple(cells)))
-    compared = ", ".join(column.heading for column in pairs.columns)
+    compared = "; ".join(column.heading for column in pairs.columns)
     return Table(
         f"{pairs.name}-matrix",
         f"In how many of {len(pairs.columns)} metrics each two egos differ",

@@ -112,7 +112,11 @@ def run_tables(
 
 def matrix_page(matrix: Sequence[Table]) -> bytes:
     """The matrices of a suite as a Markdown file."""
-    parts = [f"## {without_html(each.title)}\n\n{markdown(each)}" for each in matrix]
+    parts = []
+    for each in matrix:
+        # Without separators of thousands, as in folders that were written before views had them.
+        columns = tuple(replace(column, form=".1f") for column in each.columns)
+        parts.append(f"## {without_html(each.title)}\n\n{markdown(replace(each, columns=columns))}")
     return "\n".join(parts).encode()
 
 

@@ -99,9 +99,12 @@ def _of_matrix(suite: Suite, rates: Mapping[tuple[str, ...], Number], cells: Cel
     tested = count - tied
     if not tested:
         return f"In each of the {count} {places}, two or more agents share the lowest crash rate."
+    verdict, where = "separates", f"{apart} of the {tested} {places}"
+    if tested == 1:
+        verdict, where = verdict if apart else "does not separate", f"the one {place(suite)}"
     return (
-        f"{'; '.join(sentences)}. The paired test separates the "
-        f"agent that crashed least from the next in {apart} of the {tested} {places} without a tie "
+        f"{'; '.join(sentences)}. The paired test {verdict} the "
+        f"agent that crashed least from the next in {where} without a tie "
         f"(p < 0.05, corrected for {_pairs(suite):,} possible pairs)."
     )
 
@@ -197,7 +200,7 @@ def _rate(number: Number) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
+    return f"{100 * share:z.{2 if 0 < abs(share) < 0.001 else 1}f}".replace("-", "−")
 
 
 def _listed(names: Sequence[str], most: int = NAMED) -> str:

@@ -30,6 +30,8 @@ MATRICES = {
 }
 """Metrics of the sets `roads` and `standard` that are shown as a matrix: title, and factor for its
 unit."""
+HIGHER_IS_BETTER = ("goal_reached", "speed_mean")
+"""Of these metrics; lower values of all others are better."""
 
 
 def suite_table(
@@ -129,7 +131,7 @@ def matrices(table: Table) -> list[Table]:
 def across(table: Table, place: int, title: str, factor: float) -> Table:
     """The column at a place as a matrix, egos down and traffics across, times a factor."""
     egos, traffics = (tuple(dict.fromkeys(row.labels[i] for row in table.rows)) for i in (0, 1))
-    column = replace(table.columns[place], group="", unit="", form=".1f")
+    column = replace(table.columns[place], group="", unit="", form=",.1f")
     columns = tuple(replace(column, name=each, label=each) for each in traffics)
     numbers = {row.labels: row.numbers[place].scaled(factor) for row in table.rows}
     rows = tuple(

@@ -12,6 +12,7 @@ from typing import Any
 import polars as pl
 
 from charms_bench.errors import InputError, suggestion
+from charms_bench.foundation.words import counted
 from charms_bench.metrics.labels import in_words, key_label_of, set_label_of
 from charms_bench.report.number import Cell, Number
 
@@ -289,7 +290,8 @@ class Table:
         return found if len(found) == len(names) and all(defined) else None
 
     def __repr__(self) -> str:
-        return f"<Table {self.name}: {len(self.rows)} rows x {len(self.columns)} columns>"
+        rows, columns = counted(len(self.rows), "row"), counted(len(self.columns), "column")
+        return f"<Table {self.name}: {rows} x {columns}>"
 
     def __str__(self) -> str:
         """The beginning of the table as text; `select` and `frame` give the rest."""

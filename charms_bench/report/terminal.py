@@ -37,8 +37,19 @@ def compact(table: Table, width: int = 100) -> Group:
 
     Columns that do not fit are named below.
     """
-    labels = _label_width(table)
-    left, widths = width - min(labels, width // 2) - 4, []
+    widths = fitting(table, width)
+    shown = table.take(range(len(widths)))
+    more = "; ".join(column.heading for column in table.columns[len(widths) :])
+    below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
+    above = [Text(table.title)] * bool(table.title)
+    shown = replace(shown, title="")
+    found = _grid(shown, stacked=True, wrapped=_label_width(table) > width // 2, widths=widths)
+    return Group(*above, found, *below)
+
+
+def fitting(table: Table, width: int) -> list[int]:
+    """The characters of each of the first columns, as many as `compact` shows."""
+    left, widths = width - min(_label_width(table), width // 2) - 4, []
     texts = write_cells(table)
     for i, column in enumerate(table.columns[:MOST]):
         cells = (_stacked(row[i], table.reference).plain for row in texts)
@@ -48,13 +59,7 @@ def compact(table: Table, width: int = 100) -> Group:
         if left < 0 and i:
             widths.pop()
             break
-    shown = table.take(range(len(widths)))
-    more = ", ".join(column.heading for column in table.columns[len(widths) :])
-    below = [Text(table.note)] * bool(table.note) + [Text(f"More columns: {more}.")] * bool(more)
-    above = [Text(table.title)] * bool(table.title)
-    shown = replace(shown, title="")
-    found = _grid(shown, stacked=True, wrapped=labels > width // 2, widths=widths)
-    return Group(*above, found, *below)
+    return widths
 
 
 def _label_width(table: Table) -> int:
@@ -245,5 +250,5 @@ def _block(table: Table, place: int) -> list[_Line]:
 def _axis(scale: Scale, column: Column) -> Text:
     """The ends of a scale, above its bars."""
     factor, sign = (100, " %") if column.form.endswith("%") else (1, "")
-    low, high = (f"{factor * end:.4g}{sign}" for end in (scale.low, scale.high))
+    low, high = (f"{factor * end:z,.4g}{sign}" for end in (scale.low, scale.high))
     return Text(low + high.rjust(scale.width - len(low)), style="dim")

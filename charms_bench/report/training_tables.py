@@ -142,12 +142,12 @@ def drawn_curves(training: Training, width: int = 100) -> Group:
         table = RichTable(box=None, padding=(0, 2, 0, 0))
         table.add_column("stage", no_wrap=True)
         table.add_column("first", justify="right", no_wrap=True)
-        table.add_column(f"{scale.low:.3g} to {scale.high:.3g}", no_wrap=True)
+        table.add_column(f"{scale.low:z.3g} to {scale.high:z.3g}", no_wrap=True)
         table.add_column("last", justify="right", no_wrap=True)
         for each in curves:
             values = each[name].to_list()
             picture = Text(line(scale, values), style="cyan")
             stage = Text(str(each["stage"][0]))
-            table.add_row(stage, f"{values[0]:.3g}", picture, f"{values[-1]:.3g}")
+            table.add_row(stage, f"{values[0]:z.3g}", picture, f"{values[-1]:z.3g}")
         parts += [Text(f"\n{curve.title}", style="bold"), table]
     return Group(*parts)

@@ -140,7 +140,8 @@ class Suite(FrozenModel):
     """Folder that relative paths start from: that of the suite file."""
 
     def __repr__(self) -> str:
-        cells = f"{len(self.egos)} egos x {len(self.traffics)} traffic models"
+        egos, traffics = len(self.egos), len(self.traffics)
+        cells = f"{counted(egos, 'ego')} x {counted(traffics, 'traffic model')}"
         return f"<Suite {self.suite}: {cells}, {counted(self.episodes, 'episode')} each>"
 
     __str__ = __repr__

@@ -20,8 +20,6 @@ FINE = 2
 WIDTH = 800 * FINE
 BEHIND_M = 38.0
 AHEAD_M = 62.0
-SCALE = WIDTH / (BEHIND_M + AHEAD_M)
-"""Pixels per metre, along and across the road; all lengths are before the reduction."""
 PLAN_M = 112.0, 60.0
 """The length and the height of the part of a network that a picture shows."""
 HEADER, SHOULDER_M, MARKS, STATUS = 76, 1.0, 40, 92
@@ -59,6 +57,8 @@ class Moment(Motion):
     """m, from the ego's front to its leader's rear; NaN if there is no leader."""
     ttc: float
     """s, to the leader at constant speeds; NaN unless the ego closes in."""
+    ahead_m: float = AHEAD_M
+    """How far ahead of the ego a straight road is drawn."""
     plan: Plan | None = None
     """Where the vehicles are on a network; without one, the road is straight."""
 
@@ -72,7 +72,7 @@ def picture(moment: Moment, caption: str = "") -> Image.Image:
     """
     settings, plan = moment.settings, moment.plan
     colours = {name: AGENTS[k % len(AGENTS)] for k, name in enumerate(moment.traffic)}
-    road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * SCALE)
+    road = round((settings.lanes * settings.profile.lane_width_m + 2 * SHOULDER_M) * _scale(moment))
     status = HEADER + road + MARKS
     if plan is not None:
         status = HEADER + round(PLAN_M[1] * _scale(moment)) + MARKS // 2
@@ -129,8 +129,8 @@ def _place(moment: Moment, x: Floats, y: Floats) -> list[float]:
 
 
 def _scale(moment: Moment) -> float:
-    """Pixels per metre, before the reduction."""
-    return SCALE if moment.plan is None else WIDTH / PLAN_M[0]
+    """Pixels per metre, along and across the road, before the reduction."""
+    return WIDTH / (BEHIND_M + moment.ahead_m if moment.plan is None else PLAN_M[0])
 
 
 def _draw_network(draw: ImageDraw.ImageDraw, moment: Moment, plan: Plan) -> None:
@@ -149,7 +149,7 @@ def _draw_network(draw: ImageDraw.ImageDraw, moment: Moment, plan: Plan) -> None
 def _draw_road(draw: ImageDraw.ImageDraw, moment: Moment) -> None:
     width, lanes = moment.settings.profile.lane_width_m, moment.settings.lanes
     start = moment.x[moment.ego] - BEHIND_M
-    end = start + BEHIND_M + AHEAD_M
+    end = start + BEHIND_M + moment.ahead_m
     borders = np.arange(lanes + 1) * width - width / 2
     sides = np.array([borders[0] - SHOULDER_M, borders[-1] + SHOULDER_M])
     road = _place(moment, np.array([start, end]), sides)
@@ -171,7 +171,7 @@ def _draw_vehicle(draw: ImageDraw.ImageDraw, moment: Moment, vehicle: int, colou
     where: Moment | Plan = moment.plan or moment
     x, y, heading = where.x[vehicle], where.y[vehicle], where.heading[vehicle]
     margin = max(10, moment.length[vehicle])
-    shown = (BEHIND_M, AHEAD_M) if moment.plan is None else (PLAN_M[0] / 2, PLAN_M[0] / 2)
+    shown = (BEHIND_M, moment.ahead_m) if moment.plan is None else (PLAN_M[0] / 2, PLAN_M[0] / 2)
     if not -margin < x - where.x[moment.ego] + shown[0] < sum(shown) + margin:
         return
     profile = moment.settings.profile
@@ -228,8 +228,8 @@ def status_of(moment: Moment) -> dict[str, str]:
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = moment.gap_ahead, moment.ttc
     return {
-        "ego's speed": f"{moment.speed[ego]:.1f} m/s",
-        "acceleration": f"{moment.acceleration[ego]:+.1f} m/s²",
+        "ego's speed": f"{moment.speed[ego]:z.1f} m/s",
+        "acceleration": f"{moment.acceleration[ego]:+z.1f} m/s²",
         "action": doing,
         "gap ahead": "–" if np.isnan(gap) else f"{gap:.1f} m",
         "TTC": f"{ttc:.1f} s" if ttc < TTC_SHOWN_S else "–",

@@ -14,7 +14,7 @@ pytest.importorskip("stable_baselines3", reason="needs the extra 'train'")
 pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 ROOT = Path(__file__).parent.parent.parent
-STEPS = "model.learn(300_000)"
+STEPS = "model.learn(300_000"
 
 
 def fenced(page: str) -> list[str]:
@@ -25,7 +25,7 @@ def fenced(page: str) -> list[str]:
 def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None:
     _, code, *commands = fenced("docs/your-policy.md")
     assert STEPS in code
-    (tmp_path / "train.py").write_text(code.replace(STEPS, "model.learn(6_400)"))
+    (tmp_path / "train.py").write_text(code.replace(STEPS, "model.learn(6_400"))
     with chdir(tmp_path):
         runpy.run_path("train.py")
     short = ["--episodes", "2", "--workers", "1", "--json"]
@@ -37,11 +37,11 @@ def test_the_ppo_of_the_page_becomes_an_ego_of_the_suite(tmp_path: Path) -> None
         if words[0] == "run":
             printed.append(json.loads(done.stdout))
     assert len(printed) == 2
-    assert all("ppo" in {row["agent"] for row in table} for table in printed)
-    assert (tmp_path / "runs" / "ego-ppo").is_dir()
-    assert (tmp_path / "ppo.html").exists()
+    assert all("mine" in {row["agent"] for row in table} for table in printed)
+    assert (tmp_path / "runs" / "ego-mine").is_dir()
+    assert (tmp_path / "mine.html").exists()
 
 
 def test_the_readme_trains_the_same_policy() -> None:
     (script,) = (block for block in fenced("README.md") if STEPS in block)
-    assert script.removeprefix("# ppo.py\n") == fenced("docs/your-policy.md")[1]
+    assert script.removeprefix("# mine.py\n") == fenced("docs/your-policy.md")[1]

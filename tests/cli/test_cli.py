@@ -13,6 +13,7 @@ from pathlib import Path
 
 import charms_agents
 import pytest
+import typer
 from command_line import charms_bench
 
 from charms_bench import __version__
@@ -205,12 +206,22 @@ def test_a_checkpoint_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert "model.zip: cannot be read: No such file" in result.stderr
 
 
-def test_agents_are_listed_with_role_version_and_distribution() -> None:
+def test_agents_are_listed_by_distribution_with_what_they_do() -> None:
     rows = json.loads(charms_bench("agents", "--json").stdout)
     expected = {"role": "agent", "version": "1.2.3", "distribution": "outside-plugin"}
-    assert {"name": "outside_broken", **expected} in rows
+    assert {"name": "outside_broken", **expected, "summary": ""} in rows
     listed = charms_bench("agents").stdout
-    assert re.search(r"outside_traffic +traffic +1\.2\.3 +outside-plugin", listed)
+    assert re.search(r"Agents of outside-plugin 1\.2\.3\n[^:]* outside_broken +\n", listed)
+    assert re.search(r" outside_policy +Slows down behind others, and moves right", listed)
+    assert re.search(r" outside_traffic +Each of the two with the same probability\.", listed)
+
+
+def test_help_lists_every_command_in_one_of_five_groups_on_one_line() -> None:
+    listed = charms_bench("--help").stdout.partition("-h, --help")[2].partition("  Exit codes")[0]
+    known = typer.main.get_command(terminal.app).commands  # type: ignore[attr-defined]  # of a group
+    assert sorted(re.findall(r"^  ([a-z-]+) +\S", listed, re.MULTILINE)) == sorted(known)
+    assert len(re.findall(r"^[A-Z].*:$", listed, re.MULTILINE)) == 5
+    assert "..." not in listed
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from charms_bench.world.picture import (
     INDICATOR,
     WRECK,
     picture,
+    status_of,
 )
 
 RED = ImageColor.getrgb(WRECK)
@@ -85,3 +86,9 @@ def test_who_changes_lanes_and_who_brakes_has_lights() -> None:
 def test_another_format_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a\.mp4: expected a name that ends in \.gif"):
         animate(replay_of(x=[[0.0]]), tmp_path / "a.mp4")
+
+
+def test_the_state_of_the_ego_has_no_minus_zero() -> None:
+    replay = replay_of(x=[[0.0, 40.0]], acceleration=-0.01, speed=-0.01)
+    shown = status_of(moment_of(replay, ego_view(replay), 0))
+    assert (shown["acceleration"], shown["ego's speed"]) == ("+0.0 m/s²", "0.0 m/s")

@@ -37,3 +37,16 @@ def test_the_reward_is_highway_envs_of_the_last_decision() -> None:
     view = ego_view(replay_of(x=np.zeros((8, 2)), speed=speed))
     assert np.isnan(view.reward[:5]).all()
     np.testing.assert_allclose(view.reward[5:], [0.8, 0.8, 0.8])
+
+
+def test_a_picture_reaches_a_stationary_vehicle_that_a_leader_still_hides() -> None:
+    # From 90 m at 25 m/s, the collision is 3.6 s away; the vehicle at 100 m is on another lane.
+    view = ego_view(
+        replay_of(
+            x=[[0.0, 40.0, 90.0, 100.0]], y=[[4.0, 4.0, 4.0, 0.0]], speed=[[25.0, 25.0, 0.0, 0.0]]
+        )
+    )
+    assert view.gap_ahead.tolist() == [35.0]
+    assert 90.0 < view.reach_m < 100.0
+    calm = ego_view(replay_of(x=[[0.0, 40.0]], y=[[4.0, 4.0]], speed=[[25.0, 25.0]]))
+    assert calm.reach_m < 40.0

@@ -133,7 +133,7 @@ def test_a_name_that_two_distributions_claim_cannot_be_used_and_the_others_can(
     assert make_agent("stackelberg")
     listed = charms_bench("agents")
     assert listed.returncode == 0
-    assert re.search("idm_mobil +agent .* and .*: unusable, uninstall one", listed.stdout)
+    assert re.search(r" and .*: unusable, uninstall one\n[^:]* idm_mobil ", listed.stdout)
     used = charms_bench("check", "idm_mobil")
     assert used.returncode == 2
     assert "charms-bench and thief" in used.stderr or "thief and charms-bench" in used.stderr

@@ -5,11 +5,15 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from handmade_replay import replay_of
 
+from charms_bench.episodes.ego_view import ego_view
+from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.human_driving import draw_quantity
+from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.figures.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
 from charms_bench.report.markdown import markdown
 from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
@@ -100,6 +104,40 @@ def test_a_matrix_has_egos_down_and_traffics_across(tmp_path: Path) -> None:
     save(draw_matrices(found), tmp_path / "m.svg")
     svg = (tmp_path / "m.svg").read_text()
     assert all(f"<!-- {name} -->" in svg for name in ("B|C", "busy", "28.0", "3.0"))
+
+
+def test_a_darker_field_is_worse_and_equal_proportions_are_equally_dark() -> None:
+    names = ("crashed_episodes", "traffic_crashed", "speed_mean", "conflicts_per_1000km")
+    rows = {"A": (0.5, 0.25, 25.0, 900.0), "B": (0.1, 0.5, 20.0, 1_900.0)}
+    of_busy = {"A": (0.25, 0.1, 33.0, 0.0), "B": (0.2, 0.2, 30.0, 0.0)}
+    found = matrices(
+        table(
+            *((ego, "calm", *each) for ego in rows for each in zip(names, rows[ego], strict=True)),
+            *((e, "busy", *each) for e in rows for each in zip(names, of_busy[e], strict=True)),
+        )
+    )
+    light: dict[str, dict[float, float]] = {}
+    for axes, matrix in zip(draw_matrices(found).axes, found, strict=True):
+        (mesh,) = axes.collections
+        values = mesh.get_array()
+        tones = mesh.to_rgba(values)[..., :3].sum(axis=-1)
+        light[matrix.name] = dict(zip(values.flat, tones.flat, strict=True))
+    crashed, traffic, speed = (light[f"s-{name}"] for name in names[:3])
+    assert crashed[50.0] < crashed[25.0] < crashed[10.0]
+    assert all(traffic[each] == crashed[each] for each in (10.0, 20.0, 25.0, 50.0))
+    assert speed[20.0] < speed[25.0] < speed[33.0]
+    assert "1,900.0" in "".join(map(markdown, found))
+
+
+def test_the_timelines_of_two_futures_share_their_axes_up_to_the_later_end() -> None:
+    def future(frames: int, speed: float) -> Replay:
+        x = np.array([0.0, 30.0]) + np.arange(frames)[:, None]
+        return replay_of(x=x, y=4.0, speed=np.tile([speed, 20.0], (frames, 1)))
+
+    recorded, other = future(31, 25.0), future(61, 22.0)
+    _, _, speed, _ = draw_timelines(recorded, ego_view(recorded), other).axes
+    assert speed.get_xlim() == (0.0, 4.0)
+    assert sorted(line.get_ydata()[0] for line in speed.lines) == [22.0, 25.0]
 
 
 def test_one_ego_or_one_traffic_needs_no_matrix() -> None:

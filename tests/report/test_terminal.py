@@ -12,7 +12,7 @@ from charms_bench.report.pairs_table import KEYS, LONG
 from charms_bench.report.pairs_table import from_frame as pairs_from_frame
 from charms_bench.report.suite_table import from_frame, printed
 from charms_bench.report.table import Column, Row, Table, long_schema
-from charms_bench.report.terminal import drawn, grid
+from charms_bench.report.terminal import compact, drawn, grid
 
 TABLE = from_frame(pl.read_csv(io.StringIO(EGO)), SUITE)
 
@@ -38,6 +38,12 @@ def test_units_are_those_of_the_set_whatever_its_thresholds() -> None:
     shown = lines(drawn(TABLE))
     place = shown.index("Standard metrics (ttc_s=2)")
     assert shown[place + 1].split()[:3] == ["Mean", "speed", "m/s"]
+
+
+def test_columns_that_do_not_fit_are_named_apart_though_names_have_commas() -> None:
+    columns = tuple(Column(name, label=name) for name in ("Speed, std", "Yaw, std", "Jerk, RMS"))
+    table = Table("t", "", ("ego",), columns, (Row(("a",), (Number(1.0),) * 3),))
+    assert lines(compact(table, 12))[-1] == "More columns: Yaw, std; Jerk, RMS."
 
 
 def test_what_is_not_defined_is_a_dash_without_a_bar() -> None:

@@ -33,7 +33,7 @@ class Point:
         """The point for a progress bar; empty without episodes."""
         if self.return_mean is None or self.crashed_share is None:
             return ""
-        return f"return {self.return_mean:.1f}, {self.crashed_share:.0%} crashed"
+        return f"return {self.return_mean:z.1f}, {self.crashed_share:.0%} crashed"
 
 
 @dataclass(frozen=True)

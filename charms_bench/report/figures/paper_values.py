@@ -44,5 +44,19 @@ def _row(table: Table, places: Sequence[int]) -> Figure:
         panel.locator_params(axis="x", nbins=4)
         if table.columns[place].form == "%":
             panel.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+            panel.set_xlim(*_proportions(table))
         panel.set_title(fill(table.columns[place].title, TITLE_WIDTH), fontsize=9)
     return figure
+
+
+def _proportions(table: Table) -> tuple[float, float]:
+    """The ends of the axes of all proportions that the paper reports, so that they compare."""
+    numbers = [
+        number
+        for place in table.reported()
+        if table.columns[place].form == "%"
+        for number in table.column(place)
+    ]
+    ends = [each for n in numbers for each in (n.value, n.high, n.reference) if each is not None]
+    most = max(ends)
+    return -0.06 * most, 1.12 * most

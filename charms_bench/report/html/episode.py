@@ -36,7 +36,7 @@ def for_page(
         "what": what_happened(replay, since=since),
         "start": f"{max(0.0, critical_time_s(replay, since) - BEFORE_S):z.1f}",
         "seconds": f"{replay.t_s[-1]:z.1f}",
-        "timelines": in_page(draw_timelines(replay, view), f"replay-{name}", label),
+        "timelines": in_page(draw_timelines(replay, view, ghosts), f"replay-{name}", label),
         "packed": pack(replay, view, ghosts),
     }
 

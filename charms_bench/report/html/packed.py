@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from charms_bench.episodes.ego_view import EgoView
+from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.picture import BRAKE_LIGHT_MPS2
@@ -28,6 +28,7 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
     """A replay for JSON, and another future of the same vehicles, which is drawn as ghosts.
 
     vehicles, frames, hz, lanes, lane_m, ego: Plain numbers.
+    reach_m: How far ahead of the ego the road is to be seen.
     length_m, width_m: Of each vehicle.
     agents: The agents' names, the ego's first.
     agent: For each vehicle, the index of its agent in `agents`.
@@ -37,6 +38,7 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
     ghosts: Frames, columns and data of the other future, or null.
     """
     profile, ego = replay.settings.profile, replay.ego
+    views = [view] if ghosts is None else [view, ego_view(ghosts)]
     vehicles = replay.x.shape[1]
     agents = list(dict.fromkeys([replay.agents[ego], *sorted(replay.agents)]))
     columns: dict[str, tuple[float, Floats | Ints]] = {
@@ -56,6 +58,7 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
         "hz": replay.settings.simulation_hz,
         "lanes": replay.settings.lanes,
         "lane_m": profile.lane_width_m,
+        "reach_m": round(max(each.reach_m for each in views), 1),
         "length_m": replay.length[0].tolist(),
         "width_m": replay.width[0].tolist(),
         "ego": ego,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from charms_bench.episodes.what_if import WhatIf
 from charms_bench.foundation.words import counted
 from charms_bench.people.reference import read_references
-from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.heat_map import draw_matrices, reading
 from charms_bench.report.figures.human_driving import draw_quantity, recorded
 from charms_bench.report.figures.learning import draw_curves
 from charms_bench.report.figures.paper_values import draw_beside_paper
@@ -90,7 +90,7 @@ def evaluation_section(source: Evaluation, folder: Path) -> Section:
         id=f"run-{source.key}",
         title=suite.title or suite.suite,
         facts=(
-            f"{_counted(len(suite.egos), 'ego')} in {_counted(len(suite.traffics), place(suite))}",
+            f"{counted(len(suite.egos), 'ego')} in {counted(len(suite.traffics), place(suite))}",
             f"{counted(suite.episodes, 'episode')} each, seeds {suite.seed:,} to {last:,}",
             _scenes(suite),
             f"{scene.duration_s:g} s per episode",
@@ -108,14 +108,11 @@ def _scenes(suite: Suite) -> str:
     """What the scenes of a suite look like."""
     scene = suite.scene
     if place(suite) == "scenario":
-        return f"{scene.lanes} lanes, vehicles placed by scenarios"
+        return f"{counted(scene.lanes, 'lane')}, vehicles placed by scenarios"
     if all(each.traffic.road for each in suite.traffics):
         return "highway-env's roads and vehicles"
-    return f"{scene.lanes} lanes, {scene.vehicles} vehicles, density {scene.density:g}"
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count > 1)}"
+    vehicles = counted(scene.vehicles, "vehicle")
+    return f"{counted(scene.lanes, 'lane')}, {vehicles}, density {scene.density:g}"
 
 
 def training_section(source: TrainingFolder) -> Section:
@@ -127,7 +124,7 @@ def training_section(source: TrainingFolder) -> Section:
     return Section(
         id=f"run-{source.key}",
         title="Training and fine-tuning",
-        facts=(_counted(count, "stage"), f"run folder {source.path.name}"),
+        facts=(counted(count, "stage"), f"run folder {source.path.name}"),
         tables=() if training.stages is None else training.stages.blocks(COLUMNS),
         pictures=[
             _picture(f"{source.key}-{k}", title, caption, figure)
@@ -154,9 +151,9 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
             "narrower than its disc is hidden by it."
         )
         found.append(_picture(f"{key}-paper", "Beside the paper", caption, *beside, wide=True))
-    caption = f"Egos down, {place(suite)}s across. Darker fields have higher values."
     for k, matrix in enumerate(matrices(table)):
-        figure = draw_matrices([replace(matrix, title="")], first=k)
+        caption = f"Egos down, {place(suite)}s across. {reading(matrix)}"
+        figure = draw_matrices([replace(matrix, title="")])
         found.append(_picture(f"{key}-matrix-{k}", matrix.title, caption, figure))
     tradeoff = tradeoff_of(suite)
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):

@@ -47,13 +47,18 @@ def written(table: Table) -> list[tuple[Row, list[Written]]]:
 
 
 def scales(table: Table) -> list[Scale | None]:
-    """The scale of each column's bars, in percent of their width; None without any interval."""
+    """The scale of each column's bars, in percent of their width; None without any interval.
+
+    That of all proportions ends at 100 %, so that their bars compare.
+    """
     found: list[Scale | None] = []
     for place, column in enumerate(table.columns):
         numbers = table.column(place)
         ends = [end for each in numbers for end in (each.value, each.low, each.high)]
         has_interval = any(each.low is not None for each in numbers)
-        scale = Scale.over(ends, 101, zero=column.signed or column.form.endswith("%"))
+        if column.form.endswith("%") and not column.signed:
+            ends = [0.0, 1.0]
+        scale = Scale.over(ends, 101, zero=column.signed)
         found.append(scale if has_interval else None)
     return found
 

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 from matplotlib.figure import Figure
 
-from charms_bench.report.figures.heat_map import COLOURS, draw_matrices
+from charms_bench.report.figures.heat_map import draw_matrices
 from charms_bench.report.figures.styles import draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff
 from charms_bench.report.html.svg import in_page
@@ -111,9 +111,11 @@ def cells(*names: tuple[str, str]) -> Table:
     return from_frame(pl.DataFrame(rows, long_schema(KEYS, LONG), orient="row"), SUITE)
 
 
-def matrix() -> Table:
+def matrix(metric: str) -> Table:
     columns = tuple(Column(f"traffic {k}", form=".1f") for k in range(20))
-    return Table("m", "t", ("ego",), columns, (Row(("a",), tuple(map(Number, range(20)))),))
+    return Table(
+        f"m-{metric}", "t", ("ego",), columns, (Row(("a",), tuple(map(Number, range(20)))),)
+    )
 
 
 def test_white_on_black_has_the_ratio_that_wcag_gives() -> None:
@@ -133,9 +135,9 @@ def test_names_of_points_can_be_read(mode: str) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("place", range(len(COLOURS)), ids=COLOURS)
-def test_numbers_in_coloured_fields_can_be_read(mode: str, place: int) -> None:
-    found = contrasts(draw_matrices([matrix()], first=place), mode)
+@pytest.mark.parametrize("metric", ["speed_mean", "crashed_episodes", "conflicts_per_1000km"])
+def test_numbers_in_coloured_fields_can_be_read(mode: str, metric: str) -> None:
+    found = contrasts(draw_matrices([matrix(metric)]), mode)
     assert {f"{k}.0" for k in range(20)} <= set(found)
     assert min(found.values()) >= ENOUGH
 

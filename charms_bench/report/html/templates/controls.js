@@ -14,10 +14,11 @@
 
   function show() {
     const frame = Math.min(Math.floor(moment), last);
-    road.draw(replay, moment);
+    const reach = Math.max(replay.reach_m, beside ? beside.reach_m : 0);
+    road.draw(replay, moment, reach);
     if (beside) {
       const other = Math.min(Math.floor(moment), beside.last);
-      roadBeside.draw(beside, Math.min(moment, beside.last));
+      roadBeside.draw(beside, Math.min(moment, beside.last), reach);
       const said = Object.entries(readingsOf(beside, other)).map(([name, value]) => `${name} ${value}`);
       part("beside-reading").textContent = said.join(" · ");
     }
@@ -30,7 +31,7 @@
     for (const [name, value] of Object.entries(readings)) {
       part("readings").querySelector(`[data-name="${name}"]`).textContent = value;
     }
-    const place = left + (right - left) * Math.min(1, moment / Math.max(replay.frames - 1, 1));
+    const place = left + (right - left) * Math.min(1, moment / Math.max(replay.last, 1));
     timelines().querySelector(".cursor").style.left = `${100 * place}%`;
     timelines().scrollLeft = place * timelines().scrollWidth - timelines().clientWidth / 2;
   }
@@ -216,7 +217,7 @@
     const to = (pointer) => {
       const box = drawn.firstElementChild.getBoundingClientRect();
       const share = ((pointer.clientX - box.left) / box.width - left) / (right - left);
-      seek(share * (replay.frames - 1));
+      seek(share * replay.last);
     };
     to(event);
     drawn.setPointerCapture(event.pointerId);

@@ -6,6 +6,7 @@ const EGO_AT = 0.38; // share of the canvas's width
 const SHOULDER_M = 1, DASH_M = 6, DASH_EVERY_M = 18, MARK_EVERY_M = 20;
 const GHOST_ALPHA = 0.4, GHOST_FROM_M = 0.5;
 const SCALE_PX = 24; // under the road
+const LEAST_SCALE = 3.5; // px per metre
 
 // The functions that read a packed future: a value at a frame, and a value between two frames.
 async function readersOf(packed) {
@@ -68,10 +69,12 @@ class Road {
     };
   }
 
-  draw(replay, moment) {
+  // The road as far as `reach` metres ahead of the ego, unless that makes vehicles too small.
+  draw(replay, moment, reach) {
     const { canvas, pen } = this;
     const width = canvas.clientWidth;
-    this.scale = width / Math.min(110, Math.max(46, width / 8)); // px per metre
+    const wanted = Math.max(reach / (1 - EGO_AT), Math.min(110, Math.max(46, width / 8)));
+    this.scale = Math.max(LEAST_SCALE, width / wanted); // px per metre
     const roadPx = (replay.lanes * replay.lane_m + 2 * SHOULDER_M) * this.scale;
     const height = Math.round(roadPx + SCALE_PX);
     const ratio = window.devicePixelRatio || 1;
@@ -209,7 +212,7 @@ function readingsOf(replay, frame) {
     "decision": crashed ? "crashed" : action >= 0 ? replay.actions[action] : steered,
     "reward": known("reward", 2, ""),
     "speed": `${read("speed").toFixed(1)} m/s`,
-    "acceleration": `${acceleration < 0 ? "−" : "+"}${Math.abs(acceleration).toFixed(1)} m/s²`,
+    "acceleration": `${acceleration <= -0.05 ? "−" : "+"}${Math.abs(acceleration).toFixed(1)} m/s²`,
     "gap ahead": known("ahead", 1, " m"),
     "gap behind": known("behind", 1, " m"),
     "TTC": known("ttc", 1, " s"),
