@@ -62,7 +62,8 @@ def run(
         notice: Called with messages about problems that were solved, such as a worker that died.
 
     Raises:
-        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay.
+        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay. If
+            an agent or a traffic model fails in some cells, the tables hold the others.
         KeyboardInterrupt: The run was interrupted; its note names the folder.
     """
     if engine not in ENGINES:
@@ -121,6 +122,10 @@ def run(
             following = finished.following() if references else []
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
+        if finished.failed:
+            error = runner.combined(finished.failed)
+            error.add_note(runner.unfinished(len(finished.failed), len(loaded.cells), folder))
+            raise error
     except KeyboardInterrupt as interrupt:
         if RunFolder(folder).finished():
             interrupt.add_note(f"finished shards are in {folder}")

@@ -84,6 +84,7 @@ def rare(
     """
     from charms_bench.runs.rare import run_rare
     from charms_bench.runs.rare_task import event_of
+    from charms_bench.runs.runner import combined, unfinished
 
     check_positive(workers=workers)
     document = Document(Path(suite))
@@ -114,7 +115,7 @@ def rare(
     warm_up()
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
-            cells = run_rare(
+            cells, failed = run_rare(
                 loaded,
                 folder,
                 event,
@@ -130,6 +131,10 @@ def rare(
         table = rare_table(loaded, name, definition, samples, cells)
         with locked(folder):
             write_table(folder, table)
+        if failed:
+            error = combined(failed)
+            error.add_note(unfinished(len(failed), len(loaded.cells), folder))
+            raise error
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"finished runs are in {folder}")
         raise

@@ -227,6 +227,7 @@ def show(
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench import api
     from charms_bench.api.failures import MANIFEST as SEARCH
+    from charms_bench.report.progress import note
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
@@ -261,10 +262,13 @@ def show(
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
-    with suppress(RunFolderError):  # tables are shown even where their rows are missing
+    try:
         opened = api.open_run(run)
         if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
+    except RunFolderError as error:  # tables are shown even where their rows are missing
+        if folder.finished():
+            note(str(error))
 
 
 def _print_rare(folder: Path, as_json: bool) -> None:
