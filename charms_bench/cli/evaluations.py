@@ -226,7 +226,7 @@ def show(
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench import api
-    from charms_bench.api.failures import MANIFEST as SEARCH
+    from charms_bench.episodes.search import MANIFEST as SEARCH
     from charms_bench.report.progress import note
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
@@ -289,14 +289,10 @@ def _print_rare(folder: Path, as_json: bool) -> None:
 
 def _print_search(folder: Path, as_json: bool) -> None:
     """The failures in the suite that `search` has written."""
+    from charms_bench.episodes.found_suite import found_in
     from charms_bench.episodes.search import FOUND
-    from charms_bench.runs.suite import load_suite
 
-    path = folder / FOUND
-    points: Any = ()
-    if path.exists():
-        scenarios = (entry.traffic.scenario for entry in load_suite(path).traffics)
-        points = next((each.points for each in scenarios if each is not None), ())
+    path, points = folder / FOUND, found_in(folder)
     if as_json:
         print_json({"failures": list(points), "suite": str(path) if points else None})
         return
@@ -385,7 +381,10 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
 @app.command()
 def report(
     runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings.")
+        list[Path],
+        typer.Argument(
+            metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")
