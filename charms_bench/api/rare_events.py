@@ -82,7 +82,7 @@ def rare(
             stay.
         KeyboardInterrupt: It was interrupted; the note names the folder.
     """
-    from charms_bench.runs.rare import run_rare
+    from charms_bench.runs.rare import check_sizes, run_rare
     from charms_bench.runs.rare_task import event_of
     from charms_bench.runs.runner import combined, unfinished
 
@@ -105,6 +105,7 @@ def rare(
             )
             raise document.error(("traffic_models", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
+    check_sizes(loaded, runs, samples)
     name = "-".join(
         (
             f"{loaded.suite}-rare-{event.partition(':')[0]}",

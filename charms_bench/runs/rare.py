@@ -29,8 +29,8 @@ MOST_RUNS = 1000
 LEAST_SAMPLES = 100
 """With fewer, a level often has no episode below its threshold."""
 FEW_SAMPLES = 1000
-"""With fewer, intervals of crashes are wider than those of as many plain episodes: in the suite
-`rare`, by a factor of 4 with 500 and of 10 or more with 200."""
+"""With fewer, the intervals of the suite `rare` were wider than those of as many plain episodes, as
+docs/stress-tests.md shows."""
 DRAWS_LIMIT = 2**27
 """Most random draws of a level, which are kept in memory."""
 RUN_LIMIT_S = 4 * 3600.0
@@ -50,6 +50,18 @@ class RareCell:
     runs: tuple[SubsetRun, ...]
 
 
+def check_sizes(suite: Suite, runs: int, samples: int) -> None:
+    """Raises an `InputError` if an estimation cannot have so many runs or samples per level."""
+    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
+    if not LEAST_RUNS <= runs <= MOST_RUNS:
+        raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
+    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
+        raise InputError(
+            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
+            f"{most:,}"
+        )
+
+
 def run_rare(
     suite: Suite,
     output: Path,
@@ -67,14 +79,6 @@ def run_rare(
     with a message about what went wrong and was put right. If a `CharmsBenchError` is raised, the
     folder keeps the runs finished so far.
     """
-    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
-    if not LEAST_RUNS <= runs <= MOST_RUNS:
-        raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
-    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
-        raise InputError(
-            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
-            f"{most:,}"
-        )
     if samples < FEW_SAMPLES:
         notice(
             f"{samples} samples per level are few: the intervals are often wider than those of as "

@@ -115,9 +115,7 @@ def test_a_run_says_what_its_networks_observe_and_do(
         "egos: [{agent: {onnx: mine.onnx, decision_hz: 1}, label: PPO}, {agent: idm_mobil}]\n"
         "traffic_models: [{traffic: idm_mobil}]\n"
     )
-    what = (
-        "PPO: observes neighbours; chooses meta actions at 1 Hz; its checkpoint does not"
-    )
+    what = "PPO: observes neighbours; chooses meta actions at 1 Hz; its checkpoint does not"
     for command in (["run", "suite.yaml", "--workers", "1"], ["show", "runs/small"]):
         assert what in charms_bench(*command, cwd=tmp_path).stdout
 
