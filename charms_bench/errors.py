@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 
+TEXT_LIMIT = 500
+"""Most characters of the text of a plugin's exception."""
 PLUGIN_ERRORS = (Exception, SystemExit)
 """What a plugin may raise; Ctrl-C is not among these."""
 
@@ -112,11 +114,12 @@ def raised(error: BaseException) -> str:
 
 
 def named(error: BaseException) -> str:
-    """The type of a plugin's exception, and its text if it has one."""
+    """The type of a plugin's exception, and its text on one line if it has one."""
     try:
-        text = str(error)
+        text = " ".join(str(error).split())
     except Exception:  # a plugin's exception can have any method
         text = "its text cannot be read"
+    text = text if len(text) <= TEXT_LIMIT else text[: TEXT_LIMIT - 3] + "..."
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
@@ -132,6 +135,14 @@ def suggestion(name: str, known: Mapping[str, object]) -> str:
 def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     """The location and the description of the first problem that a model reports."""
     problems = error.errors(include_url=False)
+    wrong = [each["loc"] for each in problems]
+    # Pydantic also counts only the entries that are right.
+    problems = [
+        each
+        for each in problems
+        if each["type"] != "too_short"
+        or not any(loc != each["loc"] == loc[: len(each["loc"])] for loc in wrong)
+    ]
     first = problems[0]
     found = _shortened(first["input"])
     what = _plain(first["msg"])
@@ -157,6 +168,11 @@ def problem_in(error: Exception) -> str:
 def _plain(message: str) -> str:
     """A message of pydantic without the names of Python's classes."""
     message = message.removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    message = re.sub(
+        r"\w+ should have at least (\d+) items? after validation, not \d+",
+        r"expected at least \1",
+        message,
+    )
     return re.sub(
         r"dictionary( or (an )?instance of \w+| or object to extract.*)", "mapping", message
     )

@@ -22,6 +22,7 @@ def _one_worker_is_this_process() -> Iterator[None]:
     The reference engine still gets a worker of its own, because NumPy has to start with other
     settings for it. Tests of the workers themselves start theirs.
     """
+    from charms_bench.errors import CharmsBenchError
     from charms_bench.runs import runner
 
     in_processes = runner.in_processes
@@ -30,8 +31,15 @@ def _one_worker_is_this_process() -> Iterator[None]:
         if count != 1 or any(getattr(each, "engine", "") == "highway-env" for each in tasks):
             yield from in_processes(work, tasks, count, *others)
             return
+        failed, dropped = others[4], set[Any]()
         for task in tasks:
-            yield task, work(task)
+            try:
+                if task not in dropped:
+                    yield task, work(task)
+            except CharmsBenchError as error:
+                if failed is None:
+                    raise
+                dropped |= failed(task, error)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "in_processes", here)

@@ -62,7 +62,8 @@ def run(
         notice: Called with messages about problems that were solved, such as a worker that died.
 
     Raises:
-        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay.
+        CharmsBenchError: The suite, an agent or the folder cannot be used; finished shards stay. If
+            an agent or a traffic model fails in some cells, the tables hold the others.
         KeyboardInterrupt: The run was interrupted; its note names the folder.
     """
     if engine not in ENGINES:
@@ -121,6 +122,10 @@ def run(
             following = finished.following() if references else []
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
+        if finished.failed:
+            error = runner.combined(finished.failed)
+            error.add_note(runner.unfinished(len(finished.failed), len(loaded.cells), folder))
+            raise error
     except KeyboardInterrupt as interrupt:
         if RunFolder(folder).finished():
             interrupt.add_note(f"finished shards are in {folder}")
@@ -154,7 +159,11 @@ def cell_of(suite: PathLike, agent: str, traffic: str | None) -> "tuple[Simulati
     if traffic is not None and traffic not in found:
         raise InputError(f"{suite}: no traffic model '{traffic}'. {suggestion(traffic, found)}")
     cell = found[traffic] if traffic is not None else next(iter(found.values()))
-    cell.scene.check_straight("an episode is watched on")
+    if cell.scene.network is not None:
+        raise InputError(
+            f"{suite}: an episode is watched on the straight road, not `road: "
+            f"{cell.scene.network}`; `charms-bench replay` draws the episodes of a run there"
+        )
     ego, around = cell.ego.agent, cell.traffic.traffic.make()
     networks = networks_of(ego, around, loaded.folder)
     agents = {each.key: each.make(networks) for each in drivers_of(ego, around)}
@@ -183,7 +192,7 @@ def _ego(agent: str) -> dict[str, str]:
     if path.suffix != ".onnx":
         return {"agent": find(AGENTS, agent).name, "label": agent}
     if not path.is_file():
-        raise InputError(f"{agent}: no such file")
+        raise InputError(f"{agent}: {'is not a file' if path.exists() else 'no such file'}")
     return {"agent": str(absolute(path)), "label": path.stem}
 
 

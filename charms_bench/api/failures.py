@@ -18,8 +18,6 @@ from charms_bench.runs.suite import Cell, check_networks, suite_of
 if TYPE_CHECKING:
     from charms_bench.episodes.search import Search
 
-MANIFEST = "search.json"
-
 
 def search(
     suite: PathLike,
@@ -54,7 +52,7 @@ def search(
         KeyboardInterrupt: The search was interrupted; its note names the folder.
     """
     from charms_bench.episodes.found_suite import write_found
-    from charms_bench.episodes.search import FOUND, Search, ego_of, scenario_of
+    from charms_bench.episodes.search import FOUND, MANIFEST, Search, ego_of, scenario_of
 
     check_positive(failures=failures, budget=budget)
     document = Document(Path(suite))

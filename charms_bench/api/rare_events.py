@@ -82,8 +82,9 @@ def rare(
             stay.
         KeyboardInterrupt: It was interrupted; the note names the folder.
     """
-    from charms_bench.runs.rare import run_rare
+    from charms_bench.runs.rare import check_sizes, run_rare
     from charms_bench.runs.rare_task import event_of
+    from charms_bench.runs.runner import combined, unfinished
 
     check_positive(workers=workers)
     document = Document(Path(suite))
@@ -104,6 +105,7 @@ def rare(
             )
             raise document.error(("traffic_models", index, "traffic", "scenario"), what)
     check_networks(document, loaded)
+    check_sizes(loaded, runs, samples)
     name = "-".join(
         (
             f"{loaded.suite}-rare-{event.partition(':')[0]}",
@@ -114,7 +116,7 @@ def rare(
     warm_up()
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
-            cells = run_rare(
+            cells, failed = run_rare(
                 loaded,
                 folder,
                 event,
@@ -130,6 +132,10 @@ def rare(
         table = rare_table(loaded, name, definition, samples, cells)
         with locked(folder):
             write_table(folder, table)
+        if failed:
+            error = combined(failed)
+            error.add_note(unfinished(len(failed), len(loaded.cells), folder))
+            raise error
     except KeyboardInterrupt as interrupt:
         interrupt.add_note(f"finished runs are in {folder}")
         raise

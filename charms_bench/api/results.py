@@ -124,7 +124,7 @@ class Run:
 
     def interfaces(self) -> list[str]:
         """A line about each ego that is a network: what it observes and does, and how often."""
-        from charms_bench.plugins.onnx_policy import OnnxPolicy
+        from charms_bench.plugins.onnx_policy import ASSUMED, OnnxPolicy
         from charms_bench.plugins.registry import is_network
         from charms_bench.world.kinematics_observation import Kinematics
         from charms_bench.world.observations import Neighbours, described
@@ -141,6 +141,7 @@ class Run:
                 found.append(
                     f"{ego.title}: observes {seen}{f', the last {last}' if last > 1 else ''}; "
                     f"chooses {policy.actions} actions at {policy.decision_hz:g} Hz"
+                    f"{f'; {ASSUMED}' if policy.is_assumed else ''}"
                 )
         return found
 

@@ -230,7 +230,8 @@ def show(
 ) -> None:
     """Print the tables of a run, with 95 % intervals drawn to scale."""
     from charms_bench import api
-    from charms_bench.api.failures import MANIFEST as SEARCH
+    from charms_bench.episodes.search import MANIFEST as SEARCH
+    from charms_bench.report.progress import note
     from charms_bench.report.stored import holds, stored_tables
     from charms_bench.report.suite_table import printed
     from charms_bench.report.terminal import drawn
@@ -265,10 +266,13 @@ def show(
     say(f"{suite.title or suite.suite}\n{cells}, {engine}")
     for each in (table if metrics or everything else printed(table, suite.columns), *others):
         out().print(drawn(each, out().width))
-    with suppress(RunFolderError):  # tables are shown even where their rows are missing
+    try:
         opened = api.open_run(run)
         if remarks := [*opened.interfaces(), *opened.remarks()]:
             say("\n".join(["", *remarks]))
+    except RunFolderError as error:  # tables are shown even where their rows are missing
+        if folder.finished():
+            note(str(error))
 
 
 def _print_rare(folder: Path, as_json: bool) -> None:
@@ -289,14 +293,10 @@ def _print_rare(folder: Path, as_json: bool) -> None:
 
 def _print_search(folder: Path, as_json: bool) -> None:
     """The failures in the suite that `search` has written."""
+    from charms_bench.episodes.found_suite import found_in
     from charms_bench.episodes.search import FOUND
-    from charms_bench.runs.suite import load_suite
 
-    path = folder / FOUND
-    points: Any = ()
-    if path.exists():
-        scenarios = (entry.traffic.scenario for entry in load_suite(path).traffics)
-        points = next((each.points for each in scenarios if each is not None), ())
+    path, points = folder / FOUND, found_in(folder)
     if as_json:
         print_json({"failures": list(points), "suite": str(path) if points else None})
         return
@@ -385,7 +385,10 @@ def rescore(run: RunPath, metric_sets: MetricSets = None, as_json: Json = False)
 @app.command(rich_help_panel=EVALUATE)
 def report(
     runs: Annotated[
-        list[Path], typer.Argument(metavar="RUN...", help="Folders of finished runs and trainings.")
+        list[Path],
+        typer.Argument(
+            metavar="RUN...", help="Folders of finished runs, trainings, `rare` and `search`."
+        ),
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="OUT.html", help="HTML file to write.")

@@ -254,6 +254,8 @@ def export(
     facts = {"style": style} if style else {}
     if decision_hz is not None:
         facts["decision_hz"] = f"{decision_hz:g}"
+    from charms_bench.plugins.onnx_policy import ASSUMED, NOT_STATED
+
     export_zip = load(EXPORTERS, "sb3")
     records = []
     for checkpoint, output in outputs.items():
@@ -266,6 +268,7 @@ def export(
                 f"{shown(output)}: {sizes}, {made['activation']}; acts as {shown(checkpoint)} in "
                 f"{made['observations']:,} observations; observes {made['observation']}{last}, "
                 f"decides at {made['decision_hz']:g} Hz"
+                f"{f'; {ASSUMED}' if made['trained_in'] == NOT_STATED else ''}"
             )
     if as_json:
         print_json(records[0] if to is None else records)

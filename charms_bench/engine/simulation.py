@@ -92,6 +92,8 @@ class Simulation:
         every other ending after the decision interval."""
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
         """[B, N] the last meta-action, only meaningful where `has_action` is true."""
+        self.decided: list[tuple[Vehicles, Actions]] = []
+        """What policies have decided in the last simulation step."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
         """[B, N] whether the vehicle has been given a meta-action; never under a driver model,
         and never with continuous actions."""
@@ -289,7 +291,7 @@ class Simulation:
         if ego_actions is not None:
             rows = np.nonzero(active)[0]
             self.command((rows, self.scene.ego[rows]), ego_actions[rows])
-        decisions = []  # all policies see the scene before any action is carried out
+        self.decided = []  # all policies see the scene before any action is carried out
         for agent, policy in self._policies.items():
             period = round(self.settings.simulation_hz / policy.decision_hz)
             if self.settings.steps_per_decision % period == 0 and self.phase % period:
@@ -301,9 +303,9 @@ class Simulation:
             )
             if vehicles[0].size:
                 number = (frames // period)[vehicles[0]].astype(np.uint64)
-                decisions.append((vehicles, self._decide(agent, policy, vehicles, number)))
-        for vehicles, actions in decisions:
-            self.command(vehicles, actions)
+                self.decided.append((vehicles, self._decide(agent, policy, vehicles, number)))
+        for whose, actions in self.decided:
+            self.command(whose, actions)
         put = None if self.playback is None else self.playback.before_step()
         self.engine.advance(hold_egos=self.holds_egos and self.phase > 0, put=put)
         self.phase += 1

@@ -77,7 +77,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
             1,
             (0,),
             *made_traffic(traffic),
-            reward or _reward(actions),
+            reward or reward_of(actions),
             observation_of(observation),
             render_mode,
             actions=actions,
@@ -196,7 +196,7 @@ def ego_vector_env(
         scene_settings(scene),
         num_envs,
         *made_traffic(traffic),
-        reward or _reward(actions),
+        reward or reward_of(actions),
         first_seed,
         observation_of(observation),
         actions,
@@ -207,7 +207,7 @@ def ego_vector_env(
     )
 
 
-def _reward(actions: ActionKind) -> Reward[Any]:
+def reward_of(actions: ActionKind) -> Reward[Any]:
     """The default reward of a kind of actions."""
     return ProgressReward() if actions == "continuous" else HighwayReward()
 

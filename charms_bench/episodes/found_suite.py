@@ -1,16 +1,18 @@
 """Writes the failures that a search has found as a suite that runs."""
 
 import os
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from charms_bench.episodes.search import Search
+from charms_bench.episodes.search import FOUND, Search
 from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.registry import is_network
 from charms_bench.runs.document import Document
+from charms_bench.runs.suite import load_suite
 
 
 def write_found(search: Search, document: Document, traffic: int, path: Path) -> None:
@@ -41,6 +43,19 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
     moved = _moved(suite, document.folder, path.parent)
     text = yaml.safe_dump(moved, sort_keys=False, allow_unicode=True, width=100)
     write_bytes(path, text.encode())
+
+
+def found_in(folder: Path) -> tuple[Mapping[str, float], ...]:
+    """The failures in the suite that a search has written into its folder; empty without one.
+
+    Raises:
+        CharmsBenchError: The suite cannot be used.
+    """
+    path = folder / FOUND
+    traffics = load_suite(path).traffics if path.exists() else ()
+    scenarios = (entry.traffic.scenario for entry in traffics)
+    points: Any = next((each.points for each in scenarios if each is not None), ())
+    return tuple(points)
 
 
 def _moved(value: Any, old: Path, new: Path) -> Any:

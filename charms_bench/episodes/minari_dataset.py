@@ -1,6 +1,6 @@
 """What the ego of a run observed, did and gained, as a Minari dataset.
 
-The actions are meta-actions and the rewards those of `charms_bench/Ego-v0`, so an environment that
+The rewards are those of `charms_bench/Ego-v0` for the ego's kind of actions, so an environment that
 starts with an episode's seed and takes its actions gives the same observations and rewards.
 """
 
@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -17,18 +17,21 @@ from gymnasium.envs.registration import EnvSpec
 
 from charms_bench import __version__
 from charms_bench.engine.endings import ENDINGS
+from charms_bench.engine.simulation import Simulation
 from charms_bench.envs import ID
-from charms_bench.envs.highway_reward import HighwayReward
+from charms_bench.envs.ego_env import reward_of
+from charms_bench.envs.learners import Reward
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.foundation.words import counted
-from charms_bench.plugins.agent import Policy
-from charms_bench.plugins.registry import is_network
+from charms_bench.plugins.agent import Agent, Policy
+from charms_bench.plugins.registry import is_network, make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
+from charms_bench.world.actions import Actions
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import Neighbours, Observation, observation_of
+from charms_bench.world.observations import Neighbours, observation_of
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -56,24 +59,14 @@ def check_policy(recorded: RecordedCell) -> Policy:
     policy, title = chosen.ego.agent.make(recorded.networks), chosen.ego.title
     if not isinstance(policy, Policy):
         raise InputError(
-            f"{path}: {title} is a driver model, which chooses no meta-actions; choose "
+            f"{path}: {title} is a driver model, without observations and actions; choose "
             "an ego that is a policy, or --format highd, which has the trajectories of all egos"
-        )
-    if policy.actions != "meta":
-        raise InputError(
-            f"{path}: {title} has {policy.actions} actions; expected a policy that "
-            "chooses meta-actions, or --format highd, which has the trajectories of all egos"
         )
     if policy.decision_hz != chosen.scene.decision_hz:
         raise InputError(
             f"{path}: {title} decides {policy.decision_hz:g} times per second and the "
-            f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates"
-        )
-    steps = tuple(policy.target_speed_steps_mps)
-    if steps and steps != chosen.scene.profile.target_speed_steps_mps:
-        raise InputError(
-            f"{path}: {title} has speed steps of its own, {list(steps)} m/s, and the environments "
-            "have those of the profile; expected a policy with the profile's steps"
+            f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates, "
+            f"as after a run of the suite with scene.decision_hz: {policy.decision_hz:g}"
         )
     return policy
 
@@ -97,11 +90,12 @@ def write_minari(
     from minari.dataset.minari_storage import MinariStorage
 
     chosen, suite = recorded.cell, recorded.run.suite.suite
-    observation = observation_of(check_policy(recorded).observation)
+    policy = check_policy(recorded)
+    observation = observation_of(policy.observation)
     # `minari.create_dataset_from_buffers` keeps all episodes in memory and takes no folder.
     data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
-    spaces = spaces_of(chosen.scene, observation)
-    storage = MinariStorage.new(data, *spaces, environment_of(chosen, observation))
+    spaces = spaces_of(chosen.scene, observation, policy.actions)
+    storage = MinariStorage.new(data, *spaces, environment_of(chosen, policy))
     storage.update_metadata(
         {
             "dataset_id": name,
@@ -116,7 +110,7 @@ def write_minari(
     while first < len(episodes):
         shard = recorded.shard_of(episodes[first])
         some = episodes[first : first + len(shard)]
-        buffers, endings = _simulated(recorded, some, shard, observation)
+        buffers, endings = _simulated(recorded, some, shard, policy)
         storage.update_episodes(buffers)
         numbers = range(first, first + len(some))
         storage.update_episode_metadata([{"ending": each} for each in endings], numbers)
@@ -124,28 +118,53 @@ def write_minari(
         first += len(some)
 
 
-def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
+def environment_of(cell: Cell, policy: Policy) -> EnvSpec | None:
     """Returns what `gymnasium.make` needs to make the environment of a cell's episodes.
 
     It is None where plain values cannot describe the environment: for a scenario, a road, a traffic
-    with options, a network given by path, or an observation of a plugin.
+    with options, a network given by path, an observation of a plugin, or speed steps of the ego's
+    policy that the profile cannot have for it alone.
     """
-    traffic = cell.traffic.traffic
+    traffic, observation = cell.traffic.traffic, observation_of(policy.observation)
     is_plain = not (traffic.options or traffic.scenario or traffic.road)
     is_plain &= not any(map(is_network, (traffic.name or "", *traffic.mixture)))
     if not is_plain or not isinstance(observation, Neighbours | Kinematics):
         return None
+    scene, steps = cell.scene.model_dump(mode="json"), tuple(policy.target_speed_steps_mps)
+    profile = cell.scene.profile
+    if policy.actions == "meta" and steps and steps != profile.target_speed_steps_mps:
+        others = map(make_agent, traffic.make().agents)
+        if profile.target_speeds_mps or any(map(_has_steps_of_the_profile, others)):
+            return None
+        scene["profile"]["target_speed_steps_mps"] = list(steps)
     spec = deepcopy(gymnasium.spec(ID))
     spec.kwargs = {
         "traffic": traffic.name or traffic.mixture,
         "observation": {"type": observation.name, **observation.model_dump(mode="json")},
-        **cell.scene.model_dump(mode="json"),
+        "actions": policy.actions,
+        **scene,
     }
     return spec
 
 
+def _of_egos(simulation: Simulation) -> Actions:
+    """What policies have just decided for the egos, of all scenes; 0 in those that are over."""
+    decided = []
+    for (rows, places), actions in simulation.decided:
+        are_egos = places == simulation.scene.ego[rows]
+        decided.append((rows[are_egos], actions[are_egos]))
+    (rows, actions), *_ = [each for each in decided if each[0].size]
+    taken = np.zeros((simulation.scene.active.size, *actions.shape[1:]), actions.dtype)
+    taken[rows] = actions
+    return taken
+
+
+def _has_steps_of_the_profile(agent: Agent) -> bool:
+    return isinstance(agent, Policy) and not agent.target_speed_steps_mps
+
+
 def _simulated(
-    recorded: RecordedCell, episodes: Sequence[int], shard: range, observation: Observation
+    recorded: RecordedCell, episodes: Sequence[int], shard: range, policy: Policy
 ) -> tuple[list["EpisodeBuffer"], list[str]]:
     """Returns the egos' episodes, and how each ended.
 
@@ -156,14 +175,20 @@ def _simulated(
 
     simulation = recorded.simulation(len(shard))
     simulation.reset(np.array(shard, dtype=np.uint64))
-    recording, reward, egos = Recording(simulation), HighwayReward(), simulation.ego_vehicles
+    recording, observation = Recording(simulation), observation_of(policy.observation)
+    reward: Reward[Any] = reward_of(policy.actions)
+    egos = simulation.ego_vehicles
     observed = [observation(simulation.scene, egos)]
     taken, gained = [], []
     while simulation.scene.active.any():
-        simulation.step()
+        before = reward.prepare(simulation, simulation.action[egos])
+        simulation.advance()
+        taken.append(_of_egos(simulation))
+        while simulation.phase < simulation.settings.steps_per_decision:
+            simulation.advance()
+        simulation.finish_step()
         recording.note()
-        taken.append(simulation.action[egos])
-        gained.append(reward(simulation, None))
+        gained.append(reward(simulation, before))
         observed.append(observation(simulation.scene, egos))
     steps = recording.steps().filter(pl.col("episode").is_in(list(episodes)))
     recorded.check_steps(recorded.steps(episodes), steps)

@@ -42,6 +42,7 @@ POPULATION = 8
 GENERATIONS = 12
 """Generations after which the search starts again, from the next Sobol points."""
 
+MANIFEST = "search.json"
 FOUND = "found.yaml"
 """The suite of the failures, in the folder of a search."""
 

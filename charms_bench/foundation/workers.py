@@ -17,7 +17,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -41,6 +41,8 @@ _SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 """Otherwise, a new Python process imports modules from the current folder first."""
 FOR_PARENT = (signal.SIGINT, signal.SIGTERM)
 """What the terminal or the system sends to a group of processes, of which workers ignore it."""
+Failed = Callable[[Task, CharmsBenchError], Collection[Task]]
+"""Called with a task and its error; returns the tasks that are not to be started any more."""
 _numbers = itertools.count(1)
 """The numbers of tasks; no two tasks of this process have the same number."""
 
@@ -53,9 +55,10 @@ def in_processes(
     limit_s: float | None = None,
     notice: Callable[[str], None] = lambda what: None,
     environment: Mapping[str, str] = MappingProxyType({}),
+    failed: "Failed[Task] | None" = None,
 ) -> Generator[tuple[Task, Result], None, None]:
     """As `Pool`: yields each task with its result. Closing the generator ends the workers."""
-    with Pool(work, count, title, limit_s, notice, environment) as pool:
+    with Pool(work, count, title, limit_s, notice, environment, failed=failed) as pool:
         pool.add(tasks)
         yield from pool.results()
 
@@ -73,6 +76,7 @@ class Pool(Generic[Task, Result]):
         notice: Called with a message when a worker has died.
         environment: Environment variables that the processes are started with, besides ours.
         told: Called with what `tell` is given in a worker.
+        failed: Called with a task that failed; by default, `results` raises its error.
     """
 
     def __init__(
@@ -84,9 +88,11 @@ class Pool(Generic[Task, Result]):
         notice: Callable[[str], None] = lambda what: None,
         environment: Mapping[str, str] = MappingProxyType({}),
         told: Callable[[Any], None] = lambda what: None,
+        failed: Failed[Task] | None = None,
     ) -> None:
         self._work, self._count, self._title, self._limit_s = work, count, title, limit_s
         self._notice, self._environment, self._told = notice, environment, told
+        self._failed = failed
         self._waiting: deque[tuple[Task, int]] = deque()
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, _Busy[Task]] = {}
@@ -120,7 +126,12 @@ class Pool(Generic[Task, Result]):
                 if isinstance(result, BaseException):
                     if self._is_stopped:
                         continue
-                    raise result
+                    if self._failed is None or not isinstance(result, CharmsBenchError):
+                        raise result
+                    dropped = self._failed(task, result)
+                    kept = (each for each in self._waiting if each[0] not in dropped)
+                    self._waiting = deque(kept)
+                    continue
                 self._hand_out()  # the worker goes on while the caller uses the result
                 yield task, result
             if until is not None and time.monotonic() >= until:
@@ -157,9 +168,8 @@ class Pool(Generic[Task, Result]):
                 return ready  # type: ignore[return-value]  # `wait` takes other things, too
             now = time.monotonic()
             if self._limit_s is not None and now >= longest.since_s + self._limit_s:
-                raise WorkerError(
-                    f"{self._title(longest.task)} took longer than {self._limit_s:g} s"
-                )
+                longest.worker.process.kill()
+                return [longest.worker.connection]
             if until is not None and now >= until:
                 return []
 
@@ -175,9 +185,12 @@ class Pool(Generic[Task, Result]):
             if self._is_stopped:
                 done.worker.kill()
                 return None
-            what = f"a worker process {done.worker.death()} at {self._title(done.task)}"
+            title, death = self._title(done.task), done.worker.death()
+            if self._limit_s is not None and time.monotonic() >= done.since_s + self._limit_s:
+                return done.task, WorkerError(f"{title} took longer than {self._limit_s:g} s")
+            what = f"a worker process {death} at {title}"
             if done.tries == TRIES:
-                raise WorkerError(f"{what}, and so did {TRIES - 1} before it") from None
+                return done.task, WorkerError(f"{what}, and so did {TRIES - 1} before it")
             self._notice(f"{what}; another worker takes its place")
             self._waiting.appendleft((done.task, done.tries + 1))
             return None
@@ -187,7 +200,10 @@ class Pool(Generic[Task, Result]):
             self._told(result)
             return None
         del self._busy[connection]
-        self._idle.append(done.worker)
+        if isinstance(result, BaseException):
+            done.worker.kill()  # a plugin that fails may have changed its process
+        else:
+            self._idle.append(done.worker)
         return done.task, result
 
 

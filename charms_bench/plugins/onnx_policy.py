@@ -42,8 +42,14 @@ from charms_bench.world.scene import Floats, Observations
 SIZE_LIMIT_BYTES = 64 * 2**20
 KEYS = ("observation", "actions", "decision_hz", "target_speed_steps_mps", "history")
 """The keys of the metadata that decide how a network is asked."""
-_FACTS = ("activation", "stage", "style", "source", "source_sha256")
+_FACTS = ("activation", "stage", "style", "source", "source_sha256", "trained_in")
 """Those that the pipelines of this project also write."""
+NOT_STATED = "not stated"
+"""The fact `trained_in` of a checkpoint of highway-env, which does not name its environment."""
+ASSUMED = (
+    "its checkpoint does not say in which environment it was trained; if this was not highway-v0, "
+    "ranges of its observation and its target speeds can be others here"
+)
 ROWS_AT_ONCE = 512
 """Observations in one call of onnxruntime. A layer of 256 units then takes 512 KiB, so intermediate
 results stay in the cache of one core; a call costs as much as about ten observations."""
@@ -74,6 +80,9 @@ class OnnxPolicy(Policy):
             shapes, it has operators that are not arithmetic, or it takes too long.
     """
 
+    is_assumed: bool
+    """Whether nobody knows that it was trained on what it observes; see `ASSUMED`."""
+
     def __init__(self, path: str | Path, decision_hz: float | None = None) -> None:
         self.path = Path(path)
         try:
@@ -98,6 +107,7 @@ class OnnxPolicy(Policy):
         found = signature_of(self._session) if is_child() else tried(data)
         said = found.metadata
         _check_keys(said)
+        self.is_assumed = said.get("trained_in") == NOT_STATED
         try:
             self.observation = observation_described(said.get("observation", "neighbours"))
         except InputError as error:

@@ -29,33 +29,41 @@ def crashed(cell: CellRows) -> NDArray[np.bool_]:
     return rows["ending"].to_numpy().astype(np.bool_)
 
 
-def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> list[dict[str, NDArray[np.bool_]]]:
-    """Returns the episodes (E,) with each kind of collision, by the kind's name, of each cell.
+Kinds = dict[str, NDArray[np.bool_]]
+"""The episodes (E,) with each kind of collision, by the kind's name."""
 
-    Every collision is of one kind: `preventable` if all reference drivers avoid it,
-    `not_preventable` if none does, and otherwise `ONLY` and the name of the one that does.
+
+def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str], Kinds]:
+    """Returns the episodes with each kind of collision, by ego and traffic.
+
+    Cells whose reference drivers are not among the cells are left out. Every collision is of one
+    kind: `preventable` if all reference drivers avoid it, `not_preventable` if none does, and
+    otherwise `ONLY` and the name of the one that does.
     """
     has_crashed = {(cell.agent, cell.traffic): crashed(cell) for cell in cells}
-    found = []
-    for cell in cells:
-        mine = has_crashed[cell.agent, cell.traffic]
-        avoided = ~np.array([has_crashed[name, cell.traffic] for name in suite.preventable_by])
+    found = {}
+    for (agent, traffic), mine in has_crashed.items():
+        references = [(name, traffic) for name in suite.preventable_by]
+        if not has_crashed.keys() >= {*references}:
+            continue
+        avoided = ~np.array([has_crashed[reference] for reference in references])
         kinds = {"preventable": mine & avoided.all(axis=0)}
         if len(avoided) > 1:
             for name, each in zip(suite.preventable_by, avoided, strict=True):
                 kinds[ONLY + name] = mine & each & (avoided.sum(axis=0) == 1)
-        found.append({**kinds, "not_preventable": mine & ~avoided.any(axis=0)})
+        found[agent, traffic] = {**kinds, "not_preventable": mine & ~avoided.any(axis=0)}
     return found
 
 
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
     records = []
-    for cell, kinds in zip(cells, kinds_of(suite, cells), strict=True):
-        for name, each in {"crashed": crashed(cell), **kinds}.items():
+    for labels, kinds in kinds_of(suite, cells).items():
+        ended = np.any(list(kinds.values()), axis=0)
+        for name, each in {"crashed": ended, **kinds}.items():
             count = int(each.sum())
             bounds = wilson(count, each.size)
-            records.append((cell.agent, cell.traffic, name, count / each.size, *bounds, each.size))
+            records.append((*labels, name, count / each.size, *bounds, each.size))
     return from_frame(pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row"), suite)
 
 

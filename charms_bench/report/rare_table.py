@@ -2,13 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import polars as pl
 
+from charms_bench.errors import RunFolderError
 from charms_bench.report.number import Number
-from charms_bench.report.table import Column, Table
-from charms_bench.runs.rare import RareCell
+from charms_bench.report.stored import read_table
+from charms_bench.report.table import LONG, Column, Table, long_schema
+from charms_bench.runs.manifest import MANIFEST_LIMIT_BYTES, read_manifest
+from charms_bench.runs.rare import MANIFEST, RareCell
 from charms_bench.runs.suite import Suite
+from charms_bench.statistics.intervals import wilson
 from charms_bench.statistics.subset_simulation import interval
 
 Z = 1.959964
@@ -19,6 +25,13 @@ INTERVAL = (
 )
 
 
+MEANING = (
+    "probability: in one episode, with its 95 % interval. episodes: simulated in the pilot and "
+    "all runs. plain episodes: what plain simulation would need for an interval as narrow."
+)
+KEYS = ("agent", "traffic")
+
+
 def rare_table(
     suite: Suite, name: str, definition: str, samples: int, cells: Sequence[RareCell]
 ) -> Table:
@@ -26,10 +39,61 @@ def rare_table(
 
     `name` is that of its files, `definition` says what the event is.
     """
-    columns = (
+    columns = _columns(f"that {definition}")
+    records = []
+    numbers = [_probability(each, samples) for each in cells]
+    for each, number in zip(cells, numbers, strict=True):
+        records.append(
+            {
+                "agent": each.cell.ego.title,
+                "traffic": each.cell.traffic.title,
+                "probability": number,
+                "runs": len(each.runs),
+                "levels": len(each.pilot.thresholds),
+                "episodes": number.n,
+                "plain_episodes": plain_episodes(number),
+            }
+        )
+    title = f"{suite.title or suite.suite}: probability that {definition}"
+    note = _note(cells, numbers)
+    return Table.from_records(records, name, title, KEYS, columns, note)
+
+
+def stored_rare(folder: Path) -> Table:
+    """The table in the folder of an estimation.
+
+    Raises:
+        RunFolderError: It is not finished, or a file cannot be used.
+    """
+    manifest = read_manifest(folder / MANIFEST, MANIFEST_LIMIT_BYTES)
+    paths = sorted((folder / "tables").glob("*.csv"))
+    if not paths:
+        raise RunFolderError(f"{folder}: is not finished; the same command continues there")
+    try:
+        event, suite = str(manifest["event"]), manifest["suite"]
+        title = str(suite.get("title") or suite["suite"])
+    except (AttributeError, KeyError, TypeError) as error:
+        raise RunFolderError(f"{folder / MANIFEST}: names no event or no suite") from error
+    columns = {column.name: column for column in _columns(f"of the event `{event}`")}
+    table = Table.from_frame(
+        read_table(paths[0], long_schema(KEYS, LONG)),
+        paths[0].stem,
+        f"{title}: probability of the event {event}",
+        KEYS,
+        LONG,
+        lambda _, name: columns.get(name, Column(name)),
+    )
+    titles = [" in ".join(row.labels) for row in table.rows]
+    note = f"{MEANING} {_beside_plain(titles, [row.numbers[0] for row in table.rows])}"
+    return replace(table, note=note.rstrip())
+
+
+def _columns(of: str) -> tuple[Column, ...]:
+    """The columns of the table; `of` completes what the probability is."""
+    return (
         Column(
             "probability",
-            definition=f"probability that {definition} in an episode, by subset simulation "
+            definition=f"probability {of} in an episode, by subset simulation "
             "with thresholds from a pilot: mean of the independent runs",
             counted="episodes simulated",
             interval=INTERVAL,
@@ -45,22 +109,6 @@ def rare_table(
             form=",.0f",
         ),
     )
-    records = []
-    for each in cells:
-        number = _probability(each, samples)
-        records.append(
-            {
-                "agent": each.cell.ego.title,
-                "traffic": each.cell.traffic.title,
-                "probability": number,
-                "runs": len(each.runs),
-                "levels": len(each.pilot.thresholds),
-                "episodes": number.n,
-                "plain_episodes": plain_episodes(number),
-            }
-        )
-    title = f"{suite.title or suite.suite}: probability that {definition}"
-    return Table.from_records(records, name, title, ("agent", "traffic"), columns, _note(cells))
 
 
 def rare_runs(cells: Sequence[RareCell]) -> pl.DataFrame:
@@ -101,12 +149,33 @@ def _probability(cell: RareCell, samples: int) -> Number:
     return Number(value, low, high, episodes)
 
 
-def _note(cells: Sequence[RareCell]) -> str:
-    """How to read the table, and what to know of runs that have not reached the event."""
-    meaning = (
-        "probability: in one episode, with its 95 % interval. episodes: simulated in the pilot and "
-        "all runs. plain episodes: what plain simulation would need for an interval as narrow."
+def _beside_plain(titles: Sequence[str], numbers: Sequence[Number]) -> str:
+    """How wide the intervals are, and how wide those of as many plain episodes would be."""
+    found, is_wider = [], False
+    for title, number in zip(titles, numbers, strict=True):
+        if not number.value or number.n is None or number.low is None or number.high is None:
+            continue
+        low, high = wilson(number.value * number.n, number.n)
+        ratio = number.high / number.low if number.low else math.inf
+        is_wider |= ratio > high / low
+        found.append(f"{title}, {_two_digits(ratio)} ({_two_digits(high / low)})")
+    if not found:
+        return ""
+    advice = " Where it is smaller, use more samples per level, or count with `charms-bench run`."
+    return (
+        "Ratio of the interval's ends (in parentheses, that of as many plain episodes): "
+        f"{'; '.join(found)}.{advice * is_wider}"
     )
+
+
+def _two_digits(ratio: float) -> str:
+    return f"{float(f'{ratio:.2g}'):,.10g}"
+
+
+def _note(cells: Sequence[RareCell], numbers: Sequence[Number]) -> str:
+    """How to read the table, and what to know of runs that have not reached the event."""
+    titles = [each.cell.title for each in cells]
+    meaning = f"{MEANING} {_beside_plain(titles, numbers)}".rstrip()
     lost = [each for each in cells if any(run.probability == 0 for run in each.runs)]
     if not lost:
         return meaning

@@ -97,13 +97,13 @@ def run_tables(
         (drivers_table.from_frame(drivers, suite), ()),
     ]
     rows = [cell.rows for cell in cells]
-    if suite.pairs:
+    if suite.pairs and len(cells) > 1:
         pairs = pairs_table(suite, rows)
         apart = sum(any(cell.marked for cell in row.numbers) for row in pairs.rows)
         differ = f"{apart} of {len(pairs.rows)} pairs differ in at least one metric."
         made.append((pairs, [differ, guess_summary(suite, rows)]))
-    if suite.preventable_by:
-        made.append((preventable_table(suite, rows), ()))
+    if suite.preventable_by and (preventable := preventable_table(suite, rows)).rows:
+        made.append((preventable, ()))
     if references:
         realism = realism_table(suite, following, references)
         made.append((realism, [_described(each) for each in references]))

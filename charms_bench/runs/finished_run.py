@@ -2,11 +2,11 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from charms_bench.errors import RunFolderError
+from charms_bench.errors import CharmsBenchError, RunFolderError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
 from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.shard_rows import problem_of_steps
@@ -20,15 +20,22 @@ PART_ROWS = 2**18
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """A suite whose shards are all in a run folder."""
+    """A suite whose shards are in a run folder."""
 
     suite: Suite
     folder: RunFolder
     shards: tuple[Shard, ...]
+    failed: Mapping[int, CharmsBenchError] = field(default_factory=dict)
+    """Why cells are not finished, by cell; empty for a run that has been opened."""
+
+    @property
+    def finished(self) -> list[int]:
+        """The indices of the finished cells."""
+        return [index for index in range(len(self.suite.cells)) if index not in self.failed]
 
     def cells(self) -> list[CellRows]:
-        """Returns the rows of every cell; see `cell`."""
-        return [self.cell(index) for index in range(len(self.suite.cells))]
+        """Returns the rows of every finished cell; see `cell`."""
+        return [self.cell(index) for index in self.finished]
 
     def cell(self, index: int) -> CellRows:
         """Returns the rows of one cell, which are read when they are needed.
@@ -46,16 +53,18 @@ class FinishedRun:
         )
 
     def following(self) -> list[TrafficCounts]:
-        """Returns what the vehicles of every cell did while they followed a leader.
+        """Returns what the vehicles of every finished cell did while they followed a leader.
 
         Raises:
             RunFolderError: A file is missing or has changed since it was written.
         """
         return [
             TrafficCounts.of(
-                cell.traffic.title, self.suite.episodes, self._parts(index, "episodes", "counts")
+                self.suite.cells[index].traffic.title,
+                self.suite.episodes,
+                self._parts(index, "episodes", "counts"),
             )
-            for index, cell in enumerate(self.suite.cells)
+            for index in self.finished
         ]
 
     def _parts(self, cell: int, *kinds: str) -> "_Parts":

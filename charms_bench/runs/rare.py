@@ -4,7 +4,7 @@ The folder has a manifest and one file per finished pilot or run of subset simul
 written whole or not at all, so an interrupted estimation continues with the runs that are missing.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from charms_bench.plugins.specs import networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.manifest import opened_for_suite
 from charms_bench.runs.rare_task import RareTask, estimate, event_of, software_of
-from charms_bench.runs.runner import on_this_machine
+from charms_bench.runs.runner import combined, note_failure, on_this_machine
 from charms_bench.runs.shard import forget_agents, traffic_of
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.statistics.subset_simulation import SHARE, SubsetRun
@@ -28,6 +28,9 @@ LEAST_RUNS = 5
 MOST_RUNS = 1000
 LEAST_SAMPLES = 100
 """With fewer, a level often has no episode below its threshold."""
+FEW_SAMPLES = 1000
+"""With fewer, the intervals of the suite `rare` were wider than those of as many plain episodes, as
+docs/stress-tests.md shows."""
 DRAWS_LIMIT = 2**27
 """Most random draws of a level, which are kept in memory."""
 RUN_LIMIT_S = 4 * 3600.0
@@ -47,6 +50,18 @@ class RareCell:
     runs: tuple[SubsetRun, ...]
 
 
+def check_sizes(suite: Suite, runs: int, samples: int) -> None:
+    """Raises an `InputError` if an estimation cannot have so many runs or samples per level."""
+    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
+    if not LEAST_RUNS <= runs <= MOST_RUNS:
+        raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
+    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
+        raise InputError(
+            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
+            f"{most:,}"
+        )
+
+
 def run_rare(
     suite: Suite,
     output: Path,
@@ -56,24 +71,23 @@ def run_rare(
     workers: int | None,
     progress: Callable[[Cell, int], None],
     notice: Callable[[str], None],
-) -> list[RareCell]:
+) -> tuple[list[RareCell], dict[int, CharmsBenchError]]:
     """Estimates the probability of an event in every cell; see `charms_bench.rare`.
 
+    Returns the finished cells, and the errors of those whose agents fail, by their indices.
     `progress` is called for every finished run, first for those already in the folder, and `notice`
     with a message about what went wrong and was put right. If a `CharmsBenchError` is raised, the
     folder keeps the runs finished so far.
     """
-    most = DRAWS_LIMIT // (4 * suite.scene.vehicles + 1)
-    if not LEAST_RUNS <= runs <= MOST_RUNS:
-        raise InputError(f"runs is {runs}; expected {LEAST_RUNS} to {MOST_RUNS:,}")
-    if not LEAST_SAMPLES <= samples <= most or samples % round(1 / SHARE):
-        raise InputError(
-            f"samples is {samples}; expected a multiple of {1 / SHARE:g} from {LEAST_SAMPLES} to "
-            f"{most:,}"
+    if samples < FEW_SAMPLES:
+        notice(
+            f"{samples} samples per level are few: the intervals are often wider than those of as "
+            f"many plain episodes; use --samples {FEW_SAMPLES} or more (in Python: samples)"
         )
     event_of(event)
     for cell in suite.cells:
         cell.scene.check_straight("rare events are estimated on")
+    failed: dict[int, CharmsBenchError] = {}
 
     def finished(tasks: Mapping[Place, RareTask]) -> dict[Place, SubsetRun]:
         """The runs or pilots of some tasks, from the folder if they are there."""
@@ -85,7 +99,13 @@ def run_rare(
             else:
                 found[place] = made
                 progress(suite.cells[place[0]], 1)
-        running = on_this_machine(estimate, "batched", workers, missing, RUN_LIMIT_S, notice)
+
+        def fail(task: RareTask, error: CharmsBenchError) -> Collection[RareTask]:
+            cell, _ = missing[task]
+            note_failure(suite, cell, error, failed, notice)
+            return {each for each, place in missing.items() if place[0] == cell}
+
+        running = on_this_machine(estimate, "batched", workers, missing, RUN_LIMIT_S, notice, fail)
         with closing(running):
             for task, made in running:
                 place = missing[task]
@@ -100,6 +120,8 @@ def run_rare(
         try:
             pilots = finished(tasks)
             made = finished(_runs(tasks, pilots, runs))
+            if len(failed) == len(suite.cells):
+                raise combined(failed)
         except CharmsBenchError as error:
             if any(_file(output, *pilot).exists() for pilot in tasks.items()):
                 error.add_note(f"finished runs are in {output}; the same command continues there")
@@ -107,7 +129,8 @@ def run_rare(
     return [
         RareCell(cell, pilots[index, 0], tuple(made[index, run] for run in range(1, runs + 1)))
         for index, cell in enumerate(suite.cells)
-    ]
+        if index not in failed
+    ], failed
 
 
 def damaged_files(folder: Path) -> list[Path]:
@@ -140,9 +163,11 @@ def _pilots(suite: Suite, event: str, samples: int) -> dict[Place, RareTask]:
 def _runs(
     pilot_tasks: Mapping[Place, RareTask], pilots: Mapping[Place, SubsetRun], runs: int
 ) -> dict[Place, RareTask]:
-    """Returns the runs of each cell, which start from 1."""
+    """Returns the runs of each cell that has a pilot; their numbers start from 1."""
     tasks = {}
     for (index, _), task in pilot_tasks.items():
+        if (index, 0) not in pilots:
+            continue  # it has failed
         of_cell = task.title.removesuffix("pilot")
         for run in range(1, runs + 1):
             title, pilot = f"{of_cell}run {run}", pilots[index, 0]

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 from charms_bench.engine import EngineName
 from charms_bench.engine.exact_maths import worker_environment
-from charms_bench.errors import CharmsBenchError, SuiteError
+from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.foundation.words import counted
-from charms_bench.foundation.workers import in_processes
+from charms_bench.foundation.workers import Failed, in_processes
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.cells import CellRows
@@ -35,6 +35,8 @@ from charms_bench.world.scene import EVALUATION_SEEDS
 
 T = TypeVar("T", bound=CellTask)
 R = TypeVar("R")
+LISTED = 10
+"""Most errors of other cells that a message lists."""
 SHARD_LIMIT_S = 1800.0
 """Far longer than a shard takes if its agents answer."""
 
@@ -67,6 +69,9 @@ def run(
 ) -> FinishedRun:
     """Runs a suite in the folder `output`; finished shards in it are not simulated again.
 
+    A cell whose agents or traffic model fail does not end the run: it is one of `failed`. On a
+    cluster it does, because a failed plugin may have changed the process, which is not ours to end.
+
     Args:
         suite: What to run.
         output: The run folder. An interrupted run in it is continued.
@@ -84,9 +89,11 @@ def run(
     Raises:
         CharmsBenchError: Something is wrong; the folder keeps the shards finished so far.
     """
-    folder = RunFolder(output)
+    folder, failed = RunFolder(output), dict[int, CharmsBenchError]()
     with folder.opened_for(suite, engine):
-        tasks = plan(suite, engine)
+        tasks = plan(suite, engine, failed)
+        for error in failed.values():
+            notice(f"{error}; the other cells are run")
         agents = {
             name: identity
             for task in tasks.values()
@@ -101,7 +108,7 @@ def run(
             folder.keep_network(path, agents[name]["weights_sha256"])
         if rows is not None:
             folder.take(tasks, rows)
-        run = FinishedRun(suite, folder, tuple(tasks))
+        run = FinishedRun(suite, folder, tuple(tasks), failed)
         unfinished = Counter(shard.cell for shard in tasks)
 
         def finish(shard: Shard) -> None:
@@ -118,19 +125,29 @@ def run(
             missing[task] = shard
             if folder.has(shard):
                 notice(f"{task.title}: changed since they were written; simulated again")
+
+        def fail(task: ShardTask, error: CharmsBenchError) -> Collection[ShardTask]:
+            cell = missing[task].cell
+            note_failure(suite, cell, error, failed, notice)
+            return {each for each, shard in missing.items() if shard.cell == cell}
+
         _note_replaced(suite, before, folder.finished(), missing.values(), notice)
-        simulate_all = cluster or partial(on_this_machine, simulate, engine, workers)
-        with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
-            try:
+        here = partial(on_this_machine, simulate, engine, workers, failed=fail)
+        simulate_all: SimulateAll = cluster or here
+        try:
+            with closing(simulate_all(list(missing), shard_limit_s, notice)) as finished:
                 for task, files in finished:
                     folder.write(missing[task], files)
                     finish(missing[task])
-            except CharmsBenchError as error:
-                if folder.finished():
-                    kept = f"finished shards are in {output}"
-                    error.add_note(f"{kept}; the same command continues there")
-                raise
-        folder.drop_others(tasks)
+            if len(failed) == len(suite.cells):
+                raise combined(failed)
+        except CharmsBenchError as error:
+            if folder.finished():
+                kept = f"finished shards are in {output}"
+                error.add_note(f"{kept}; the same command continues there")
+            raise
+        if not failed:
+            folder.drop_others(tasks)
     return run
 
 
@@ -164,11 +181,16 @@ def _note_replaced(
         )
 
 
-def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
+def plan(
+    suite: Suite, engine: EngineName, failed: dict[int, CharmsBenchError] | None = None
+) -> dict[Shard, ShardTask]:
     """Returns the shards of a suite, by cell and seed, each with the task that simulates it.
 
+    The errors of cells that their agents cannot drive are added to `failed`, by cell.
+
     Raises:
-        CharmsBenchError: A seed is one of training episodes, or an agent cannot be made.
+        CharmsBenchError: A seed is one of training episodes, an agent cannot be made, or no cell
+            can be driven.
     """
     if suite.seed + suite.episodes > EVALUATION_SEEDS:
         raise SuiteError(
@@ -177,9 +199,44 @@ def plan(suite: Suite, engine: EngineName) -> dict[Shard, ShardTask]:
         )
     forget_agents()
     tasks: dict[Shard, ShardTask] = {}
+    failed = {} if failed is None else failed
     for index in range(len(suite.cells)):
-        tasks |= plan_cell(suite, index, engine)
+        try:
+            tasks |= plan_cell(suite, index, engine)
+        except SuiteError as error:
+            failed[index] = error
+    if not tasks:
+        raise combined(failed)
     return tasks
+
+
+def note_failure(
+    suite: Suite,
+    cell: int,
+    error: CharmsBenchError,
+    failed: dict[int, CharmsBenchError],
+    notice: Notice,
+) -> None:
+    """Adds the first error of a cell to `failed`; raises an error that is no agent's fault."""
+    if isinstance(error, RunFolderError):
+        raise error
+    if cell in failed:
+        return
+    failed[cell] = error
+    if len(suite.cells) > 1:
+        if (title := suite.cells[cell].title) not in str(error):
+            error.args = (f"{title}: {error}",)
+        notice(f"{error}; the other cells are run")
+
+
+def combined(failed: Mapping[int, CharmsBenchError]) -> CharmsBenchError:
+    """Returns the first of the errors of cells, with notes on the others."""
+    first, *others = {str(error): error for error in failed.values()}.values()
+    for other in others[:LISTED]:
+        first.add_note(str(other))
+    if len(others) > LISTED:
+        first.add_note(f"and {len(others) - LISTED} more errors")
+    return first
 
 
 def plan_cell(
@@ -245,6 +302,14 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
             )
 
 
+def unfinished(failed: int, cells: int, folder: Path) -> str:
+    """Returns the note on a run of which some cells have failed."""
+    return (
+        f"{cells - failed} of {counted(cells, 'cell')} are finished; `charms-bench show {folder}` "
+        "prints their tables, and the same command continues there"
+    )
+
+
 def on_this_machine(
     work: Callable[[T], R],
     engine: EngineName,
@@ -252,6 +317,7 @@ def on_this_machine(
     tasks: Collection[T],
     limit_s: float,
     notice: Notice,
+    failed: Failed[T] | None = None,
 ) -> Generator[tuple[T, R], None, None]:
     """Does the work of tasks in processes on this machine; see `SimulateAll`."""
     count = min(workers or os.cpu_count() or 1, len(tasks))
@@ -260,4 +326,6 @@ def on_this_machine(
         """What messages call a task whose worker has died, perhaps because of a network."""
         return f"{task.title} ({', '.join(task.networks)})" if task.networks else task.title
 
-    return in_processes(work, tasks, count, title, limit_s, notice, worker_environment(engine))
+    return in_processes(
+        work, tasks, count, title, limit_s, notice, worker_environment(engine), failed
+    )

@@ -90,7 +90,8 @@ def test_a_highway_env_network_is_not_exported_as_one_of_neighbours(tmp_path: Pa
     for more in (), ("--observation", "neighbours"):
         assert f"--observation '{kinematics}'" in refusal(path, *more)
     done = charms_bench("export", path, tmp_path / "k.onnx", "--observation", kinematics)
-    assert "observes Kinematics, decides at 1 Hz" in done.stdout
+    assert "observes Kinematics, decides at 1 Hz; its checkpoint does not say" in done.stdout
+    assert OnnxPolicy(tmp_path / "k.onnx").is_assumed  # merge-v0 has the same space
 
 
 def test_the_environment_of_the_papers_authors_has_no_bounds(tmp_path: Path) -> None:

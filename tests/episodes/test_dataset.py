@@ -94,7 +94,7 @@ def test_an_interrupted_dataset_leaves_nothing(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"ego": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, which chooses no meta-actions"),
+        ({"ego": "IDM+MOBIL"}, "IDM.MOBIL is a driver model, without observations"),
         ({}, "choose one with --ego and --traffic"),
         ({"ego": "Keep right", "episodes": 5}, "5 episodes; expected 1 to 4"),
         ({"ego": "Keep right", "output": "data"}, "data: .* a version at the end, as in charms-"),
@@ -108,11 +108,11 @@ def test_what_minari_cannot_hold_is_refused(
         run.dataset("minari", **options)
 
 
-def test_an_ego_with_continuous_actions_is_refused(
+def test_an_ego_that_decides_at_another_rate_is_refused(
     run: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(type(make_agent("outside_policy")), "actions", "continuous")
-    with pytest.raises(InputError, match="Keep right has continuous actions; expected a policy"):
+    monkeypatch.setattr(type(make_agent("outside_policy")), "decision_hz", 5.0)
+    with pytest.raises(InputError, match=r"equal rates, as .* the suite with scene.decision_hz: 5"):
         minari_dataset.check_policy(RecordedCell(run._finished, 1, Path()))
 
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from charms_bench.episodes.avoidability import _Always, avoidability, collisions
-from charms_bench.episodes.minari_dataset import check_policy
+from charms_bench.episodes.minari_dataset import check_policy, environment_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import replay
 from charms_bench.episodes.what_if import what_if
-from charms_bench.errors import InputError
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
 from charms_bench.world.actions import ACTIONS, FASTER, SLOWER, Actions
@@ -104,7 +103,8 @@ def test_a_replaced_action_is_carried_out_with_the_steps_of_its_driver(
     assert asked == {(4.0, 3.0), ()}  # of the ego, and of level_0 in the traffic
 
 
-def test_no_environment_has_the_actions_of_its_dataset(cell: RecordedCell) -> None:
-    with pytest.raises(InputError, match=r"hasty has speed steps of its own, \[4\.0, 3\.0\] m/s"):
-        check_policy(cell)
+def test_no_environment_has_its_steps_beside_drivers_with_those_of_the_profile(
+    cell: RecordedCell,
+) -> None:
+    assert environment_of(cell.cell, check_policy(cell)) is None
     check_policy(RecordedCell(cell.run, 1, Path()))

@@ -1,19 +1,23 @@
 """Minari datasets: the episodes that the environment of the dataset gives."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+import yaml
 
 import charms_bench
 from charms_bench.envs import ID
 from charms_bench.episodes.minari_dataset import environment_of
+from charms_bench.plugins.agent import Policy
 from charms_bench.runs.shards import SHARD_EPISODES
 from charms_bench.runs.suite import Suite
+from charms_bench.world.actions import IDLE, Actions
 from charms_bench.world.kinematics_observation import Kinematics
-from charms_bench.world.observations import neighbours
+from charms_bench.world.scene import Observations
 
 SUITE = """\
 suite: small
@@ -23,6 +27,11 @@ scene: {duration_s: 8.0, traffic_vehicles: 10, density: 2.0, profile: highway-en
 egos: [{agent: outside_policy}]
 traffic_models: [{traffic: {mixture: {idm_mobil: 0.5, outside_policy: 0.5}}}]
 """
+
+
+class Idle(Policy):
+    def decide(self, observations: Observations) -> Actions:
+        return np.full(len(observations), IDLE)
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +70,12 @@ def test_minari_loads_all_episodes_with_their_seeds_and_endings(
 
 
 def test_its_environment_gives_the_same_episodes_to_the_last_bit(loaded: Any) -> None:
-    env = loaded.recover_environment()
-    for episode, told in zip(loaded, loaded.storage.get_episode_metadata(range(8)), strict=True):
+    check_repeats(loaded, 8)
+
+
+def check_repeats(loaded: Any, episodes: int) -> None:
+    env, told_of = loaded.recover_environment(), loaded.storage.get_episode_metadata
+    for episode, told in zip(loaded, told_of(range(episodes)), strict=True):
         observation, _ = env.reset(seed=int(told["seed"]))
         steps = [env.step(action) for action in episode.actions]
         observations = [observation, *(step[0] for step in steps)]
@@ -71,6 +84,36 @@ def test_its_environment_gives_the_same_episodes_to_the_last_bit(loaded: Any) ->
         np.testing.assert_array_equal(episode.terminations, [step[2] for step in steps])
         np.testing.assert_array_equal(episode.truncations, [step[3] for step in steps])
         assert episode.terminations[-1] != episode.truncations[-1]
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        {"actions": "continuous"},
+        {"target_speed_steps_mps": "[1.0, 3.0]"},
+        {"decision_hz": "5", "actions": "continuous", "history": "2"},
+    ],
+)
+def test_continuous_actions_and_own_speed_steps_repeat_in_its_environment(
+    minari: Any, network_file: Callable[..., Path], tmp_path: Path, metadata: dict[str, str]
+) -> None:
+    inputs, outputs = 35 * int(metadata.get("history", 1)), 2 if "actions" in metadata else 5
+    weights = np.random.default_rng(1).normal(size=(inputs, outputs)) / 8
+    path = network_file(np.tanh(weights) / 20, metadata=metadata)
+    hz = int(metadata.get("decision_hz", 3))
+    scene = {"duration_s": 4.0, "traffic_vehicles": 9, "simulation_hz": 15, "decision_hz": hz}
+    suite = {"suite": "s", "episodes": 3, "scene": scene, "egos": [{"agent": str(path)}]}
+    (tmp_path / "suite.yaml").write_text(
+        yaml.safe_dump({**suite, "traffic_models": [{"traffic": "idm_mobil"}]})
+    )
+    made = charms_bench.run(tmp_path / "suite.yaml", tmp_path / "run", workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+        made.dataset("minari", tmp_path / "own-v0")
+        loaded = minari.load_dataset("own-v0")
+    check_repeats(loaded, 3)
+    assert loaded.action_space == loaded.recover_environment().action_space
+    assert len(np.unique(np.concatenate([each.actions for each in loaded]), axis=0)) > 1
 
 
 def test_its_spaces_are_those_of_its_environment(loaded: Any) -> None:
@@ -92,12 +135,14 @@ def test_its_spaces_are_those_of_its_environment(loaded: Any) -> None:
 def test_only_a_traffic_of_plain_values_has_an_environment(traffic: Any, is_plain: bool) -> None:
     entries = {"egos": [{"agent": "charms"}], "traffic_models": [{"traffic": traffic}]}
     (cell,) = Suite.model_validate({"suite": "s", "episodes": 1, **entries}).cells
-    assert (environment_of(cell, neighbours) is not None) == is_plain
+    assert (environment_of(cell, Idle()) is not None) == is_plain
 
 
 def test_highway_envs_observation_is_that_of_the_environment(run: charms_bench.Run) -> None:
     shown = Kinematics(vehicles_count=3, features_range={"x": (-50.0, 50.0)})
-    spec = environment_of(run.suite.cells[0], shown)
+    policy = Idle()
+    policy.observation = shown
+    spec = environment_of(run.suite.cells[0], policy)
     assert spec is not None
     again = gymnasium.envs.registration.EnvSpec.from_json(spec.to_json())
     env = gymnasium.make(again)

@@ -109,13 +109,13 @@ def test_a_key_follows_the_order_of_a_mixture_and_its_share_of_each_network(
 def test_a_run_says_what_its_networks_observe_and_do(
     network_file: NetworkFile, tmp_path: Path
 ) -> None:
-    network_file(name="mine.onnx")
+    network_file(name="mine.onnx", metadata={"trained_in": "not stated"})
     (tmp_path / "suite.yaml").write_text(
         "suite: small\nepisodes: 2\nscene: {duration_s: 2.0, traffic_vehicles: 6}\n"
         "egos: [{agent: {onnx: mine.onnx, decision_hz: 1}, label: PPO}, {agent: idm_mobil}]\n"
         "traffic_models: [{traffic: idm_mobil}]\n"
     )
-    what = "PPO: observes neighbours; chooses meta actions at 1 Hz\n"
+    what = "PPO: observes neighbours; chooses meta actions at 1 Hz; its checkpoint does not"
     for command in (["run", "suite.yaml", "--workers", "1"], ["show", "runs/small"]):
         assert what in charms_bench(*command, cwd=tmp_path).stdout
 

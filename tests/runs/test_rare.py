@@ -15,6 +15,7 @@ from command_line import charms_bench
 
 from charms_bench import api
 from charms_bench.errors import InputError, RunFolderError
+from charms_bench.runs import rare
 
 SUITE = """\
 suite: crowded
@@ -55,6 +56,48 @@ def test_the_table_has_the_probability_its_interval_and_what_it_cost(whole: api.
     assert row["plain_episodes"] > 0
     assert "0.7 s or less" in whole.table.title
     assert (whole.path / "tables" / "crowded-rare-ttc.md").exists()
+
+
+def test_the_note_compares_the_interval_with_that_of_as_many_plain_episodes(
+    whole: api.Rare,
+) -> None:
+    number = whole.table.rows[0].numbers[0]
+    plain = proportion_ci(number.value * number.n, number.n)
+    said = f"IDM in mixed, {number.high / number.low:.2g} ({plain[1] / plain[0]:.2g})"
+    assert said in whole.table.note
+    assert "use more samples per level" in whole.table.note  # 100 are few
+
+
+def test_a_report_has_its_table_with_the_note(whole: api.Rare, tmp_path: Path) -> None:
+    made = charms_bench("report", whole.path, "--output", tmp_path / "report.html")
+    assert made.returncode == 0, made.stderr
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    probability = whole.table.rows[0].numbers[0].value
+    assert f"crowded: probability of the event {EVENT}" in page
+    assert f"{probability:.2e}" in page.replace("\u2212", "-")
+    assert "IDM in mixed, " in page
+
+
+@pytest.mark.parametrize(("samples", "says"), [(995, True), (1000, False)])
+def test_few_samples_are_said_before_anything_is_simulated(
+    tmp_path: Path, suite: Path, monkeypatch: pytest.MonkeyPatch, samples: int, says: bool
+) -> None:
+    monkeypatch.setattr(rare, "on_this_machine", lambda *_: interrupt())
+    notices: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        api.rare(suite, EVENT, tmp_path / "out", samples=samples, notice=notices.append)
+    assert [f"{samples} samples per level are few" in each for each in notices] == [True] * says
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def proportion_ci(events: float, n: int) -> tuple[float, float]:
+    """Wilson's interval (Wilson 1927, eq. for p), written out."""
+    z, p = 1.959964, events / n
+    middle, half = p + z**2 / (2 * n), z * (p * (1 - p) / n + (z / (2 * n)) ** 2) ** 0.5
+    return (middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)
 
 
 def test_the_share_of_plain_episodes_is_in_the_interval(whole: api.Rare, suite: Path) -> None:

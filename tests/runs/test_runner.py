@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charms_bench.errors import AgentError, RunFolderError, SuiteError
+from charms_bench.errors import AgentError, CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.metrics import METRIC_SETS
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs import finished_run, runner, shards
@@ -271,10 +271,40 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("small_shards")
 def test_an_agent_that_fails_late_costs_none_of_the_finished_shards(tmp_path: Path) -> None:
     egos = [{"agent": "idm_mobil"}, {"agent": "outside_raising"}]
-    with pytest.raises(AgentError, match="agent 'outside_raising', episode 0, step 0: raised"):
-        run(suite(egos=egos), tmp_path, workers=1)
+    left = run(suite(egos=egos), tmp_path, workers=1)
+    said = "outside_raising in idm_mobil: agent 'outside_raising', episode 0, step 0: raised"
+    assert [index for index, error in left.failed.items() if said in str(error)] == [1]
     assert len(list((tmp_path / "episodes").glob("000-*.parquet"))) == 3
     assert not list(tmp_path.rglob("*.partial"))
+
+
+@pytest.mark.usefixtures("small_shards")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_cell_that_fails_leaves_the_others_alone(tmp_path: Path, workers: int) -> None:
+    egos = [{"agent": "outside_raising"}, {"agent": "idm_mobil"}]
+    notices: list[str] = []
+    left = run(suite(egos=egos), tmp_path, workers=workers, notice=notices.append)
+    assert [cell.agent for cell in left.cells()] == ["idm_mobil"]
+    (said,) = notices  # once, though the cell has three shards
+    assert said.startswith("outside_raising in idm_mobil: agent 'outside_raising', episode ")
+    with pytest.raises(RunFolderError, match="0 of 25 episodes of outside_raising"):
+        open_finished(tmp_path)
+    assert set(run(suite(egos=egos), tmp_path, workers=1).failed) == {0}
+
+
+def test_a_run_of_which_every_cell_fails_has_no_rows(tmp_path: Path) -> None:
+    egos = [{"agent": "outside_raising"}, {"agent": "outside_raising", "label": "Again"}]
+    with pytest.raises(AgentError, match="in idm_mobil: agent 'outside_raising', ep") as raised:
+        run(suite(egos=egos, episodes=2), tmp_path, workers=1)
+    assert [note[:5] for note in raised.value.__notes__] == ["Again"]
+
+
+def test_a_planner_that_cannot_drive_on_a_road_drives_the_other_cells() -> None:
+    traffics = [{"traffic": {"road": "merge-v0"}, "label": "Merge"}, {"traffic": "idm_mobil"}]
+    made = suite(egos=[{"agent": "mpc"}], traffic_models=traffics, scene={"duration_s": 1.0})
+    failed: dict[int, CharmsBenchError] = {}
+    assert {shard.cell for shard in plan(made, "batched", failed)} == {1}
+    assert "plans on copies of a straight road" in str(failed[0])
 
 
 def test_evaluation_seeds_stay_below_those_of_trainings() -> None:

@@ -221,6 +221,9 @@ def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
     shown = command_line("show", folder)
     assert "found.yaml" in shown.stdout, shown
     assert len(json.loads(command_line("show", folder, "--json").stdout)["failures"]) == 2
+    page = tmp_path / "found.html"
+    assert command_line("report", folder, "--output", page).returncode == 0
+    assert "Failures of a search: found" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -299,8 +299,8 @@ def fragile(tmp_path: Path) -> dict[str, str]:
     ("how", "code", "message"),
     [
         ("once", 0, "was killed (SIGKILL, as when memory runs out) at Fragile in idm_mobil, epis"),
-        ("always", 2, "at Fragile in idm_mobil, episodes 0 to 4, and so did 2 before it; finished"),
-        ("hangs", 2, "Fragile in idm_mobil, episodes 0 to 4 took longer than 20 s; finished shar"),
+        ("always", 2, "at Fragile in idm_mobil, episodes 0 to 4, and so did 2 before it; 1 of 2 c"),
+        ("hangs", 2, "Fragile in idm_mobil, episodes 0 to 4 took longer than 20 s; 1 of 2 cells"),
     ],
 )
 def test_a_plugin_that_kills_or_hangs_its_worker_costs_no_finished_shard(

@@ -26,6 +26,7 @@ from charms_agents.training.sb3_checkpoint import (
 )
 from charms_agents.training.sb3_space import input_of, read_statistics, trained_on
 from charms_bench.errors import ModelError
+from charms_bench.plugins.onnx_policy import NOT_STATED
 from charms_bench.testing import example_scene
 from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
@@ -98,7 +99,8 @@ def export_zip(
 
     Returns:
         sizes (inputs, units of each hidden layer, outputs), activation, sha256 of the
-        checkpoint, observation, decision_hz, history, and observations and ties from `export`.
+        checkpoint, observation, decision_hz, history, the environment that it was trained_in, and
+        observations and ties from `export`.
 
     Raises:
         ModelError: The checkpoint is not a zip of one of these with a suitable MLP; nothing is
@@ -139,12 +141,14 @@ def export_zip(
         raise ModelError(f"{checkpoint}: {error}") from error
     name = checkpoint.name.encode(errors="replace").decode()
     activation = said or f"{found.activation} (assumed)"
+    observation = seen.observation
+    is_assumed = isinstance(observation, Kinematics) and not trained.where
     provenance = {
         "source": f"{name}, a Stable-Baselines3 checkpoint",
         "source_sha256": content_sha256,
         "activation": activation,
+        **({"trained_in": NOT_STATED} if is_assumed else {}),
     }
-    observation = seen.observation
     masked = is_maskable(data) and isinstance(observation, Neighbours)
     asked = observation.model_copy(update={"action_mask": True}) if masked else observation
     scenes = np.concatenate([_seen(asked, seed) for seed in CHECKED_SEEDS])
@@ -158,6 +162,7 @@ def export_zip(
         "observation": observation.name,
         "decision_hz": float(facts["decision_hz"]),
         "history": given.history,
+        "trained_in": NOT_STATED if is_assumed else trained.where.get("environment"),
     }
     return {
         "sizes": sizes, "activation": activation, "sha256": content_sha256, **found_facts, **checked

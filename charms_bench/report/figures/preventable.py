@@ -52,15 +52,16 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     if not points or not suite.preventable_by:
         return None
     has_crashed = {(cell.agent, cell.traffic): crashed(cell) for cell in cells}
-    kinds = {
-        (cell.agent, cell.traffic): each
-        for cell, each in zip(cells, kinds_of(suite, cells), strict=True)
-    }
+    if not (kinds := kinds_of(suite, cells)):
+        return None
     looks = LOOKS | dict(zip((ONLY + name for name in suite.preventable_by), OF_ONLY, strict=False))
     egos = [ego.title for ego in suite.egos]
     count = len(egos) * len(points)
     figure, every = panels(count, 3.1, 2.15, len(points))
     for axes, (ego, title) in zip(every, product(egos, points), strict=True):
+        if (ego, title) not in kinds:
+            axes.set_axis_off()  # it is not finished
+            continue
         (across, x), (up, y) = points[title]
         survives = 1.0 - np.mean(
             [has_crashed[name, title] for name in suite.preventable_by], axis=0

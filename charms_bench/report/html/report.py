@@ -11,10 +11,11 @@ from charms_bench.report.html.episode import beside, for_page
 from charms_bench.report.html.page import check_page, render
 from charms_bench.report.html.sections import (
     evaluation_section,
+    table_section,
     training_section,
     what_if_section,
 )
-from charms_bench.report.html.sources import Evaluation, TrainingFolder, open_sources
+from charms_bench.report.html.sources import Evaluation, Source, TrainingFolder, open_sources
 
 
 def write_report(
@@ -57,12 +58,14 @@ def write_report(
     for name, (index, _, seed), each in (*chosen, *more):
         traffic = runs[index].run.suite.traffics.index(each.cell.traffic)
         packed[name] |= {"title": each.cell.title, "scene": [index, traffic, seed]}
-    sections = [
-        evaluation_section(source, suite_folder)
-        if isinstance(source, Evaluation)
-        else training_section(source)
-        for source in sources
-    ]
+    sections = []
+    for source in sources:
+        if isinstance(source, Evaluation):
+            sections.append(evaluation_section(source, suite_folder))
+        elif isinstance(source, TrainingFolder):
+            sections.append(training_section(source))
+        else:
+            sections.append(table_section(source))
     sections += [what_if_section(each, f"what-if-{name}") for name, each in others.items()]
     page = render(
         sections,
@@ -82,9 +85,9 @@ def write_report(
     }
 
 
-def _provenance(source: Evaluation | TrainingFolder) -> dict[str, Any]:
+def _provenance(source: Source) -> dict[str, Any]:
     """Where a run comes from, according to its manifest."""
-    if isinstance(source, TrainingFolder):
+    if not isinstance(source, Evaluation):
         return {"name": source.key, "facts": {"folder": source.path.name}, "agents": {}}
     manifest = source.run.folder.manifest()
     versions = {"charms-bench": manifest.get("charms_bench"), **manifest.get("versions", {})}

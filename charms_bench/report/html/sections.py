@@ -17,7 +17,7 @@ from charms_bench.report.figures.paper_values import draw_beside_paper
 from charms_bench.report.figures.preventable import draw_preventable, survivors
 from charms_bench.report.figures.styles import PLACED, draw_places, draw_separations
 from charms_bench.report.figures.tradeoff import OF_EGOS, draw_tradeoff, tradeoff_of
-from charms_bench.report.html.sources import Evaluation, TrainingFolder
+from charms_bench.report.html.sources import Evaluation, TableFolder, TrainingFolder
 from charms_bench.report.html.svg import in_page
 from charms_bench.report.realism_table import TITLE
 from charms_bench.report.sentences import finding, place
@@ -131,6 +131,13 @@ def training_section(source: TrainingFolder) -> Section:
             for k, (title, figure) in enumerate(draw_curves(training))
         ],
     )
+
+
+def table_section(source: TableFolder) -> Section:
+    """The section of an estimation or a search."""
+    table = source.table
+    facts = [f"run folder {source.path.name}", *([] if table.rows else [table.note])]
+    return Section(f"run-{source.key}", table.title, facts, [table] if table.rows else [], [])
 
 
 def what_if_section(found: WhatIf, name: str) -> Section:
