@@ -92,7 +92,8 @@ def standard(
 
 STANDARD = standard()
 METRIC_SETS = (PAPER, STANDARD)
-"""Those of every suite; suites on highway-env's roads have `roads.ROADS`, too."""
+"""Those of every suite; suites on highway-env's roads have `roads.ROADS`, too, and suites of
+scenarios `scenarios.SCENARIOS`."""
 
 
 def standard_after(warm_up_s: float) -> MetricSet:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import polars as pl
 
 from charms_bench.metrics import PAPER, MetricSet
+from charms_bench.report import left_out
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
@@ -75,7 +76,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         KEYS,
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
-        note=suite.note,
+        note=" ".join(filter(None, (suite.note, left_out.said_of(frame, "metric")))),
         reference="paper",
     )
 

@@ -20,7 +20,7 @@ from charms_bench.errors import (
     RegistryError,
     suggestion,
 )
-from charms_bench.metrics import METRIC_SETS, Metric, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, SCENARIOS, Metric, MetricSet, sums_by_episode
 from charms_bench.metrics.metric import Interval
 from charms_bench.plugins.registry import METRICS, load
 from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
@@ -34,7 +34,8 @@ def metric_sets(
     """Returns the metric sets that texts like `NAME` or `NAME:OPTION=VALUE,...` ask for.
 
     Without any text these are those of the `default`, whose options are also those that a text
-    does not give.
+    does not give. The set `scenarios` of the `default` is always among them, because it says what
+    the others leave out.
 
     Raises:
         InputError: A text is not of that form, or two ask for the same set.
@@ -42,6 +43,8 @@ def metric_sets(
     """
     usual = {each.name: each.options for each in default if each.options}
     found = tuple(_metric_set(text, usual) for text in texts) or default
+    if SCENARIOS in default and SCENARIOS not in found:
+        found = (*found, SCENARIOS)
     labels = [each.label for each in found]
     for label in labels:
         if labels.count(label) > 1:

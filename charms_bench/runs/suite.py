@@ -14,7 +14,7 @@ from charms_bench.errors import InputError, ScenarioError, first_problem, sugges
 from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name, NonNegative
 from charms_bench.foundation.names import alike
 from charms_bench.foundation.words import counted
-from charms_bench.metrics import PAPER, ROADS, WARM_UP_S, MetricSet, standard_after
+from charms_bench.metrics import PAPER, ROADS, SCENARIOS, WARM_UP_S, MetricSet, standard_after
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -215,11 +215,13 @@ class Suite(FrozenModel):
     def metric_sets(self) -> tuple[MetricSet, ...]:
         """The metrics of its tables."""
         has_roads = any(each.traffic.road for each in self.traffics)
-        is_drawn = not has_roads and self.scene.recording is None
-        is_drawn &= all(each.traffic.scenario is None for each in self.traffics)
-        usual = WARM_UP_S if is_drawn else 0.0
-        sets = (PAPER, standard_after(usual if self.warm_up_s is None else self.warm_up_s))
-        return (*sets, ROADS) if has_roads else sets
+        has_scenarios = any(each.traffic.scenario for each in self.traffics)
+        warm_up_s = self.warm_up_s
+        if warm_up_s is None:
+            is_drawn = not (has_roads or has_scenarios or self.scene.recording)
+            warm_up_s = WARM_UP_S if is_drawn else 0.0
+        added = (ROADS,) * has_roads + (SCENARIOS,) * has_scenarios
+        return (PAPER, standard_after(warm_up_s), *added)
 
     def fingerprint(self) -> str:
         """Returns the hash of everything that decides its rows, except the number of episodes."""
