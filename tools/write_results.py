@@ -196,9 +196,10 @@ def made_at(run: Path) -> str:
             known[name] = (name, manifest["commit"], manifest.get("suite_sha256", ""))
     found = sorted(known.values())
     pl.DataFrame(found, schema=columns, orient="row").write_csv(kept)
-    commits = ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(each[1] for each in found))
+    made = dict.fromkeys(each[1] for each in found)
+    commits = f"commit{'s' * (len(made) > 1)} " + ", ".join(f"`{each[:7]}`" for each in made)
     return (
-        f"The {len(found)} runs were made with commit {commits}. [A CSV file](results/runs.csv) "
+        f"The {len(found)} runs were made with {commits}. [A CSV file](results/runs.csv) "
         "has the commit and the hash of the suite of each, as in its `manifest.json`.\n"
     )
 
