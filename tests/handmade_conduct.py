@@ -16,11 +16,12 @@ DT = 1 / 3
 """Seconds between two decisions."""
 
 
-def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
+def conduct(ends: bool = True, every: int = 1, **fields: Any) -> list[dict[str, float]]:
     """The sums of each vehicle; each is its own driver.
 
     Args:
         ends: Whether the episode ends with the last decision.
+        every: Frames of a decision interval: 1, or 5 for all of its simulation steps.
         fields: Values that broadcast to [T + 1, N], in lanes of 4 m; `x` has that shape. What is
             not given is: the middle lane, 25 m/s, and the nearest lane as the target lane.
     """
@@ -40,8 +41,15 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         action=np.zeros((1, vehicles), dtype=np.int64),
         has_action=np.zeros((1, vehicles), dtype=np.bool_),
         settings=SimpleNamespace(
-            decision_hz=3, simulation_hz=15, decisions=decisions, inflow=None, network=None
+            decision_hz=3,
+            simulation_hz=15,
+            steps_per_decision=5,
+            decisions=decisions,
+            inflow=None,
+            network=None,
         ),
+        phase=0,
+        step_watchers=[],
         collision_watchers=[],
         ego_agent="0",
         playback=None,
@@ -59,10 +67,15 @@ def conduct(ends: bool = True, **fields: Any) -> list[dict[str, float]]:
         if "target_lane" not in fields:
             scene.target_lane[:] = scene.lane
         simulation.collision = collision[t : t + 1]
+        simulation.phase = 5 - (-t % every)
+        for watch in simulation.step_watchers:
+            watch()
         if (collision[t] != collision[t - 1]).any():
             for watch in simulation.collision_watchers:
                 watch()
-        simulation.steps[:] = t
+        if t % every:
+            continue
+        simulation.steps[:], simulation.phase = t // every, 0
         scene.active[:] = t < decisions - 1 or not ends
         made.note()
     rows = made.drivers()

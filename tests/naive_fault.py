@@ -9,7 +9,10 @@ from charms_bench.world.road import Straight
 
 
 class Sample(NamedTuple):
-    """A moment at which movements are noted: a frame, and the number of its decision interval."""
+    """A moment at which movements are noted: a frame, and the number of its decision interval.
+
+    Entries are noted in every frame.
+    """
 
     frame: int
     interval: int
@@ -22,12 +25,10 @@ def at_fault(h: History, steps_per_decision: int, road: Straight) -> list[bool]:
         for t in range(1, len(h["x"]))
         if t % steps_per_decision == 0 or (h["collision"][t] != h["collision"][t - 1]).any()
     ]
-    return [_is_at_fault(h, i, samples, steps_per_decision, road) for i in range(h["x"].shape[1])]
+    return [_is_at_fault(h, i, samples, road) for i in range(h["x"].shape[1])]
 
 
-def _is_at_fault(
-    h: History, i: int, samples: list[Sample], steps_per_decision: int, road: Straight
-) -> bool:
+def _is_at_fault(h: History, i: int, samples: list[Sample], road: Straight) -> bool:
     frames = np.nonzero(h["collision"][:, i])[0]
     if not frames.size:
         return False
@@ -37,9 +38,8 @@ def _is_at_fault(
     behind, front = sorted((i, j), key=lambda v: bool((kind == 1) == (v != i)))
     if kind == 3 or h["speed"][t, behind] <= h["speed"][t, front]:
         return moved_out(h, i, past, road) >= moved_out(h, j, past, road)
-    entrant, interval = last_entry(h, behind, past, road)
-    seconds = (past[-1].interval - interval) * steps_per_decision / 15
-    return (entrant == front and seconds <= 2) == (i == front)
+    entrant, frame = last_entry(h, behind, int(t), road)
+    return (entrant == front and (t - frame) / 15 <= 2) == (i == front)
 
 
 def other_of(h: History, t: int, i: int) -> int:
@@ -68,10 +68,10 @@ def moved_out(h: History, i: int, past: list[Sample], road: Straight) -> int:
     return first
 
 
-def last_entry(h: History, behind: int, past: list[Sample], road: Straight) -> tuple[int, int]:
-    """The last vehicle that entered the lane ahead of another one too closely, and when."""
+def last_entry(h: History, behind: int, last: int, road: Straight) -> tuple[int, int]:
+    """The last vehicle that entered the lane ahead of another one too closely, and the frame."""
     found, known = (-1, -(10**6)), {}
-    for frame, interval in past:
+    for frame in range(1, last + 1):
         for i in range(h["x"].shape[1]):
             lane = int(h["lane"][frame, i])
             beside = h["y"][frame, i] - lane * road.lane_width
@@ -80,8 +80,8 @@ def last_entry(h: History, behind: int, past: list[Sample], road: Straight) -> t
             entered = lane + (1 if beside > 0 else -1)
             both = {lane, entered}
             before, seen = known.get(i, (None, -(10**6)))
-            known[i] = (both, interval)
-            if (before == both and seen >= interval - 1) or not 0 <= entered < road.lanes:
+            known[i] = (both, frame)
+            if (before == both and seen == frame - 1) or not 0 <= entered < road.lanes:
                 continue
             j = ahead(h, frame, i, entered, road, -1)
             if j != behind or h["lane"][frame, j] != entered:
@@ -89,5 +89,5 @@ def last_entry(h: History, behind: int, past: list[Sample], road: Straight) -> t
             closing = h["speed"][frame, j] - h["speed"][frame, i]
             gap = bumper_gap(h, frame, j, i)
             if closing > 0 and (gap <= 0 or closing**2 / (2 * gap) > 3.35):
-                found = (i, interval)
+                found = (i, frame)
     return found

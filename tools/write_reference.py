@@ -20,7 +20,7 @@ from typer.cli import get_docs_for_click
 
 from charms_bench.cli import app
 from charms_bench.cli.terminal import EXITS
-from charms_bench.metrics import METRIC_SETS, ROADS
+from charms_bench.metrics import METRIC_SETS, ROADS, SCENARIOS
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.columns import COUNT, DRIVER, EPISODE, STEP
@@ -195,7 +195,7 @@ def profiles() -> str:
 
 def metrics() -> str:
     parts = []
-    for metric_set in (*METRIC_SETS, ROADS):
+    for metric_set in (*METRIC_SETS, ROADS, SCENARIOS):
         rows = [
             (
                 f"`{metric.name}`",

@@ -183,16 +183,19 @@ def crossplay(run: Path) -> str:
 
 def made_at(run: Path) -> str:
     """The commits of all runs; a CSV file has the commit and the hash of the suite of each."""
-    found = []
-    for path in sorted(run.parent.glob("*/manifest.json")):
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+    columns, kept = ["run", "commit", "suite_sha256"], RESULTS / "runs.csv"
+    rows = pl.read_csv(kept, infer_schema=False).rows() if kept.exists() else []
+    known = {name: (name, *others) for name, *others in rows}
+    for path in run.parent.glob("*/manifest.json"):
+        manifest, name = json.loads(path.read_text(encoding="utf-8")), path.parent.name
         if manifest.get("commit"):
-            found.append((path.parent.name, manifest["commit"], manifest.get("suite_sha256", "")))
-    columns = ["run", "commit", "suite_sha256"]
-    pl.DataFrame(found, schema=columns, orient="row").write_csv(RESULTS / "runs.csv")
-    commits = ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(each[1] for each in found))
+            known[name] = (name, manifest["commit"], manifest.get("suite_sha256", ""))
+    found = sorted(known.values())
+    pl.DataFrame(found, schema=columns, orient="row").write_csv(kept)
+    made = dict.fromkeys(each[1] for each in found)
+    commits = f"commit{'s' * (len(made) > 1)} " + ", ".join(f"`{each[:7]}`" for each in made)
     return (
-        f"The {len(found)} runs were made with commit {commits}. [A CSV file](results/runs.csv) "
+        f"The {len(found)} runs were made with {commits}. [A CSV file](results/runs.csv) "
         "has the commit and the hash of the suite of each, as in its `manifest.json`.\n"
     )
 
@@ -229,11 +232,10 @@ def edges(run: Path) -> str:
 
 
 def preventable(run: Path) -> str:
-    """The proportion of each kind of collisions, by ego and scenario."""
-    whole = tables_of(run).preventable
-    assert whole is not None
-    table = whole.take([i for i, each in enumerate(whole.columns) if each.name != "crashed"])
-    return markdown(table)
+    """The collisions and the strongest braking of each ego in each scenario."""
+    table = tables_of(run).preventable
+    assert table is not None
+    return f"{markdown(table.take(range(len(table.columns) - 1)))}\n{table.note}\n"
 
 
 def avoidability(run: Path) -> str:

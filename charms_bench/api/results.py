@@ -46,6 +46,9 @@ class Run:
     Methods about one episode raise InputError if the labels leave several cells. A label or an
     episode that the run does not have, and one that no longer runs as it was recorded, is a
     RunFolderError.
+
+    Concrete scenarios in which prescribed vehicles collide with one another are left out of
+    everything but `replay`, `what_if` and `dataset`; their rows are in the folder.
     """
 
     def __init__(self, finished: FinishedRun, suite_folder: Path) -> None:
@@ -181,20 +184,26 @@ class Run:
         return compare(pairs, chosen, self.suite.scene, self.suite.seed, metrics)
 
     def rescore(self, *sets: str) -> "Table":
-        """Computes metrics again from the stored rows and writes the table into the folder.
+        """Computes metrics again from the stored rows and writes the tables into the folder.
+
+        The table of realism stays as it is.
 
         Args:
-            sets: Metric sets, such as `standard:ttc_s=2`; by default `paper` and `standard`.
+            sets: Metric sets, such as `standard:ttc_s=2`; by default those of the suite.
+
+        Returns:
+            The table of metrics.
         """
-        from charms_bench.report.run_files import write_table
-        from charms_bench.report.suite_table import suite_table
+        from charms_bench.report.run_files import measure, run_tables, write_table
         from charms_bench.runs.metric_sets import metric_sets
 
         found = metric_sets(sets, self.suite.metric_sets)
         with locked(self.path):
-            table = suite_table(self.suite, self.cells, found)
-            write_table(self.path, table)
-        return table
+            cells = [measure(self.suite, cell, found) for cell in self.cells]
+            tables = run_tables(self.suite, cells, (), (), found)
+            for table, introduction in tables:
+                write_table(self.path, table, introduction)
+        return tables[0][0]
 
     def edge_cases(
         self,

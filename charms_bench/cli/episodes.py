@@ -291,16 +291,19 @@ def search(
     found = shown(made.path / FOUND)
     if as_json:
         facts = {"failures": made.failures, "preventable_by": made.preventable_by}
-        facts |= {"episodes": made.simulations, "episodes_to_first": made.simulations_to_first}
+        facts |= {"episodes": made.simulations, "left_out": made.left_out}
+        facts |= {"episodes_to_first": made.simulations_to_first}
         print_json({**facts, "suite": found if made.failures else None})
         return
-    where = made.cell.title
+    where, episodes = made.cell.title, counted(made.simulations, "episode")
+    if made.left_out:
+        episodes += f" ({made.left_out:,} left out: prescribed vehicles collide with one another)"
     if not made.failures:
-        say(f"{where}: no failure in {counted(made.simulations, 'episode')}")
+        say(f"{where}: no failure in {episodes}")
         return
     say(
-        f"{where}: {counted(len(made.failures), 'failure')} in "
-        f"{counted(made.simulations, 'episode')}, the first after {made.simulations_to_first:,}"
+        f"{where}: {counted(len(made.failures), 'failure')} in {episodes}, the first after "
+        f"{made.simulations_to_first:,}"
     )
     forms = dict.fromkeys(made.failures[0], ".3f")
     records: list[dict[str, Any]] = [

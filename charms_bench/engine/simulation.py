@@ -103,6 +103,8 @@ class Simulation:
         """Whether egos keep their control during a decision interval."""
         self.phase = 0
         """Simulation steps of the current decision interval so far; all scenes share it."""
+        self.step_watchers: list[Callable[[], None]] = []
+        """Called after every simulation step, before collisions are noted."""
         self.collision_watchers: list[Callable[[], None]] = []
         """Called after a simulation step in which vehicles have collided."""
         self.everyone = np.arange(scenes)
@@ -309,6 +311,8 @@ class Simulation:
         put = None if self.playback is None else self.playback.before_step()
         self.engine.advance(hold_egos=self.holds_egos and self.phase > 0, put=put)
         self.phase += 1
+        for watch in self.step_watchers:
+            watch()
         self._note_collisions()
         if self._open_road is not None:
             self._open_road.pass_boundaries()

@@ -38,6 +38,8 @@ def write_found(search: Search, document: Document, traffic: int, path: Path) ->
         "traffic_models": [entry],
         "columns": document.data.get("columns", []),
     }
+    if "warm_up_s" in document.data:
+        suite["warm_up_s"] = document.data["warm_up_s"]
     if search.references:
         suite["preventable_by"] = [each.title for each in search.references]
     moved = _moved(suite, document.folder, path.parent)

@@ -5,6 +5,8 @@ not. The search minimises the agent's margin to a collision (`severity`); where 
 larger one of its margin and the negative of the reference drivers' largest margin, which is below 0
 in a failure only. So the reference drivers are simulated only where the agent collides.
 
+A point at which prescribed vehicles collide with one another is no scenario: it is left out.
+
 Agents that draw their actions, the ego, other vehicles or reference drivers, draw others in each
 episode. So a failure is noted only if it is one in the episode of the suite of failures, too.
 
@@ -21,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
+from charms_bench.engine.pile_ups import pile_ups
 from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, suggestion
@@ -32,7 +35,7 @@ from charms_bench.runs.code_hashes import harness_sha256
 from charms_bench.runs.shard import CellTask, installed
 from charms_bench.runs.suite import Cell, EgoEntry, Suite
 from charms_bench.world.points import from_shares, sobol
-from charms_bench.world.scene import Floats
+from charms_bench.world.scene import Floats, SceneSettings
 
 FIRST_POINTS = 32
 """Sobol points that every start of the search simulates. Chosen, like the other numbers and the
@@ -66,6 +69,8 @@ class Search:
     """The titles of the reference drivers that avoid each failure."""
     simulations: int = 0
     """Episodes simulated, also before an interruption, those of the reference drivers included."""
+    left_out: int = 0
+    """How many of these episodes are left out, because prescribed vehicles collide in them."""
     simulations_to_first: int | None = None
     found: Callable[[], None] = lambda: None
     """Called when there are new failures."""
@@ -121,7 +126,7 @@ class Search:
         points = [
             {name: float(each[r]) for name, each in values.items()} for r in range(len(shares))
         ]
-        found = self._margins(self.cell.ego.agent, points)
+        found = self._margins_of_scenarios(points)
         collides = np.nonzero(found < 0)[0]
         avoided_by: list[list[str]] = [[] for _ in collides]
         if collides.size and self.references:
@@ -145,6 +150,24 @@ class Search:
         if new and self.failures:
             self.found()
         return found
+
+    def _margins_of_scenarios(self, points: list[Point]) -> Floats:
+        """The ego's margins at points; infinite where prescribed vehicles collide."""
+        is_pile_up = pile_ups(self._settings_of(points), np.arange(len(points)))
+        found = np.full(len(points), np.inf)
+        asked = [points[k] for k in np.nonzero(~is_pile_up)[0]]
+        if asked:
+            found[~is_pile_up] = self._margins(self.cell.ego.agent, asked)
+        if count := int(is_pile_up.sum()):
+            self.left_out += count
+            self.simulations += count
+            self.told(count)
+        return found
+
+    def _settings_of(self, points: Sequence[Point]) -> SceneSettings:
+        scenario = self.cell.scene.scenario
+        assert scenario is not None
+        return self.cell.scene.of_scenario(scenario.model_copy(update={"points": tuple(points)}))
 
     @cached_property
     def _draws(self) -> bool:
@@ -172,13 +195,10 @@ class Search:
     def _margins(self, agent: AgentSpec, points: list[Point], first: int = 0) -> Floats:
         """The margins at points, which are those of the episodes from `first` on."""
         cell = self.cell
-        assert cell.scene.scenario is not None
         traffic = cell.traffic.traffic.make()
         networks = networks_of(agent, traffic, self.folder)
         agents = {each.key: each.make(networks) for each in drivers_of(agent, traffic)}
-        numbered = (*points[:1] * first, *points)
-        scenario = cell.scene.scenario.model_copy(update={"points": numbered})
-        settings = cell.scene.of_scenario(scenario)
+        settings = self._settings_of((*points[:1] * first, *points))
         file = None
         if self.path is not None:
             software = installed(agent, cell.traffic.traffic, networks)

@@ -84,8 +84,8 @@ def of_planar_conflicts(driving: Sample, threshold_s: float) -> tuple[Metric, ..
             "s",
             pl.when(counts).then(smallest),
             f"smallest planar TTC of an episode, {HORIZON_S:g} s if it is never smaller: mean over "
-            "the episodes with steps after the warm-up",
-            rests_on="episodes with steps after the warm-up",
+            f"the episodes with {driving.name}",
+            rests_on=f"episodes with {driving.name}",
             counts=counts,
         ),
     )

@@ -18,6 +18,8 @@ LABELS = {
     "rear_end_striking": "Rear-end collisions in which the ego strikes",
     "side_per_1000km": "Side collisions per 1,000 km",
     "off_road_per_1000km": "Departures from the road per 1,000 km",
+    "scenarios_left_out": "Scenarios left out",
+    "strongest_braking": "Strongest braking",
     "goal_reached": "Goal reached",
     "time_to_goal": "Time to the goal",
     "traffic_crashed": "Crashed vehicles in traffic",
@@ -91,6 +93,7 @@ SETS = {
     "paper": "Metrics of the paper",
     "standard": "Standard metrics",
     "roads": "Metrics of roads",
+    "scenarios": "Metrics of scenarios",
 }
 KEYS = {
     "traffic": "traffic model",

@@ -50,7 +50,7 @@ class Sample(NamedTuple):
     def per_km(self, name: str, happens: pl.Expr, what: str, km: int = 1) -> Metric:
         """The rows in which a condition holds, per `km` kilometres driven in this sample."""
         distance = "km" if km == 1 else f"{km:,} km"
-        description = f"{what}, per {distance} driven in {self.name}"
+        description = f"{what}, per {distance} driven"
         driven = total(pl.col("driven_m"), self.where) / (1000 * km)
         return self._rate(name, f"1/{distance}", happens, description, driven)
 

@@ -173,13 +173,15 @@ def sums_by_episode(
     steps: pl.DataFrame,
     settings: SceneSettings,
     drivers: pl.DataFrame = NO_DRIVERS,
+    left_out: float = 0.0,
 ) -> list[Floats]:
     """The sums [E, k] of each metric, by episode.
 
     They are those of E episode rows (`columns.EPISODE`), their step rows (`columns.STEP`) and
-    their driver rows (`columns.DRIVER`); see `join_rows` and `conduct.conduct_of`.
+    their driver rows (`columns.DRIVER`); see `join_rows` and `conduct.conduct_of`. The column
+    `left_out` has how many concrete scenarios are left out per episode.
     """
-    rows = join_rows(episodes, steps, settings).join(
+    rows = join_rows(episodes.with_columns(left_out=pl.lit(left_out)), steps, settings).join(
         conduct_of(drivers), on="episode", how="left", maintain_order="left"
     )
     aggregations = [

@@ -5,6 +5,8 @@ centre. `standard` follows traffic safety research: exposure in km, gaps from bu
 all steps between a warm-up and a collision.
 """
 
+from dataclasses import replace
+
 from charms_bench.errors import InputError
 from charms_bench.metrics import collisions, conduct
 from charms_bench.metrics.conflicts import of_conflicts, of_planar_conflicts
@@ -21,7 +23,8 @@ from charms_bench.recording.planar_ttc import HORIZON_S
 from charms_bench.world import thresholds
 
 WARM_UP_S = 3.0
-"""The ego spawns at 30 m/s among vehicles at 23.1 to 26.4 m/s. With 600 episodes from seed
+"""Where vehicles are drawn on the motorway. The ego spawns at 30 m/s among vehicles at 23.1 to
+26.4 m/s. With 600 episodes from seed
 900,000,000 and an ego that spawns at 30, 27 or 24 m/s:
 
 - After 3 s, the proportion of steps with more than 2.5 m/s2 is at most 0.03 % (IDM+MOBIL) and
@@ -62,19 +65,23 @@ def standard(
             f"{HORIZON_S:g}, because longer planar TTCs are not recorded"
         )
     driving = driving_after(warm_up_s)
+    of_driving = (
+        *of_conflicts(driving, conflict_ttc_s),
+        *of_planar_conflicts(driving, conflict_ttc_s),
+        *of_time_to_collision(driving, ttc_s),
+        *of_required_braking(driving, drac_mps2),
+        *of_headway(driving, headway_s),
+        *of_motion(driving),
+        *of_mean_acceleration(driving, strong_mps2),
+        *of_lane_changes(driving, imposed_mps2),
+    )
+    left_out = f"; without the first {warm_up_s:g} s of an episode" if warm_up_s else ""
     return MetricSet(
         name="standard",
         version=5,
         metrics=(
             *collisions.OF_EGO,
-            *of_conflicts(driving, conflict_ttc_s),
-            *of_planar_conflicts(driving, conflict_ttc_s),
-            *of_time_to_collision(driving, ttc_s),
-            *of_required_braking(driving, drac_mps2),
-            *of_headway(driving, headway_s),
-            *of_motion(driving),
-            *of_mean_acceleration(driving, strong_mps2),
-            *of_lane_changes(driving, imposed_mps2),
+            *(replace(each, description=each.description + left_out) for each in of_driving),
             *collisions.OF_TRAFFIC,
             TRAFFIC_SPEED_MEAN,
             *conduct.EGO_CONDUCT,
@@ -85,4 +92,12 @@ def standard(
 
 STANDARD = standard()
 METRIC_SETS = (PAPER, STANDARD)
-"""Those of every suite; suites on highway-env's roads have `roads.ROADS`, too."""
+"""Those of every suite; suites on highway-env's roads have `roads.ROADS`, too, and suites of
+scenarios `scenarios.SCENARIOS`."""
+
+
+def standard_after(warm_up_s: float) -> MetricSet:
+    """The set `standard` after another warm-up, which is part of its label."""
+    if warm_up_s == WARM_UP_S:
+        return STANDARD
+    return replace(standard(warm_up_s), options=f"warm_up_s={warm_up_s:g}")

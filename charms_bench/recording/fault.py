@@ -12,8 +12,9 @@ Only the first collision of a vehicle counts, so being hit as a wreck changes no
 
 A vehicle moves out of its lane while its centre is more than 0.25 m beside the centre of its
 nearest lane and moves away from it faster than 0.1 m/s. It enters a lane when its side crosses the
-marking. Both are noted at decisions and in the simulation step of a collision. 0.25 m and 0.1 m/s
-are this project's choice; they ignore the swaying of vehicles that keep their lane.
+marking. Entries are noted in the simulation step of the crossing, and movements at decisions and in
+the simulation step of a collision. 0.25 m and 0.1 m/s are this project's choice; they ignore the
+swaying of vehicles that keep their lane.
 """
 
 from typing import Any
@@ -22,30 +23,38 @@ import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION, SIDE_COLLISION, STRIKING, vehicle_hit
 from charms_bench.engine.simulation import Simulation
-from charms_bench.foundation.compiled import compiled, index, inlined
-from charms_bench.recording.primitives import Frames, distance_to
+from charms_bench.foundation.compiled import compiled, compiled_of_scenes, index, inlined
+from charms_bench.recording.primitives import Frames
+from charms_bench.world.candidate_lanes import LEFT, RIGHT
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.road import Straight, local_coordinates, side_lanes, width_at
-from charms_bench.world.scene import Bools
+from charms_bench.world.road import (
+    Straight,
+    distance_along,
+    local_coordinates,
+    side_lanes,
+    width_at,
+)
+from charms_bench.world.scene import Bools, Ints, Scene
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 ENTERED_S = 2.0
 LANE_KEEPING_M = 0.25
 DRIFT_MPS = 0.1
 NEVER = -1_000_000
-_TIMES = ("moved_out", "moving_out", "on_both", "entered")
+_TIMES = ("moved_out", "moving_out", "entered")
 _STATE = np.dtype(
     [
         *((name, np.int32) for name in (*_TIMES, "left", "entrant")),
-        *((name, np.bool_) for name in ("is_judged", "at_fault")),
+        *((name, np.bool_) for name in ("on_both", "is_judged", "at_fault")),
     ]
 )
-"""What is remembered of a vehicle. Times are numbers of decisions.
+"""What is remembered of a vehicle.
 
-moved_out: When it last began to move out of its lane; moving_out: when it last did so.
-on_both: When it was last on two lanes at once, of which `left` is the left one.
+moved_out: The decision at which it last began to move out of its lane; moving_out: the decision at
+    which it last did so.
+on_both: Whether it is on two lanes at once, of which `left` is the left one.
 entrant, entered: The vehicle that last entered the lane ahead of it and required hard braking, and
-    when.
+    in which simulation step.
 is_judged: Whether it has collided; at_fault: whether it was at fault then.
 """
 _NOTHING = np.zeros((), dtype=_STATE)
@@ -57,8 +66,8 @@ class Fault:
     """Judges the collisions of a simulation's vehicles that are not yet wrecks."""
 
     def __init__(self, simulation: Simulation) -> None:
-        self._road = simulation.scene.road
-        self._window = round(ENTERED_S * simulation.settings.decision_hz)
+        self._simulation = simulation
+        self._window = round(ENTERED_S * simulation.settings.simulation_hz)
         self._state = np.full(simulation.scene.x.shape, _NOTHING)
         self._state["is_judged"] = simulation.scene.crashed
 
@@ -74,56 +83,74 @@ class Fault:
         is_gone = left[b, self._state["entrant"][b, i]]
         self._state["entered"][b[is_gone], i[is_gone]] = NEVER
 
+    def note_entries(self) -> None:
+        """Notes which vehicles enter a lane in the simulation step that has just ended."""
+        note_entries(self._simulation.scene, self._steps(), self._state)
+
     def add(self, frames: Frames, judges: bool) -> None:
         """Notes how vehicles move in some frames, and judges those that have just collided."""
-        note_faults(self._road, *frames, judges, self._window, self._state)
+        since = self._steps() - self._window
+        note_faults(self._simulation.scene.road, *frames, judges, since, self._state)
+
+    def _steps(self) -> Ints:
+        """[B] the simulation steps so far."""
+        made = self._simulation
+        return made.steps * made.settings.steps_per_decision + made.phase
 
 
 @compiled
 def note_faults(
-    road: Straight, moments: Any, vehicles: Any, judges: bool, window: int, state: Any
+    road: Straight, moments: Any, vehicles: Any, judges: bool, since: Ints, state: Any
 ) -> None:
     """Notes how vehicles move, and judges those that have just collided."""
     for moment in moments:
         b, now = index(moment.scene), vehicles[moment.now]
         note_movements(road, now, moment.decision, state[b])
         if judges:
-            judge(now, moment.decision - window, state[b])
+            judge(now, since[b], state[b])
 
 
 @inlined
 def note_movements(road: Straight, now: Any, decision: int, state: Any) -> None:
-    """Notes which vehicles begin to move out of their lanes, and which enter a lane."""
+    """Notes which vehicles begin to move out of their lanes."""
     for i in range(now.size):
         own = now[i]
-        along, beside = local_coordinates(road, own.lane, own.x, own.y)
-        inside = (width_at(road, own.lane, along) - own.width) / 2
-        if abs(beside) <= min(LANE_KEEPING_M, inside):
-            continue
+        _, beside = local_coordinates(road, own.lane, own.x, own.y)
         mine, aside = state[i], own.speed * own.direction_y
         away = aside if beside > 0 else -aside
         if abs(beside) > LANE_KEEPING_M and away > DRIFT_MPS:
             if mine.moving_out < decision - 1:
                 mine.moved_out = decision
             mine.moving_out = decision
-        if abs(beside) <= inside:
-            continue
-        on_left, on_right = side_lanes(road, own.lane)
-        left, entered = (own.lane, on_right) if beside > 0 else (on_left, on_left)
-        j = own.right_follower if beside > 0 else own.left_follower
-        has_entered = mine.on_both < decision - 1 or mine.left != left
-        mine.left, mine.on_both = left, decision
-        if has_entered and j >= 0 and now[j].lane == entered:
-            other = now[j]
-            closing = other.speed - own.speed
-            gap = max(gap_to(distance_to(road, other, own), other.length, own.length), 0.0)
-            if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
-                state[j].entrant, state[j].entered = i, decision
+
+
+@compiled_of_scenes
+def note_entries(scene: Scene, steps: Ints, state: Any) -> None:
+    """Notes which vehicles [B, N] enter a lane in the steps (B,) of their scenes."""
+    road, x, y, lane, speed = scene.road, scene.x, scene.y, scene.lane, scene.speed
+    for b in range(steps.size):
+        for i in range(x.shape[1]):
+            along, beside = local_coordinates(road, lane[b, i], x[b, i], y[b, i])
+            mine = state[b, i]
+            if abs(beside) <= (width_at(road, lane[b, i], along) - scene.width[b, i]) / 2:
+                mine.on_both = False
+                continue
+            on_left, on_right = side_lanes(road, lane[b, i])
+            left, entered = (lane[b, i], on_right) if beside > 0 else (on_left, on_left)
+            j = scene.followers[b, i, RIGHT if beside > 0 else LEFT]
+            has_entered = not mine.on_both or mine.left != left
+            mine.left, mine.on_both = left, True
+            if has_entered and j >= 0 and lane[b, j] == entered:
+                closing = speed[b, j] - speed[b, i]
+                ahead = distance_along(road, entered, x[b, j], y[b, j], x[b, i], y[b, i])
+                gap = max(gap_to(ahead, scene.length[b, j], scene.length[b, i]), 0.0)
+                if closing > 0 and closing**2 > 2 * DRAC_LIMIT_MPS2 * gap:
+                    state[b, j].entrant, state[b, j].entered = i, steps[b]
 
 
 @compiled
 def judge(now: Any, since: int, state: Any) -> None:
-    """Judges the vehicles that have just collided; entries count from the decision `since` on."""
+    """Judges the vehicles that have just collided; entries count from the step `since` on."""
     for i in range(now.size):
         how, mine = now[i].collision, state[i]
         if how == NO_COLLISION or mine.is_judged:

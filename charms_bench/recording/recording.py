@@ -50,6 +50,10 @@ class Recording:
         self._drivers = DriverSums(simulation)
         self._fault = Fault(simulation)
         kept, fault = self._kept, self._fault
+        if self._on_network:  # where the rows show no fault, and lanes are found at decisions
+            simulation.collision_watchers.append(fault.note_entries)
+        else:
+            simulation.step_watchers.append(fault.note_entries)
         simulation.collision_watchers.append(lambda: fault.add(kept.at_collision(), judges=True))
 
     def note(self) -> None:
@@ -63,6 +67,8 @@ class Recording:
             self._fault.forget(self._kept.left)
             self._drivers.forget(self._kept.left)
             self._note_places(was_running)
+        if self._on_network:
+            self._fault.note_entries()
         # Only a vehicle whose place has just been another's can have missed its collision's frame.
         self._fault.add(frames, judges=self._kept.changes)
         self._steps.add(frames)

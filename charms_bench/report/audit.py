@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import polars as pl
 from charms_bench.errors import CharmsBenchError, RegistryError, RunFolderError
 from charms_bench.foundation.files import is_compressed, read_file
 from charms_bench.foundation.words import counted
-from charms_bench.metrics import MetricSet
+from charms_bench.metrics import SCENARIOS, MetricSet
 from charms_bench.people.reference import read_references
 from charms_bench.report import run_files
 from charms_bench.report.stored import TABLE_LIMIT_BYTES, read_table
@@ -57,6 +57,7 @@ def audit_tables(folder: Path, suite: Suite) -> Iterator[Finding]:
             yield Finding("tables", f"tables/{suite.suite}.csv", "unknown", str(error))
         except RunFolderError:  # it is compared as a file
             sets, unknown = suite.metric_sets, set()
+        run = replace(run, leaves_out=any(each.name == SCENARIOS.name for each in sets))
         following = run.following() if references else []
         cells = [run_files.measure(suite, rows, sets) for rows in run.cells()]
         made = run_files.run_tables(suite, cells, following, references, sets)

@@ -1,10 +1,10 @@
 """Columns for metrics: what each metric means, which a stored table does not say itself."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 from charms_bench.errors import CharmsBenchError
-from charms_bench.metrics import METRIC_SETS, ROADS, MetricSet
+from charms_bench.metrics import MetricSet
 from charms_bench.metrics.labels import label_of
 from charms_bench.metrics.metric import Interval
 from charms_bench.report.table import Column
@@ -63,7 +63,7 @@ def _installed(label: str) -> dict[str, Column]:
     return columns_of(found) if found.label == label else {}
 
 
-def first_column(metric: str) -> Column:
-    """The column of a metric, from the first metric set of the harness that has it."""
-    found = filter(None, (columns_of(each).get(metric) for each in (*METRIC_SETS, ROADS)))
+def first_column(metric: str, metric_sets: Sequence[MetricSet]) -> Column:
+    """The column of a metric, from the first of some metric sets that has it."""
+    found = filter(None, (columns_of(each).get(metric) for each in metric_sets))
     return next(found, None) or installed_column("unknown", metric)

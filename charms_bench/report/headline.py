@@ -1,17 +1,19 @@
 """The table that is the point of a suite, compact enough for one screen.
 
 What the suite declares decides which one it is. Human driving to compare with: the distances from
-it. A reference driver: the preventable collisions, egos down and scenarios across. Pairs: in how
-many metrics each two egos differ. Several egos in several traffic models: the matrix of the suite's
-first metric that has one. In every other suite, it is the table of the suite's first columns.
+it. A reference driver: who crashes, which of these collisions are preventable, and how hard the
+egos brake. Pairs: in how many metrics each two egos differ. Several egos in several traffic models:
+the matrix of the suite's first metric that has one. In every other suite, it is the table of the
+suite's first columns.
 """
 
 from dataclasses import replace
 from itertools import chain
 
+from charms_bench.report import left_out
 from charms_bench.report.number import Cell, Number
 from charms_bench.report.stored import RunTables
-from charms_bench.report.suite_table import MATRICES, across, matrices, one_per_metric, printed
+from charms_bench.report.suite_table import MATRICES, matrices, one_per_metric, printed
 from charms_bench.report.table import Column, Row, Table
 from charms_bench.runs.suite import Suite
 
@@ -22,10 +24,16 @@ QUANTITY = {"speed": "Speed", "dhw": "Headway"}
 
 def headline(suite: Suite, tables: RunTables) -> Table:
     """The table that is the point of a suite, from the tables of its run."""
+    if tables.preventable is not None and tables.realism is None:
+        return tables.preventable.without_constant_keys()
+    found = _headline(suite, tables)
+    said = left_out.said_of(tables.metrics.frame(), "metric")
+    return replace(found, note=" ".join(filter(None, (found.note, said))))
+
+
+def _headline(suite: Suite, tables: RunTables) -> Table:
     if tables.realism is not None:
         return _realism(tables.realism)
-    if tables.preventable is not None:
-        return _preventable(tables.preventable)
     if tables.pairs is not None:
         return pair_matrix(tables.pairs)
     by_name = {each.name.removeprefix(f"{suite.suite}-"): each for each in matrices(tables.metrics)}
@@ -55,13 +63,6 @@ def pair_matrix(pairs: Table) -> Table:
         note=f"They differ in a metric if p < 0.05, corrected over all pairs and metrics by Holm's "
         f"method. Metrics: {compared}.",
     )
-
-
-def _preventable(table: Table) -> Table:
-    place = [column.name for column in table.columns].index("preventable")
-    if len({row.labels[1] for row in table.rows}) < 2:
-        return table.without_constant_keys()
-    return replace(across(table, place, f"{table.title}, % of episodes", 100.0), note=table.note)
 
 
 def _realism(table: Table) -> Table:

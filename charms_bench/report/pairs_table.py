@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import polars as pl
 
-from charms_bench.metrics import METRIC_SETS, Metric
+from charms_bench.metrics import Metric
 from charms_bench.report.definitions import first_column
 from charms_bench.report.table import Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
@@ -39,7 +39,7 @@ def pairs_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """Each pair of egos by each metric of `COMPARED`: first minus second, with 95 % intervals."""
     from charms_bench.statistics import paired  # imports scipy.stats, which takes half a second
 
-    metrics = _metrics(COMPARED)
+    metrics = _metrics(suite, COMPARED)
     sums = [cell.sums(metrics, suite.scene) for cell in cells]
     weights = resample(np.random.default_rng(suite.seed), cells[0].size)
     pairs = list(combinations(range(len(cells)), 2))
@@ -63,7 +63,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
     """The table of pairs from its long frame."""
 
     def column(group: str, metric: str) -> Column:
-        known = first_column(metric)
+        known = first_column(metric, suite.metric_sets)
         return replace(
             known,
             group=group,
@@ -91,7 +91,7 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
     The guess is the ego with the nearest mean summary, each number in units of its standard
     deviation. Means are from other episodes than the guessed one: ten folds by seed.
     """
-    metrics = _metrics(SUMMARY)
+    metrics = _metrics(suite, SUMMARY)
     summaries = []
     for cell in cells:
         sums = cell.sums(metrics, suite.scene)
@@ -135,6 +135,6 @@ def _right(known: Floats, asked: Floats) -> int:
     return int((distance.argmin(axis=-1) == np.arange(len(known))[:, None]).sum())
 
 
-def _metrics(names: Sequence[str]) -> list[Metric]:
-    known = [metric for metric_set in METRIC_SETS for metric in metric_set.metrics]
+def _metrics(suite: Suite, names: Sequence[str]) -> list[Metric]:
+    known = [metric for metric_set in suite.metric_sets for metric in metric_set.metrics]
     return [next(metric for metric in known if metric.name == name) for name in names]

@@ -12,6 +12,9 @@ import polars as pl
 from numpy.typing import NDArray
 
 from charms_bench.metrics.collisions import ENDED_BADLY
+from charms_bench.metrics.labels import label_of
+from charms_bench.metrics.rows import join_rows
+from charms_bench.report import left_out
 from charms_bench.report.table import ESTIMATE, Column, Table, long_schema
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite
@@ -19,6 +22,7 @@ from charms_bench.statistics.intervals import wilson
 
 KEYS = ("agent", "traffic")
 LONG = {"share": "name", **ESTIMATE}
+BRAKING = "strongest_braking"
 ONLY = "preventable only by "
 """Begins the name of a kind of collisions, which ends with a reference driver's."""
 
@@ -27,6 +31,15 @@ def crashed(cell: CellRows) -> NDArray[np.bool_]:
     """Returns whether the ego crashed, in each episode of a cell, by seed."""
     rows = cell.episodes.sort("episode").group_by("episode", maintain_order=True).agg(ENDED_BADLY)
     return rows["ending"].to_numpy().astype(np.bool_)
+
+
+def strongest_braking(suite: Suite, cell: CellRows) -> float:
+    """The largest mean deceleration of the ego between two decisions of a cell, m/s²."""
+    acceleration = (
+        join_rows(episodes, steps, suite.scene)["mean_acceleration_mps2"].min()
+        for episodes, steps in cell.parts
+    )
+    return max([0.0, *(-each for each in acceleration if isinstance(each, float))])
 
 
 Kinds = dict[str, NDArray[np.bool_]]
@@ -57,13 +70,19 @@ def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str], K
 
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
-    records = []
-    for labels, kinds in kinds_of(suite, cells).items():
-        ended = np.any(list(kinds.values()), axis=0)
-        for name, each in {"crashed": ended, **kinds}.items():
+    records: list[tuple[object, ...]] = []
+    kinds_of_each = kinds_of(suite, cells)
+    for cell in cells:
+        if (kinds := kinds_of_each.get((cell.agent, cell.traffic))) is None:
+            continue
+        shares: list[tuple[object, ...]] = []
+        for name, each in {"crashed": crashed(cell), **kinds}.items():
             count = int(each.sum())
-            bounds = wilson(count, each.size)
-            records.append((*labels, name, count / each.size, *bounds, each.size))
+            shares.append((name, count / each.size, *wilson(count, each.size), each.size))
+        shares.insert(2, (BRAKING, strongest_braking(suite, cell), None, None, cell.size))
+        every = cell.size + cell.left_out
+        shares.append((left_out.NAME, cell.left_out / every, None, None, every))
+        records += [(cell.agent, cell.traffic, *each) for each in shares]
     return from_frame(pl.DataFrame(records, schema=long_schema(KEYS, LONG), orient="row"), suite)
 
 
@@ -75,12 +94,22 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         "preventable": f"proportion of episodes in which it does so and {references} "
         f"{'do' if len(suite.preventable_by) > 1 else 'does'} not",
         "not_preventable": f"proportion of episodes in which it and {references} do so",
+        BRAKING: "largest deceleration of the ego in any episode: change of speed between two "
+        "decisions, divided by their interval",
+        left_out.NAME: "proportion of concrete scenarios that nothing else counts, because "
+        "prescribed vehicles collide with one another in them",
     }
     for name in suite.preventable_by:
         so = "proportion of episodes in which it does so and"
         shares[ONLY + name] = f"{so}, of {references}, only {name} does not"
 
     def column(_: str, name: str) -> Column:
+        if name == BRAKING:
+            label = label_of(name)
+            return Column(name, "m/s²", shares[name], "episodes", form=".1f", label=label)
+        if name == left_out.NAME:
+            counted = "concrete scenarios"
+            return Column(name, "", shares[name], counted, form=".1%", label=label_of(name))
         return Column(
             name=name,
             label=f"{name[0].upper()}{name[1:]}".replace("_", " "),
@@ -98,5 +127,6 @@ def from_frame(frame: pl.DataFrame, suite: Suite) -> Table:
         KEYS,
         LONG,
         column,
-        note=f"A collision is preventable if {references} {avoid} it in the same episode.",
+        note=f"A collision is preventable if {references} {avoid} it in the same episode. "
+        f"{left_out.said_of(frame, 'share')}".rstrip(),
     )

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import polars as pl
 
-from charms_bench.metrics import METRIC_SETS, PAPER, MetricSet
+from charms_bench.metrics import PAPER, MetricSet
+from charms_bench.report import left_out
 from charms_bench.report.definitions import columns_of, installed_column
 from charms_bench.report.number import Number
 from charms_bench.report.table import ESTIMATE, Row, Table, long_frame
@@ -35,20 +36,21 @@ HIGHER_IS_BETTER = ("goal_reached", "speed_mean")
 
 
 def suite_table(
-    suite: Suite, cells: Sequence[CellRows], metric_sets: Sequence[MetricSet] = METRIC_SETS
+    suite: Suite, cells: Sequence[CellRows], metric_sets: Sequence[MetricSet] = ()
 ) -> Table:
     """The metrics of every cell with 95 % intervals, beside the paper's values.
+
+    By default, the metric sets are the suite's.
 
     The suite's seed is that of the resamples, which are the same for cells with the same number of
     episodes.
     """
+    metric_sets = metric_sets or suite.metric_sets
     frame = pl.concat(part_of(suite, cell, metric_sets) for cell in cells)
     return from_frame(frame, suite, metric_sets)
 
 
-def part_of(
-    suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet] = METRIC_SETS
-) -> pl.DataFrame:
+def part_of(suite: Suite, cell: CellRows, metric_sets: Sequence[MetricSet]) -> pl.DataFrame:
     """The part of one cell in the table's long frame; see `suite_table`."""
     metrics = [metric for metric_set in metric_sets for metric in metric_set.metrics]
     names = [(each.label, metric.name) for each in metric_sets for metric in each.metrics]
@@ -76,7 +78,7 @@ def from_frame(frame: pl.DataFrame, suite: Suite, metric_sets: Sequence[MetricSe
         KEYS,
         LONG,
         (lambda *names: columns[names]) if columns else installed_column,
-        note=suite.note,
+        note=" ".join(filter(None, (suite.note, left_out.said_of(frame, "metric")))),
         reference="paper",
     )
 

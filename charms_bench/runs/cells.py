@@ -33,6 +33,8 @@ class CellRows:
     """The driver rows of the same episodes at a time."""
     paper: Mapping[str, float] = field(default_factory=dict)
     """Values that the paper reports, by metric of the set `paper`."""
+    left_out: int = 0
+    """Concrete scenarios without rows here, because prescribed vehicles collide in them."""
 
     def __repr__(self) -> str:
         return f"<CellRows {self.agent} in {self.traffic}: {counted(self.size, 'episode')}>"
@@ -58,7 +60,9 @@ class CellRows:
         start = 0
         for (episodes, steps), (drivers,) in zip(self.parts, self.drivers, strict=True):
             end = start + len(episodes)
-            sums = sums_by_episode(metrics, episodes, steps, settings, drivers)
+            sums = sums_by_episode(
+                metrics, episodes, steps, settings, drivers, self.left_out / self.size
+            )
             np.concatenate(sums, axis=1, out=whole[start:end])
             start = end
         found = np.split(whole, ends[:-1], axis=1)

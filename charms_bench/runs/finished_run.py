@@ -6,7 +6,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from charms_bench.errors import CharmsBenchError, RunFolderError
+import numpy as np
+import polars as pl
+
+from charms_bench.errors import CharmsBenchError, RunFolderError, SuiteError
 from charms_bench.runs.cells import CellRows, Rows, TrafficCounts
 from charms_bench.runs.resumable_folder import RunFolder
 from charms_bench.runs.shard_rows import problem_of_steps
@@ -14,6 +17,7 @@ from charms_bench.runs.shards import Shard
 from charms_bench.runs.suite import Suite
 
 EPISODES_AND_STEPS = ("episodes", "steps")
+_NO_SEEDS = pl.Series(dtype=pl.UInt64)
 PART_ROWS = 2**18
 """About how many step rows are in memory at once."""
 
@@ -27,6 +31,9 @@ class FinishedRun:
     shards: tuple[Shard, ...]
     failed: Mapping[int, CharmsBenchError] = field(default_factory=dict)
     """Why cells are not finished, by cell; empty for a run that has been opened."""
+    leaves_out: bool = True
+    """Whether concrete scenarios are left out in which prescribed vehicles collide with one
+    another (`engine.pile_ups`); tables of earlier versions have them."""
 
     @property
     def finished(self) -> list[int]:
@@ -43,14 +50,43 @@ class FinishedRun:
         Reading raises a `RunFolderError` if a file is missing or has changed since it was written.
         """
         cell = self.suite.cells[index]
+        left_out = self.left_out(index)
         return CellRows(
             agent=cell.ego.title,
             traffic=cell.traffic.title,
-            size=self.suite.episodes,
+            size=self.suite.episodes - len(left_out),
             parts=self._parts(index, *EPISODES_AND_STEPS),
             drivers=self._parts(index, "drivers"),
             paper=cell.paper,
+            left_out=len(left_out),
         )
+
+    def left_out(self, index: int) -> pl.Series:
+        """Returns the seeds of the episodes of a cell that are left out.
+
+        Raises:
+            SuiteError: They are all of its episodes.
+        """
+        suite, cell = self.suite, self.suite.cells[index]
+        if not self.leaves_out or cell.scene.scenario is None:
+            return _NO_SEEDS
+        place = index % len(suite.traffics)
+        if place not in self._left_out:
+            from charms_bench.engine.pile_ups import pile_ups  # loads the compiled engine
+
+            seeds = np.arange(suite.seed, suite.seed + suite.episodes)
+            self._left_out[place] = pl.Series(seeds[pile_ups(cell.scene, seeds)], dtype=pl.UInt64)
+        if len(self._left_out[place]) == suite.episodes:
+            raise SuiteError(
+                f"suite '{suite.suite}': {cell.traffic.title}: prescribed vehicles collide with "
+                "one another in every concrete scenario; change what they do"
+            )
+        return self._left_out[place]
+
+    @cached_property
+    def _left_out(self) -> dict[int, pl.Series]:
+        """The seeds that are left out in each traffic so far; every ego has the same scenarios."""
+        return {}
 
     def following(self) -> list[TrafficCounts]:
         """Returns what the vehicles of every finished cell did while they followed a leader.
@@ -61,15 +97,15 @@ class FinishedRun:
         return [
             TrafficCounts.of(
                 self.suite.cells[index].traffic.title,
-                self.suite.episodes,
+                self.suite.episodes - len(self.left_out(index)),
                 self._parts(index, "episodes", "counts"),
             )
             for index in self.finished
         ]
 
     def _parts(self, cell: int, *kinds: str) -> "_Parts":
-        shards = tuple(self._of_cells[cell])
-        return _Parts(self.folder, kinds, shards, PART_ROWS // self.suite.scene.decisions)
+        shards, at_once = tuple(self._of_cells[cell]), PART_ROWS // self.suite.scene.decisions
+        return _Parts(self.folder, kinds, shards, at_once, self.left_out(cell))
 
     @cached_property
     def _of_cells(self) -> Mapping[int, Sequence[Shard]]:
@@ -89,11 +125,15 @@ class _Parts:
     shards: tuple[Shard, ...]
     episodes: int
     """About how many episodes a part has."""
+    left_out: pl.Series
+    """The seeds of the episodes that are left out."""
 
     def __iter__(self) -> Iterator[Rows]:
         count = max(1, self.episodes // max(shard.episodes for shard in self.shards))
+        counts = ~pl.col("episode").is_in(self.left_out.implode())
         for start in range(0, len(self.shards), count):
-            yield read_rows(self.folder, self.kinds, self.shards[start : start + count])
+            rows = read_rows(self.folder, self.kinds, self.shards[start : start + count])
+            yield tuple(each.filter(counts) for each in rows) if len(self.left_out) else rows
 
 
 def read_rows(folder: RunFolder, kinds: tuple[str, ...], shards: Sequence[Shard]) -> Rows:

@@ -6,7 +6,7 @@ its values were computed with.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import get_args
 
@@ -20,7 +20,7 @@ from charms_bench.errors import (
     RegistryError,
     suggestion,
 )
-from charms_bench.metrics import METRIC_SETS, Metric, MetricSet, sums_by_episode
+from charms_bench.metrics import METRIC_SETS, SCENARIOS, Metric, MetricSet, sums_by_episode
 from charms_bench.metrics.metric import Interval
 from charms_bench.plugins.registry import METRICS, load
 from charms_bench.recording.columns import EPISODE_SCHEMA, STEP_SCHEMA
@@ -33,13 +33,18 @@ def metric_sets(
 ) -> tuple[MetricSet, ...]:
     """Returns the metric sets that texts like `NAME` or `NAME:OPTION=VALUE,...` ask for.
 
-    Without any text these are those of the `default`.
+    Without any text these are those of the `default`, whose options are also those that a text
+    does not give. The set `scenarios` of the `default` is always among them, because it says what
+    the others leave out.
 
     Raises:
         InputError: A text is not of that form, or two ask for the same set.
         RegistryError: A set is not installed, does not take the options, or cannot be computed.
     """
-    found = tuple(map(_metric_set, texts)) or default
+    usual = {each.name: each.options for each in default if each.options}
+    found = tuple(_metric_set(text, usual) for text in texts) or default
+    if SCENARIOS in default and SCENARIOS not in found:
+        found = (*found, SCENARIOS)
     labels = [each.label for each in found]
     for label in labels:
         if labels.count(label) > 1:
@@ -53,8 +58,10 @@ def asked_by(label: str) -> str | None:
     return match and ":".join(filter(None, match.groups()))
 
 
-def _metric_set(text: str) -> MetricSet:
+def _metric_set(text: str, usual: Mapping[str, str]) -> MetricSet:
     name, options = name_and_options(text, "metric set")
+    if name in usual:
+        options = {**name_and_options(f"{name}:{usual[name]}", "metric set")[1], **options}
     made = load(METRICS, name)
     if isinstance(made, MetricSet) and options:
         raise InputError(f"metric set '{name}' takes no options; given: {', '.join(options)}")

@@ -109,6 +109,8 @@ def run(
         if rows is not None:
             folder.take(tasks, rows)
         run = FinishedRun(suite, folder, tuple(tasks), failed)
+        for index in range(len(suite.traffics)):
+            run.left_out(index)  # refuses scenarios of which none counts
         unfinished = Counter(shard.cell for shard in tasks)
 
         def finish(shard: Shard) -> None:

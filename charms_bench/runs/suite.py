@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
 
 from charms_bench.errors import InputError, ScenarioError, first_problem, suggestion
-from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name
+from charms_bench.foundation.fields import Finite, FrozenModel, Line, Name, NonNegative
 from charms_bench.foundation.names import alike
 from charms_bench.foundation.words import counted
-from charms_bench.metrics import METRIC_SETS, PAPER, ROADS, MetricSet
+from charms_bench.metrics import PAPER, ROADS, SCENARIOS, WARM_UP_S, MetricSet, standard_after
 from charms_bench.people.reference import ReferenceSpec
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -33,7 +33,7 @@ PLACED_AT_ONCE = 100_000
 """Episodes whose placements are checked at once."""
 ENTRIES_LIMIT = 100
 """Most egos of a suite, and most traffic models."""
-PRESENTATION = ("title", "note", "columns", "pairs", "preventable_by", "references")
+PRESENTATION = ("title", "note", "columns", "warm_up_s", "pairs", "preventable_by", "references")
 """Fields of a suite that affect only the presentation of results, and no row."""
 
 
@@ -124,6 +124,10 @@ class Suite(FrozenModel):
     """What drives the vehicles around the ego, at most 100."""
     columns: Annotated[tuple[Name, ...], Field(max_length=1000, strict=False)] = ()
     """Metrics of the printed table; if empty, those of the paper."""
+    warm_up_s: NonNegative | None = None
+    """Time at the start of an episode in which the set `standard` counts only crashes and what
+    drivers do to each other. By default, it is 3 s where all vehicles are drawn on the motorway,
+    and 0 with scenarios, recordings and highway-env's roads."""
     pairs: bool = False
     """Whether to compare the egos pair by pair in a table."""
     preventable_by: Annotated[
@@ -157,6 +161,11 @@ class Suite(FrozenModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Suite":
+        if self.warm_up_s is not None and self.warm_up_s >= self.scene.duration_s:
+            raise ValueError(
+                f"warm_up_s: {self.warm_up_s:g} s leave nothing of an episode of "
+                f"{self.scene.duration_s:g} s"
+            )
         for what, entries in (("egos", self.egos), ("traffic models", self.traffics)):
             titles = [entry.title for entry in entries]
             if title := alike(titles):
@@ -207,7 +216,13 @@ class Suite(FrozenModel):
     def metric_sets(self) -> tuple[MetricSet, ...]:
         """The metrics of its tables."""
         has_roads = any(each.traffic.road for each in self.traffics)
-        return (*METRIC_SETS, ROADS) if has_roads else METRIC_SETS
+        has_scenarios = any(each.traffic.scenario for each in self.traffics)
+        warm_up_s = self.warm_up_s
+        if warm_up_s is None:
+            is_drawn = not (has_roads or has_scenarios or self.scene.recording)
+            warm_up_s = WARM_UP_S if is_drawn else 0.0
+        added = (ROADS,) * has_roads + (SCENARIOS,) * has_scenarios
+        return (PAPER, standard_after(warm_up_s), *added)
 
     def fingerprint(self) -> str:
         """Returns the hash of everything that decides its rows, except the number of episodes."""

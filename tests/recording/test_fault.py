@@ -63,6 +63,21 @@ def test_who_cuts_in_too_closely_is_at_fault_for_2_s(
     assert judged(STRIKING, x, y, [30.0, 24.0]) == expected
 
 
+@pytest.mark.parametrize(
+    ("gaps", "expected"),
+    [
+        ([7.0, 6.6, 6.2, 5.6, 5.0], (1, 0)),  # 2.6 m/s² at the crossing, 3.6 at the decision
+        ([5.0, 5.2, 5.4, 5.8, 6.0], (0, 1)),  # 3.6 m/s² at the crossing, 3.0 at the decision
+    ],
+)
+def test_an_entry_is_judged_in_the_simulation_step_of_the_crossing(
+    gaps: list[float], expected: tuple[int, int]
+) -> None:
+    y = [[LANE_1, each] for each in (0.9, 1.1, 1.2, 1.3, 1.4, 1.5, 2.2, 2.6, 3.0, 3.4, 3.8)]
+    x = following([8.0, *gaps, 4.0, 3.0, 2.0, 1.0, -0.1])
+    assert judged(STRIKING, x, y, [30.0, 24.0], every=5) == expected
+
+
 def test_a_vehicle_that_comes_to_the_lane_later_is_not_cut_in_on() -> None:
     # Both come to lane 1, the vehicle ahead first.
     y = [[LANE_2, 0.5], [LANE_2, 1.5], [7.0, 2.5], [5.5, 3.5], [4.5, 4.0]]

@@ -10,7 +10,7 @@ import pytest
 from command_line import Called, charms_bench
 
 from charms_bench.errors import InputError
-from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD, Metric, MetricSet
+from charms_bench.metrics import METRIC_SETS, PAPER, STANDARD, Metric, MetricSet, standard_after
 from charms_bench.metrics.metric import Interval, problem_of_sums
 from charms_bench.runs.metric_sets import metric_sets
 from charms_bench.runs.runner import run
@@ -45,6 +45,22 @@ def test_another_warm_up_shows_in_the_label_and_in_what_is_counted() -> None:
     assert counted["speed_mean"] == "steps"
     usual = {metric.name: metric.rests_on for metric in STANDARD.metrics}
     assert usual["speed_mean"] == "steps after 3 s"
+
+
+def test_a_definition_names_what_is_left_out_at_the_start() -> None:
+    left_out = {f"{metric.name}: {metric.description}" for metric in STANDARD.metrics}
+    assert "speed_mean: speed of the ego; without the first 3 s of an episode" in left_out
+    for metric in standard_after(1.7).metrics:
+        is_later = "1.7" in "".join(map(str, metric.sums))  # polars writes out an expression
+        assert is_later == metric.description.endswith("; without the first 1.7 s of an episode")
+
+
+def test_other_thresholds_keep_the_warm_up_of_the_suite() -> None:
+    usual = PAPER, standard_after(0.0)
+    (found,) = metric_sets(["standard:ttc_s=2"], usual)
+    assert found.label == "standard-5(warm_up_s=0,ttc_s=2)"
+    (other,) = metric_sets(["standard:warm_up_s=1"], usual)
+    assert other.label == "standard-5(warm_up_s=1)"
 
 
 def test_a_plugins_set_has_its_own_version() -> None:

@@ -1,6 +1,8 @@
 """Suites of scenarios: errors with lines, runs, replays, comparisons, preventable collisions."""
 
 import json
+from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,12 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.search import Point, Search
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, RunFolderError, SuiteError
+from charms_bench.metrics import PAPER, STANDARD
 from charms_bench.plugins.specs import AgentSpec
+from charms_bench.report.audit import audit_tables
 from charms_bench.report.preventable_table import crashed
+from charms_bench.report.run_files import write_table
+from charms_bench.report.suite_table import suite_table
 from charms_bench.runs.suite import load_suite
 from charms_bench.world.points import values_at
 from charms_bench.world.scene import Floats, Ints
@@ -132,10 +138,97 @@ def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
     assert (other & ~careful).any()
     table = run.tables["small-preventable"]
     shares = {row.labels: [number.value for number in row.numbers] for row in table.rows}
-    found = [other.mean(), (other & ~careful).mean(), (other & careful).mean()]
-    assert shares["Level 0", "Braking"] == pytest.approx(found)
+    found = [other.mean(), (other & ~careful).mean()]
+    assert shares["Level 0", "Braking"][:2] == pytest.approx(found)
+    # The careful driver brakes by 0.774 g at most.
+    assert shares["Careful", "Braking"][2] == pytest.approx(0.774 * 9.81, abs=0.01)
+    assert shares["Level 0", "Braking"][3:] == pytest.approx([(other & careful).mean(), 0.0])
     assert shares["Careful", "Braking"][1] == 0
     assert (run.path / "figures" / "small-preventable.png").stat().st_size > 10_000
+
+
+PILE_UPS = """\
+suite: blocked
+episodes: 3
+scene:
+  profile: {name: charms, speed_min_mps: 0.0, ego_control_rate: simulation}
+  duration_s: 5.0
+egos:
+  - {agent: careful_human, label: Careful}
+  - {agent: level_0, label: Level 0}
+traffic_models:
+  - label: Blocked
+    traffic:
+      scenario:
+        parameters: {gap: [5, 900]}
+        points: [{gap: 900}, {gap: 20}, {gap: 300}]
+        ego: {lane: 1, speed_mps: 30}
+        vehicles:
+          - {name: leader, lane: 1, ahead_of: ego, gap_m: 40, speed_mps: 28}
+          - {name: blocking, lane: 1, ahead_of: leader, gap_m: gap, speed_mps: 0}
+preventable_by: Careful
+"""
+"""The leader reaches the stationary vehicle at the second point alone, and the ego both."""
+
+
+@pytest.fixture(scope="module")
+def blocked(tmp_path_factory: pytest.TempPathFactory) -> charms_bench.Run:
+    folder = tmp_path_factory.mktemp("blocked")
+    return charms_bench.run(written(folder, PILE_UPS), folder / "run", workers=1)
+
+
+def test_scenarios_in_which_prescribed_vehicles_collide_are_left_out(
+    blocked: charms_bench.Run,
+) -> None:
+    assert [cell.episodes["episode"].to_list() for cell in blocked.cells] == [[0, 2]] * 2
+    assert blocked.edge_cases(kind="collision") == []
+    assert blocked.avoidability() == []
+    crashes = blocked.compare(egos=("Careful", "Level 0"), metrics=["crashed_episodes"])
+    assert crashes.records()[0]["second_value"] == 0.0
+    assert blocked.replay(1, "Level 0").crashed[-1].sum() >= 2
+
+
+def test_how_many_scenarios_are_left_out_stands_with_every_table(
+    blocked: charms_bench.Run,
+) -> None:
+    said = "prescribed vehicles collide with one another: 1 of 3 of Blocked."
+    tables = blocked.tables
+    for name, column in (("blocked", "metric"), ("blocked-preventable", "share")):
+        assert said in tables[name].note
+        rows = pl.read_csv(blocked.path / "tables" / f"{name}.csv").filter(
+            pl.col(column) == "scenarios_left_out"
+        )
+        np.testing.assert_allclose(rows.select("value", "n"), [(1 / 3, 3)] * 2, rtol=1e-5)
+        assert said in (blocked.path / "tables" / f"{name}.md").read_text(encoding="utf-8")
+    assert said in blocked.rescore("paper").note
+
+
+def test_a_table_of_before_is_audited_with_the_scenarios_that_it_had(
+    blocked: charms_bench.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = replace(blocked._finished, leaves_out=False)
+    before = suite_table(blocked.suite, whole.cells(), (PAPER, STANDARD))
+    write_table(blocked.path, before)
+    monkeypatch.setattr("charms_bench.report.audit.module_blobs", lambda: defaultdict(str))
+    found = [each for each in audit_tables(blocked.path, blocked.suite) if each.where]
+    assert {each.verdict for each in found} == {"unknown"}
+    assert "tables/blocked.csv" not in [each.where for each in found]
+    blocked.rescore()
+
+
+def test_a_suite_of_pile_ups_alone_is_rejected_before_it_runs(tmp_path: Path) -> None:
+    text = PILE_UPS.replace("{gap: 900}, {gap: 20}, {gap: 300}", "{gap: 5}, {gap: 20}, {gap: 30}")
+    with pytest.raises(SuiteError, match=r"Blocked: prescribed vehicles collide .* every concrete"):
+        charms_bench.run(written(tmp_path, text), tmp_path / "run", workers=1)
+    assert not list((tmp_path / "run").rglob("*.parquet"))
+
+
+def test_a_pile_up_is_no_failure_of_a_search(tmp_path: Path) -> None:
+    text = PILE_UPS.replace("        points: [{gap: 900}, {gap: 20}, {gap: 300}]\n", "")
+    text = text.replace("gap: [5, 900]", "gap: [5, 130]").replace("preventable_by: Careful", "")
+    suite, folder = written(tmp_path, text), tmp_path / "search"
+    made = charms_bench.search(suite, "Level 0", output=folder, budget=40)
+    assert (made.failures, made.left_out) == ([], made.simulations)
 
 
 def test_agents_in_scenarios_are_compared(run: charms_bench.Run) -> None:

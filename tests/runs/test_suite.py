@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -59,6 +60,36 @@ def test_the_fingerprint_ignores_the_number_of_episodes_and_nothing_else_that_co
     longer = Suite.model_validate({**MINIMAL, "episodes": 5})
     denser = Suite.model_validate({**MINIMAL, "scene": {"density": 1.5}})
     assert base.fingerprint() == longer.fingerprint() != denser.fingerprint()
+
+
+SCENARIO = {
+    "ego": {"lane": 1, "speed_mps": 30},
+    "vehicles": [{"name": "one", "lane": 0, "ahead_of": "ego", "gap_m": 9, "speed_mps": 25}],
+}
+
+
+@pytest.mark.parametrize(
+    ("fields", "label"),
+    [
+        ({}, "standard-5"),
+        ({"traffic_models": [{"traffic": {"scenario": SCENARIO}}]}, "standard-5(warm_up_s=0)"),
+        ({"traffic_models": [{"traffic": {"road": "merge-v0"}}]}, "standard-5(warm_up_s=0)"),
+        ({"warm_up_s": 1.5}, "standard-5(warm_up_s=1.5)"),
+    ],
+)
+def test_what_is_left_out_at_the_start_is_the_suites(fields: dict[str, Any], label: str) -> None:
+    suite = Suite.model_validate(MINIMAL | fields)
+    assert suite.metric_sets[1].label == label
+
+
+def test_another_warm_up_needs_no_new_simulation() -> None:
+    suite = Suite.model_validate(MINIMAL)
+    assert suite.fingerprint() == Suite.model_validate(MINIMAL | {"warm_up_s": 0}).fingerprint()
+
+
+def test_a_warm_up_that_leaves_nothing_is_rejected() -> None:
+    with pytest.raises(ValueError, match="warm_up_s: 20 s leave nothing of an episode of 20 s"):
+        Suite.model_validate(MINIMAL | {"warm_up_s": 20})
 
 
 def test_the_fingerprint_ignores_what_only_changes_the_presentation() -> None:

@@ -43,11 +43,12 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
     Green fields: the share of episodes that the reference driver survives, or the mean of the
     shares of two. None without scenarios of two parameters.
     """
-    numbers = np.arange(suite.seed, suite.seed + suite.episodes)
     points = {}
+    episodes = {cell.traffic: cell.episodes["episode"] for cell in cells}
     for entry in suite.traffics:
         scenario = entry.traffic.scenario
         if scenario is not None and len(scenario.parameters) >= 2:
+            numbers = episodes[entry.title].sort().to_numpy().astype(np.int64)
             points[entry.title] = list(values_at(scenario, numbers).items())[:2]
     if not points or not suite.preventable_by:
         return None

@@ -1,0 +1,47 @@
+"""Which concrete scenarios are none: those in which prescribed vehicles collide with one another.
+
+A prescribed vehicle moves as the scenario says, whatever the ego does. If two of them collide, the
+scenario prescribes what cannot happen, and an ego that meets the wreck did not fail.
+"""
+
+import numpy as np
+
+from charms_bench.engine.batched import BatchedEngine
+from charms_bench.engine.state import vacate
+from charms_bench.world.scene import Bools, Ints, SceneSettings
+
+AT_ONCE = 2**14
+"""Vehicles that are moved together."""
+
+
+def pile_ups(settings: SceneSettings, numbers: Ints) -> Bools:
+    """(R,) whether prescribed vehicles collide at the points (R,) of the settings' scenario.
+
+    They move without the ego and without the vehicles of agents, until the end of an episode.
+    """
+    found = np.zeros(numbers.size, dtype=np.bool_)
+    scenario = settings.scenario
+    if scenario is None or sum(each.agent is None for each in scenario.vehicles) < 2:
+        return found
+    is_there = np.array([False, *(each.agent is None for each in scenario.vehicles)])
+    at_once = max(1, AT_ONCE // is_there.size)
+    for first in range(0, numbers.size, at_once):
+        part = numbers[first : first + at_once]
+        found[first : first + at_once] = _collide(settings, part, is_there)
+    return found
+
+
+def _collide(settings: SceneSettings, numbers: Ints, is_there: Bools) -> Bools:
+    engine, rows = (
+        BatchedEngine(settings, numbers.size, {}, prescribed=[0]),
+        np.arange(numbers.size),
+    )
+    scene = engine.scene
+    scene.present[:] = True
+    scene.entry[:] = np.arange(is_there.size)
+    engine.reset(rows, numbers.astype(np.uint64), np.zeros(scene.x.shape, dtype=np.int64))
+    scene.present[:] = is_there
+    vacate(scene, rows)
+    for _ in range(settings.decisions * settings.steps_per_decision):
+        engine.advance()
+    return np.asarray(scene.crashed.any(axis=1))
