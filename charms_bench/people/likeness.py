@@ -87,6 +87,11 @@ class _Sums:
                 self.events[m, d], self.seconds[d] = _events(speed, gap)
         self.lanes = driven.lanes
 
+    def keep(self, strata: Bools) -> "_Sums":
+        """Leaves out the other strata, which weigh nothing in any half."""
+        self.strata = [each[:, :, strata] for each in self.strata]
+        return self
+
 
 class _Halves:
     """Recorded drivers with weights (D,), split into halves H times."""
@@ -135,7 +140,9 @@ class Yardstick:
         self._drivers = drivers.size
         self._energy = [self._energy_of(each) for each in (constant, own)]
         people = _Sums(human)
-        others = [_Sums(self._unseen(each)) for each in (constant, spawn_only)]
+        self._kept = people.strata[0][0].sum(axis=(0, 2)) >= SMALLEST_STRATUM_S
+        people.keep(self._kept)
+        others = [_Sums(self._unseen(each)).keep(self._kept) for each in (constant, spawn_only)]
         rng, every = np.random.default_rng(SEED), np.tile(np.arange(self._drivers), (HALVES, 1))
         is_first = rng.permuted(every, axis=1) < self._drivers / 2
         units = len(human.lanes)
@@ -200,6 +207,7 @@ class Yardstick:
 
     def _by_part(self, sums: _Sums, energy: Floats, units: Floats) -> Floats:
         """(1 + D, 8) closed loop, scene and events: of all drivers, then without each of them."""
+        sums.keep(self._kept)
         found = np.empty((1 + self._drivers, 2 + len(EVENTS)))
         for part, halves in enumerate(self._parts):
             lanes = self._without(units, part).sum(axis=0)
