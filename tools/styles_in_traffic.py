@@ -1,7 +1,8 @@
 """How often styles of the second plan crash as traffic: `python tools/styles_in_traffic.py`.
 
-Prints, for one style in all vehicles and for PCH with all eight, in how many scenes of 20 s
-vehicles of the traffic collide, and how many collide per 1,000 km. The ego is IDM+MOBIL.
+Prints, for one style in all vehicles, both competitive ones, and PCH with all eight, in how many
+scenes of 20 s vehicles of the traffic collide, and how many collide per 1,000 km. The ego is
+IDM+MOBIL.
 """
 
 import sys
@@ -39,12 +40,17 @@ def models() -> dict[str, list[str]]:
         for seed in SEEDS
     }  # fmt: skip
     found = {style: [paths[seed][style] for seed in SEEDS] for style in STYLES}
-    every = (
+    every = [
         ", ".join(f"{style}: {path}" for style, path in each.items()) for each in paths.values()
-    )
-    found["PCH, tau 1.5, beta 0.5"] = [
-        f"{{name: pch, options: {{tau: 1.5, beta: 0.5, styles: {{{styles}}}}}}}" for styles in every
     ]
+    for name, tau in (
+        ("both competitive styles (PCH, tau 0)", 0.0),
+        ("PCH, tau 1.5, beta 0.5", 1.5),
+    ):
+        found[name] = [
+            f"{{name: pch, options: {{tau: {tau}, beta: 0.5, styles: {{{styles}}}}}}}"
+            for styles in every
+        ]
     return found
 
 
