@@ -37,6 +37,8 @@ ACCELERATIONS_MPS2 = (-100.0, -1.5, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 1.5, 100.
 JERKS_MPS3 = (-100.0, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 100.0)
 PRIOR_EVENTS, PRIOR_COLLISIONS = 5.0, 1.0
 """Added to each number of events, so that one event of one driver does not decide a score."""
+PRIOR_PER_KM = 0.01
+"""The same for collisions in traffic: those of one vehicle in 100 km cost 1."""
 _PRIORS = PRIOR_EVENTS, PRIOR_EVENTS, PRIOR_COLLISIONS
 EVENTS = (
     "hard_braking",
@@ -335,5 +337,7 @@ def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: in
     """
     seconds = weights @ driven.seconds
     behind = (weights @ driven.events[m] + _PRIORS) / seconds[:, None]
-    in_lanes = lanes[:, 1:] / lanes[:, :1] + np.divide(_PRIORS, half_km[:, None])
+    changes = PRIOR_EVENTS / half_km
+    priors = np.stack([changes, changes, np.full(changes.shape, PRIOR_PER_KM)], axis=-1)
+    in_lanes = lanes[:, 1:] / lanes[:, :1] + priors
     return np.concatenate([behind, in_lanes], axis=1)
