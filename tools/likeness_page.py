@@ -32,10 +32,11 @@ FIGURE = ROOT / "docs" / "likeness.png"
 def main(data: Path) -> None:
     """Writes the tables, the page and the figure."""
     for road, (file, suite) in ROADS.items():
-        against = standard(load_suite(suite), data / file, read_population(road))
-        rows = list(likeness(load_suite(suite), against))
+        read = load_suite(suite)
+        against = standard(read, data / file, read_population(road))
+        rows = list(likeness(read, against))
         write(f"likeness-{road}", rows)
-        controls = controls_table(list(likeness_of_controls(against)))
+        controls = controls_table(list(likeness_of_controls(read, against)))
         write_text(f"likeness-controls-{road}", markdown(controls))
         if road == "i24":
             draw(rows, FIGURE)

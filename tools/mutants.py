@@ -1,7 +1,9 @@
 """How well traffic models find faults: `python tools/mutants.py RUN`, a run of suites/mutants.yaml.
 
 Writes the tables of docs/mutants.md, which says what the numbers are, and the severity of every
-driver in every traffic model to `docs/results/mutants.csv`.
+driver in every traffic model to `docs/results/mutants.csv`. With several runs, of other episodes or
+of parts of the suite, it writes nothing, and prints by how many standard errors each driver exceeds
+the one without a fault in each run.
 """
 
 import re
@@ -90,9 +92,14 @@ def episodes_until_ordered(
 
 def found(severity: Floats) -> Bools:
     """[D - 1] of severities [E, D]: which drivers are worse than the first one, beyond chance."""
+    return np.asarray(excess(severity) > FOUND)
+
+
+def excess(severity: Floats) -> Floats:
+    """[D - 1] of severities [E, D]: mean excess over the first driver, in standard errors."""
     difference = severity[:, 1:] - severity[:, :1]
     error = difference.std(axis=0, ddof=1) / np.sqrt(len(difference))
-    return np.asarray(difference.mean(axis=0) > FOUND * error)
+    return np.asarray(difference.mean(axis=0) / np.maximum(error, 1e-12))
 
 
 def of_traffic(run: FinishedRun, cells: Sequence[int]) -> Driven:
@@ -270,7 +277,22 @@ def main(folder: Path) -> None:
     page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
+def print_excess(folders: Sequence[Path]) -> None:
+    """Prints the excess of each faulty driver in each traffic model, a line for each run."""
+    for folder in folders:
+        run = open_finished(folder)
+        titles = [ego.title for ego in run.suite.egos[1:]]
+        for entry in run.suite.traffics:
+            cells = [k for k, each in enumerate(run.suite.cells) if each.traffic == entry]
+            values = zip(titles, excess(of_traffic(run, cells).severity), strict=True)
+            shown = ", ".join(f"{title} {value:.1f}" for title, value in values)
+            print(f"{entry.title}, episodes from {run.suite.seed}: {shown}")
+
+
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
-        sys.exit("usage: python tools/mutants.py RUN")
-    main(Path(sys.argv[1]))
+    if len(sys.argv) < 2:
+        sys.exit("usage: python tools/mutants.py RUN [RUN ...]")
+    if len(sys.argv) == 2:
+        main(Path(sys.argv[1]))
+    else:
+        print_excess([Path(each) for each in sys.argv[1:]])

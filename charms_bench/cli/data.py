@@ -191,7 +191,7 @@ def calibrate(
         raise InputError(f"{to}: {what}; expected the name of a new file that ends in .json")
     with interruptible():
         found = calibrated(read_trips(recordings), note)
-        choices = read_choices(recordings, found.fit.point)
+        choices = read_choices(recordings, found.fit.point, found.held_out_drivers)
     name, origin = (to or recordings).stem, f"recordings in {recordings.name}"
     changes = fit_choices(choices)
     population = found.population(name, origin, "the terms of the recordings", changes)
@@ -281,7 +281,7 @@ def likeness(
             rows.append(each)
         if controls:
             note("controls")
-            of_controls = list(likeness_of_controls(against))
+            of_controls = list(likeness_of_controls(read, against))
     if figure is not None:
         draw(rows, figure)
     if as_json:

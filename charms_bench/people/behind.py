@@ -44,13 +44,18 @@ class _Leader(DriverModel):
         return np.clip(acceleration, -20.0, 20.0), scene.lane[vehicles]
 
 
+def speeds_of(profile: Profile) -> tuple[float, float]:
+    """The lowest and the highest recorded speed that a profile allows."""
+    return profile.speed_min_mps, min(profile.speed_max_mps, profile.speed_limit_mps)
+
+
 def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
     """The situations whose recorded speeds the profile allows.
 
     Raises:
         DataError: They are of fewer than `FEWEST_DRIVERS` drivers.
     """
-    low, high = profile.speed_min_mps, min(profile.speed_max_mps, profile.speed_limit_mps)
+    low, high = speeds_of(profile)
     found = [
         part
         for part in parts
@@ -111,8 +116,8 @@ def drive_behind(
         locate(scene, rows)
         if k % settings.simulation_hz == 0:
             second = k // settings.simulation_hz
-            apart = scene.x[rows, other] - scene.x[rows, own]
-            gaps[:, second] = apart - profile.vehicle_length_m
+            apart = scene.x[rows, other] - scene.x[rows, own] - profile.vehicle_length_m
+            gaps[:, second] = np.where(scene.crashed[rows, own], np.minimum(apart, 0.0), apart)
             speeds[:, second] = scene.speed[rows, own]
         simulation.advance()
         if simulation.phase == settings.steps_per_decision:
@@ -135,7 +140,10 @@ def count_lanes(
     agents: Mapping[str, Agent],
     episodes: int,
 ) -> Floats:
-    """(episodes, 3) kilometres, lane changes and undone ones, of the egos or of the traffic."""
+    """(episodes, 4) kilometres, lane changes, undone ones and collided vehicles.
+
+    They are those of the egos or of the traffic.
+    """
     simulation = Simulation(settings, episodes, ego, traffic, agents)
     simulation.reset(np.arange(episodes, dtype=np.uint64))
     scene, rows = simulation.scene, np.arange(episodes)
@@ -146,7 +154,7 @@ def count_lanes(
     start, lane = scene.x.copy(), scene.lane.copy()
     left, since = np.full(lane.shape, -1), np.zeros(lane.shape, dtype=np.int64)
     within = round(UNDONE_WITHIN_S * settings.decision_hz)
-    found = np.zeros((episodes, 3))
+    found = np.zeros((episodes, 4))
     for _ in range(settings.decisions):
         simulation.step()
         since += 1
@@ -157,4 +165,5 @@ def count_lanes(
         left, since = np.where(changed, lane, left), np.where(changed, 0, since)
         lane = scene.lane.copy()
     found[:, 0] = ((scene.x - start) * counted).sum(axis=1) / 1000
+    found[:, 3] = (scene.crashed & counted).sum(axis=1)
     return found

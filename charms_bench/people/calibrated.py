@@ -57,6 +57,11 @@ class Calibration:
     held_out: tuple[Trip, ...]
 
     @property
+    def held_out_drivers(self) -> set[int]:
+        """Whom nothing was fitted to."""
+        return {trip.driver for trip in self.held_out}
+
+    @property
     def gap_ratio(self) -> tuple[float, float, float]:
         """Gap error of the population over that of the better uncalibrated IDM, with interval."""
         population, _, *others = self.predicted
@@ -121,7 +126,7 @@ class Calibration:
             correlation_s=round(fit.correlation_s, 2),
             drivers=len(fit.drivers),
             drivers_at_bound=fit.at_bound,
-            held_out=len(of_drivers(self.held_out)),
+            held_out=len(self.held_out_drivers),
             seed=SPLIT_SEED,
             lane_changes=lane_changes,
         )

@@ -2,7 +2,7 @@
 
 The logarithms of a driver's parameters and of the situation, `SITUATION`, are jointly normal, with
 a mean and a covariance that are fitted (Lindstrom & Bates 1990, with Laplace's approximation of the
-drivers' posteriors). So a driver's desired speed, for example, depends on the speed of the traffic.
+drivers' posteriors). So a driver's desired speed, for example, depends on the speed at the start.
 A driver's likelihood rests on the logarithm of simulated over recorded gap. These errors stay alike
 for seconds, so a trip counts as many independent errors as it has correlation times.
 """
@@ -31,7 +31,7 @@ population's variance is flagged: most of what is said of a driver comes from th
 SLOWEST_MPS = 3.0
 """Slower speeds count as this one in a situation, because time gaps of stopping drivers say
 little."""
-SITUATION = ("first_time_gap_s", "leader_speed_mps")
+SITUATION = ("first_time_gap_s", "first_speed_mps")
 """What a driver's parameters are correlated with; see `situation_of`."""
 LAGS_S = (0.0, 0.3, 0.6, 1.0)
 """The lags that are tried; the one with the largest log-likelihood is taken."""
@@ -137,12 +137,12 @@ def of_drivers(trips: Sequence[Trip]) -> dict[int, list[Trip]]:
 
 
 def situation_of(trips: Sequence[Trip]) -> Floats:
-    """(2,) logarithms of the first time gap in s and the leader's mean speed in m/s.
+    """(2,) logarithms of the first time gap in s and the first speed in m/s.
 
-    Both are known before a model drives behind the leader. They are means over a driver's trips.
+    A driver knows both when the trip starts. They are means over a driver's trips.
     """
-    time_gaps = [trip.gap[0] / max(trip.speed[0], SLOWEST_MPS) for trip in trips]
-    speeds = [max(trip.leader_speed.mean(), SLOWEST_MPS) for trip in trips]
+    speeds = np.array([max(trip.speed[0], SLOWEST_MPS) for trip in trips])
+    time_gaps = np.array([trip.gap[0] for trip in trips]) / speeds
     return np.asarray(np.log([time_gaps, speeds]).mean(axis=1))
 
 

@@ -2,10 +2,11 @@
 
 All of them take the places of recorded drivers, without the engine. The calibrated driver is drawn
 from a population. The others copy recorded accelerations without looking at the scene, brake or
-accelerate all the time, or do what the calibrated driver does with a known change.
+accelerate all the time, or do what the calibrated driver does with a known change. The memoriser
+has the recordings by which drivers are scored, and repeats the one that it recognises.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,47 +16,52 @@ from charms_bench.people.car_following import MODELS, drive
 from charms_bench.people.driven import Driven
 from charms_bench.people.held_out import SEED
 from charms_bench.people.population import Population
+from charms_bench.people.simple import REPETITIONS, Driver
 from charms_bench.people.suited import suited
 from charms_bench.people.trips import RATE_HZ, Trip
 from charms_bench.world.scene import Floats
 
 CALIBRATED = "calibrated driver"
-REPETITIONS = 8
 LONGER = 1.2
 """Headways of the known change, as a multiple."""
-Driver = Callable[[Trip, np.random.Generator], tuple[Floats, Floats]]
-"""Gaps and speeds (M, n) of M repetitions in the place of a trip's driver."""
 
 
 def controls(parts: Sequence[Trip], human: Driven, population: Population) -> dict[str, Driven]:
-    """The calibrated driver and the other ones, by name."""
-    changes = human.lanes * [1, 5, 1]
+    """The calibrated driver and the other ones, by name.
+
+    `parts` are the S situations of `human`, and then S that no recording has.
+    """
+    recorded, lanes = parts[: len(human.driver)], human.lanes
     found = {
-        CALIBRATED: in_place(parts, human, calibrated(population)),
-        "another draw": in_place(parts, human, calibrated(population), seed=SEED + 1),
-        "accelerations drawn independently": in_place(parts, human, copier(parts)),
-        "sequences of other situations": in_place(parts, human, blind(parts)),
-        "braking or accelerating by 1 m/s2": in_place(parts, human, bang_bang),
-        "desired time gaps 20 % longer": in_place(parts, human, calibrated(population, LONGER)),
+        CALIBRATED: in_place(parts, lanes, calibrated(population)),
+        "another draw": in_place(parts, lanes, calibrated(population), seed=SEED + 1),
+        "the recording with the nearest start": in_place(parts, lanes, memoriser(recorded)),
+        "accelerations drawn independently": in_place(parts, lanes, copier(recorded)),
+        "sequences of other situations": in_place(parts, lanes, blind(recorded)),
+        "braking or accelerating by 1 m/s2": in_place(parts, lanes, bang_bang),
+        "desired time gaps 20 % longer": in_place(parts, lanes, calibrated(population, LONGER)),
     }
     usual = found[CALIBRATED]
     start = usual.speed[..., :1]
     found["headways 20 % longer"] = replace(usual, gap=usual.gap * LONGER)
     found["accelerations x 2"] = replace(usual, speed=start + 2 * (usual.speed - start))
-    if human.lanes.size:
-        found["lane changes x 5"] = replace(usual, lanes=changes)
+    if np.isfinite(lanes).all():
+        found["lane changes x 5"] = replace(usual, lanes=lanes * [1, 5, 1, 1])
     return found
 
 
-def in_place(parts: Sequence[Trip], human: Driven, driver: Driver, seed: int = SEED) -> Driven:
-    """What a driver does in the places of recorded drivers, at 1 Hz, with their lane changes."""
+def in_place(parts: Sequence[Trip], lanes: Floats, driver: Driver, seed: int = SEED) -> Driven:
+    """What a driver does in the places of recorded drivers, at 1 Hz, with given lane changes."""
     rng, every = np.random.default_rng(seed), slice(None, None, RATE_HZ)
     gaps, speeds = zip(*(driver(part, rng) for part in parts), strict=True)
     gap, speed = (np.array([each[:, every] for each in both]) for both in (gaps, speeds))
-    return Driven(human.driver, gap, speed, human.leader_speed, human.lanes)
+    leader_speed = np.array([part.leader_speed[every] for part in parts])
+    return Driven(np.array([part.driver for part in parts]), gap, speed, leader_speed, lanes)
 
 
-def calibrated(population: Population, headway: float = 1.0) -> Driver:
+def calibrated(
+    population: Population, headway: float = 1.0, repetitions: int = REPETITIONS
+) -> Driver:
     """Drivers of a population that suit the start; then their desired time gaps are multiplied."""
     model = MODELS[population.model]
     scale = np.where(np.array(model.parameters) == "time_gap_s", headway, 1.0)
@@ -66,10 +72,22 @@ def calibrated(population: Population, headway: float = 1.0) -> Driver:
         def draw(count: int) -> Floats:
             return np.exp(rng.multivariate_normal(mean, spread, size=count))
 
-        p = suited(model, trip, REPETITIONS, draw, rng) * scale
+        p = suited(model, trip, repetitions, draw, rng) * scale
         shape = len(p), trip.gap.size
         noise = ou_noise(rng, shape, population.noise_mps2, population.noise_s)
         return drive(model, trip, p, population.lag_s, noise)
+
+    return drives
+
+
+def memoriser(parts: Sequence[Trip]) -> Driver:
+    """Repeats the recorded situation whose first gap and speed are the nearest."""
+    starts = np.array([[part.gap[0], part.speed[0]] for part in parts])
+
+    def drives(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        apart = (starts - [trip.gap[0], trip.speed[0]]) / starts.std(axis=0)
+        nearest = parts[int((apart**2).sum(axis=1).argmin())]
+        return _along(trip, np.tile(np.diff(nearest.speed), (REPETITIONS, 1)))
 
     return drives
 

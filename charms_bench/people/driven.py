@@ -30,8 +30,18 @@ class Driven:
     leader_speed: Floats
     """(S, 31) m/s."""
     lanes: Floats
-    """(L, 3) kilometres, lane changes and undone lane changes of independent units: recorded
-    vehicles or episodes. (0, 3) where lanes are unknown."""
+    """(L, 4) kilometres, lane changes, undone lane changes and collisions of independent units:
+    recorded drivers or episodes. Lane changes are not a number where lanes are unknown."""
+
+    @property
+    def collided(self) -> Bools:
+        """(S, M) whether the driver drove into the leader."""
+        return np.asarray((self.gap <= 0).any(axis=-1))
+
+    def of(self, part: slice) -> "Driven":
+        """The same in a part of the situations."""
+        arrays = self.driver[part], self.gap[part], self.speed[part], self.leader_speed[part]
+        return Driven(*arrays, self.lanes)
 
 
 def recorded(parts: Sequence[Trip], lanes: Floats) -> Driven:
@@ -53,7 +63,7 @@ def conduct(driven: Driven) -> dict[str, float | None]:
     """
     acceleration = np.diff(driven.speed, axis=-1)
     gap, speed = driven.gap[..., 1:], driven.speed[..., 1:]
-    km, changes, undone = driven.lanes.sum(axis=0)
+    km, changes, undone, collisions = driven.lanes.sum(axis=0)
     return {
         "acceleration_std_mps2": float(acceleration.std()),
         "strong_acceleration": float((np.abs(acceleration) > STRONG_MPS2).mean()),
@@ -61,7 +71,9 @@ def conduct(driven: Driven) -> dict[str, float | None]:
         "hard_braking_per_h": float(3600 * (acceleration < -HARD_BRAKING_MPS2).mean()),
         "time_gap_median_s": float(np.median(gap / np.maximum(speed, SLOWEST_MPS))),
         "short_headway": float((gap < SHORT_HEADWAY_S * speed).mean()),
-        "lane_changes_per_km": float(changes / km) if km > 0 else None,
+        "collided": float(driven.collided.mean()),
+        "collisions_per_1000km": float(1000 * collisions / km),
+        "lane_changes_per_km": float(changes / km) if np.isfinite(changes) else None,
         "undone_lane_changes": float(undone / changes) if changes > 0 else None,
     }
 

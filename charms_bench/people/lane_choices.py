@@ -10,6 +10,7 @@ be. MOBIL's other constants are not identified by a few dozen lane changes, so t
 and the limit of braking is the profile's. Lane changes to and from exits are left out.
 """
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,9 +20,10 @@ from scipy.special import expit
 
 from charms_bench.foundation.compiled import compiled
 from charms_bench.metrics.rows import UNDONE_WITHIN_S
+from charms_bench.people.calibration import of_drivers
 from charms_bench.people.car_following import idm
 from charms_bench.people.population import LaneChanges
-from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES
+from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip
 from charms_bench.world.csv_table import read_parquet
 from charms_bench.world.highd import STAY_S, read_folder
 from charms_bench.world.profile import CHARMS
@@ -32,6 +34,8 @@ START_S = 2.0
 FEWEST_CHANGES = 10
 """With fewer, no threshold is fitted."""
 _THRESHOLDS_MPS2, _SCALES_MPS2 = (-50.0, 100.0), (0.01, 10.0)
+_NOT_ASKED = 9
+"""A side that no driver can choose."""
 
 
 class Choices(NamedTuple):
@@ -48,9 +52,12 @@ class Choices(NamedTuple):
     driven_km: float
 
 
-def read_choices(path: Path, p: Floats) -> Choices:
-    """The choices in recordings, as `read_trips` reads them, for an IDM driver with p (5,)."""
-    found = [_choices(rows, p) for rows in _rows_with_lanes(path)]
+def read_choices(path: Path, p: Floats, held_out: Collection[int] = ()) -> Choices:
+    """The choices in recordings, as `read_trips` reads them, for an IDM driver with p (5,).
+
+    Those of the `held_out` drivers are left out; their vehicles are only neighbours.
+    """
+    found = [_choices(rows, p, held_out) for rows in _rows_with_lanes(path)]
     return Choices(
         np.concatenate([np.empty(0), *(each.gain for each in found)]),
         np.concatenate([np.empty(0, dtype=np.bool_), *(each.changed for each in found)]),
@@ -60,9 +67,13 @@ def read_choices(path: Path, p: Floats) -> Choices:
     )
 
 
-def read_lane_counts(path: Path) -> Floats:
-    """(L, 3) kilometres, lane changes and undone ones of vehicles; (0, 3) without lanes."""
-    found = [np.zeros((0, 3))]
+def read_lane_counts(path: Path, trips: Sequence[Trip]) -> Floats:
+    """(L, 4) kilometres, lane changes, undone ones and collisions of the drivers of some trips.
+
+    No recorded driver collides. Without lanes, lane changes are not a number, and the kilometres
+    are those of the trips.
+    """
+    by_driver, found = of_drivers(trips), []
     for rows in _rows_with_lanes(path):
         rate = _rate_of(rows)
         changes = _changes(rows, rate)
@@ -72,20 +83,29 @@ def read_lane_counts(path: Path) -> Floats:
         changes = changes.with_columns(undone=back.over("vehicle").fill_null(False))
         per_vehicle = changes.group_by("vehicle").agg(pl.len(), pl.sum("undone"))
         km = rows.group_by("vehicle").agg(km=pl.col("speed").sum() / rate / 1000)
+        km = km.filter(pl.col("vehicle").is_in(list(by_driver)))
         joined = km.join(per_vehicle, on="vehicle", how="left").fill_null(0).sort("vehicle")
-        found.append(joined.select("km", "len", "undone").to_numpy().astype(np.float64))
-    return np.concatenate(found)
+        joined = joined.select("km", "len", "undone", collisions=pl.lit(0))
+        found.append(joined.to_numpy().astype(np.float64))
+    if found:
+        return np.concatenate(found)
+    driven = [sum(trip.speed.sum() for trip in own) for own in by_driver.values()]
+    return np.array([[m / RATE_HZ / 1000, np.nan, np.nan, 0.0] for m in driven])
 
 
 def _rows_with_lanes(path: Path) -> list[pl.DataFrame]:
-    """Columns vehicle, lane, x, speed, length, group and second of each recording with lanes."""
+    """Columns vehicle, lane, x, speed, length, group and second of each recording with lanes.
+
+    Vehicles have the numbers of the drivers of `read_trips`.
+    """
     if path.suffix == ".parquet":
         table = read_parquet(path)
         tables = [_i75_rows(table)] if "lead_id" in table.columns else []
     else:
-        tables = [
-            recording.tracks.filter("on_road").select(
-                "vehicle",
+        tables, first = [], 0
+        for recording in read_folder(path):
+            rows = recording.tracks.filter("on_road").select(
+                pl.col("vehicle") + first,
                 "lane",
                 "x",
                 "speed",
@@ -93,8 +113,8 @@ def _rows_with_lanes(path: Path) -> list[pl.DataFrame]:
                 group="direction",
                 second=(pl.col("frame") - pl.col("frame").min()) / recording.frame_rate_hz,
             )
-            for recording in read_folder(path)
-        ]
+            tables.append(rows)
+            first += int(recording.tracks["vehicle"].max()) + 1  # type: ignore[arg-type]
     return [rows.sort("vehicle", "second") for rows in tables]
 
 
@@ -157,10 +177,11 @@ def _i75_rows(table: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def _choices(rows: pl.DataFrame, p: Floats) -> Choices:
+def _choices(rows: pl.DataFrame, p: Floats, held_out: Collection[int]) -> Choices:
     """The choices of one recording; columns vehicle, lane, x, speed, length, group, second."""
     rate = _rate_of(rows)
-    driven_km = float(rows["speed"].sum()) / rate / 1000
+    is_fitted = ~pl.col("vehicle").is_in(list(held_out))
+    driven_km = float(rows.filter(is_fitted)["speed"].sum()) / rate / 1000
     stays = _changes(rows, rate)
     # The choice that comes last before the vehicle starts to move is the one that it makes.
     rounded = (pl.col("second") * rate).round().cast(pl.Int64)
@@ -174,7 +195,8 @@ def _choices(rows: pl.DataFrame, p: Floats) -> Choices:
     moves = pl.col("end") >= pl.col("second")
     is_first = (pl.col("end") > pl.col("until") - 1).fill_null(False)
     side = pl.when(moves.fill_null(False)).then("side").otherwise(0)
-    decided = decided.with_columns(chosen=pl.when(is_first).then(side).otherwise(side * 9))
+    chosen = pl.when(is_first).then(side).otherwise(side * _NOT_ASKED)
+    decided = decided.with_columns(chosen=pl.when(is_fitted).then(chosen).otherwise(_NOT_ASKED))
     decided = decided.with_columns(moment=pl.struct("group", "second").rank("dense"))
     decided = decided.sort("moment", "x")
     columns = {name: decided[name].to_numpy() for name in decided.columns if name != "until"}
@@ -190,7 +212,7 @@ def _choices(rows: pl.DataFrame, p: Floats) -> Choices:
         (gain, changed, speeds),
     )
     arrays = gain[:count], changed[:count], speeds[:count]
-    return Choices(*arrays, stays.height, driven_km)
+    return Choices(*arrays, stays.filter(is_fitted).height, driven_km)
 
 
 @compiled
@@ -210,7 +232,7 @@ def _weigh(
     count, median, own = 0, p[0], p.copy()
     for i in range(x.size):
         if abs(chosen[i]) > 1:
-            continue  # the vehicle already moves to the new lane
+            continue  # the vehicle already moves to the new lane, or is held out
         for side in (-1, 1):
             new = lane[i] + side
             if new < 0 or new >= lanes:

@@ -1,14 +1,16 @@
-"""How much a driver is like recorded drivers: a score that copying recorded numbers cannot win.
+"""How much a driver is like recorded drivers.
 
-A driver is put in the place of recorded drivers, for 30 s behind their recorded leaders. Three
-components are scored, and the worst of them is the total:
+A driver is put in the place of recorded drivers, for 30 s behind their recorded leaders, and in as
+many situations that no recording has; see `people.unseen`. Three components are scored, and the
+worst of them is the total:
 
-- **closed loop**: the energy score of gap and speed after 10, 20 and 30 s. 0 is constant velocity,
-  and 1 is IDM with the recorded driver's own parameters and noise.
-- **given the scene**: distributions of acceleration, jerk and reversals, as means over 1 s, given
-  the speed, the gap and the closing speed.
-- **events**: rates of hard braking, short headways and, where lanes are known, lane changes and
-  undone ones. The worst of them is the component.
+- **closed loop**, in the recorded situations: the energy score of gap and speed after 10, 20 and
+  30 s. 0 is constant velocity, and 1 is IDM with the recorded driver's own parameters and noise.
+- **given the scene**, in the other situations: distributions of acceleration, jerk and reversals,
+  as means over 1 s, given the speed, the gap and the closing speed.
+- **events**, in the other situations: rates of hard braking, short headways, collisions and, in
+  traffic, collisions and, where lanes are known, lane changes and undone ones. The worst of them is
+  the component.
 
 For the last two, a driver in the place of one half of the recorded drivers is compared with the
 other half. 0 is the better of constant velocity and an IDM that wants the speed that it was spawned
@@ -17,6 +19,7 @@ with, and 1 is what the recorded drivers of the first half score. Data sets are 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -32,9 +35,19 @@ CLOSING_MPS = (-100.0, -0.5, 0.5, 100.0)
 """Edges of the strata of speed, of density by its time gap, and of closing speed."""
 ACCELERATIONS_MPS2 = (-100.0, -1.5, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 1.5, 100.0)
 JERKS_MPS3 = (-100.0, -0.8, -0.4, -0.15, 0.15, 0.4, 0.8, 100.0)
-PRIOR_EVENTS = 5.0
+PRIOR_EVENTS, PRIOR_COLLISIONS = 5.0, 1.0
 """Added to each number of events, so that one event of one driver does not decide a score."""
-EVENTS = ("hard_braking", "short_headway", "lane_change", "undone_lane_change")
+PRIOR_PER_KM = 0.01
+"""The same for collisions in traffic: those of one vehicle in 100 km cost 1."""
+_PRIORS = PRIOR_EVENTS, PRIOR_EVENTS, PRIOR_COLLISIONS
+EVENTS = (
+    "hard_braking",
+    "short_headway",
+    "collision",
+    "lane_change",
+    "undone_lane_change",
+    "collision_in_traffic",
+)
 LEAST_SPAN = np.log(2)
 """A rate twice as high or half as high costs at most 1, even where the floor has the right rate.
 Twice the distance between halves of the recorded drivers costs at most 1, too."""
@@ -62,7 +75,7 @@ class _Sums:
         found, number = np.unique(driven.driver, return_inverse=True)
         shape = driven.speed.shape[1], drivers or found.size
         self.strata = [np.zeros((*shape, _STRATA, bins)) for bins in _BINS]
-        self.events = np.zeros((*shape, 2))
+        self.events = np.zeros((*shape, len(_PRIORS)))
         self.seconds = np.zeros(shape[1])
         for d in range(shape[1]):
             own = number == d
@@ -76,25 +89,30 @@ class _Sums:
                 self.events[m, d], self.seconds[d] = _events(speed, gap)
         self.lanes = driven.lanes
 
+    def keep(self, strata: Bools) -> "_Sums":
+        """Leaves out the other strata, which weigh nothing in any half."""
+        self.strata = [each[:, :, strata] for each in self.strata]
+        return self
+
 
 class _Halves:
     """Recorded drivers with weights (D,), split into halves H times."""
 
     def __init__(self, human: _Sums, weights: Floats, is_first: Bools, lanes: Floats) -> None:
-        """`is_first` (H, D) are the first halves, and `lanes` (H, 2, 3) are sums of lane counts."""
+        """`is_first` (H, D) are the first halves, and `lanes` (H, 2, 4) are sums of lane counts."""
         self.weights, self._lanes = weights, lanes
         one, self._other = weights * is_first, weights * ~is_first
         self._recorded = [np.tensordot(one, each[0], 1) for each in human.strata]
         self._expected = _rates(human, one, lanes[:, 0], lanes[:, 0, 0])
 
     def distances(self, tested: _Sums, lanes: Floats | None = None) -> Floats:
-        """(H, 5) of scene and events, of a driver in the second half from people in the first.
+        """(H, 7) of scene and events, of a driver in the second half from people in the first.
 
-        They are means over the repetitions. `lanes` (3,) are the driver's sums of lane counts;
+        They are means over the repetitions. `lanes` (4,) are the driver's sums of lane counts;
         people have those of their second half.
         """
         km = self._lanes[:, 0, 0]
-        own = self._lanes[:, 1] if lanes is None else np.broadcast_to(lanes, (km.size, 3))
+        own = self._lanes[:, 1] if lanes is None else np.broadcast_to(lanes, (km.size, 4))
         found = np.zeros((km.size, 1 + len(EVENTS)))
         for m in range(len(tested.events)):
             driven = [np.tensordot(self._other, each[m], 1) for each in tested.strata]
@@ -108,10 +126,10 @@ class Yardstick:
     """The recorded drivers, and the drivers that the scores 0 and 1 are defined by.
 
     Args:
-        human: What the recorded drivers did.
-        constant: What constant velocity does in their place.
-        spawn_only: What an IDM with the speed of its spawn does.
-        own: What IDM does with the recorded drivers' own parameters and noise.
+        human: What the recorded drivers did in S situations.
+        constant: What constant velocity does there, and in S situations that no recording has.
+        spawn_only: What an IDM with the speed of its spawn does in the same 2 S situations.
+        own: What IDM does there with the recorded drivers' own parameters and noise.
         scales: (H, 2) gaps and speeds are divided by these in energy scores.
     """
 
@@ -119,10 +137,14 @@ class Yardstick:
         self, human: Driven, constant: Driven, spawn_only: Driven, own: Driven, scales: Floats
     ) -> None:
         self._human, self._scales = human, scales
+        self._of = cache(self._of_driver)
         drivers, self._number = np.unique(human.driver, return_inverse=True)
         self._drivers = drivers.size
         self._energy = [self._energy_of(each) for each in (constant, own)]
-        people, *others = (_Sums(each) for each in (human, constant, spawn_only))
+        people = _Sums(human)
+        self._kept = people.strata[0][0].sum(axis=(0, 2)) >= SMALLEST_STRATUM_S
+        people.keep(self._kept)
+        others = [_Sums(self._unseen(each)).keep(self._kept) for each in (constant, spawn_only)]
         rng, every = np.random.default_rng(SEED), np.tile(np.arange(self._drivers), (HALVES, 1))
         is_first = rng.permuted(every, axis=1) < self._drivers / 2
         units = len(human.lanes)
@@ -151,7 +173,7 @@ class Yardstick:
         self._span[:, 1:] = np.maximum(self._span[:, 1:], least)
 
     def scores(self, tested: Driven) -> dict[str, Score]:
-        """The components and the total of a driver in the same situations."""
+        """The components and the total of a driver in the same 2 S situations."""
         return _of_worst(self._of(tested))
 
     def differences(self, tested: Driven, other: Driven) -> dict[str, Score]:
@@ -177,11 +199,17 @@ class Yardstick:
         found = self._by_part(_Sums(people, self._drivers), self._energy[1], people.lanes)
         return {name: each for name, each in _of_worst(found).items() if name in COMPONENTS[1:]}
 
-    def _of(self, tested: Driven) -> Floats:
-        return self._by_part(_Sums(tested), self._energy_of(tested), tested.lanes)
+    def _of_driver(self, tested: Driven) -> Floats:
+        sums = _Sums(self._unseen(tested))
+        return self._by_part(sums, self._energy_of(tested), tested.lanes)
+
+    def _unseen(self, driven: Driven) -> Driven:
+        """What a driver did in the situations that no recording has."""
+        return driven.of(slice(len(self._human.driver), None))
 
     def _by_part(self, sums: _Sums, energy: Floats, units: Floats) -> Floats:
-        """(1 + D, 6) closed loop, scene and events: of all drivers, then without each of them."""
+        """(1 + D, 8) closed loop, scene and events: of all drivers, then without each of them."""
+        sums.keep(self._kept)
         found = np.empty((1 + self._drivers, 2 + len(EVENTS)))
         for part, halves in enumerate(self._parts):
             lanes = self._without(units, part).sum(axis=0)
@@ -194,7 +222,8 @@ class Yardstick:
 
     def _energy_of(self, driven: Driven) -> Floats:
         """(D, H) sums of energy scores by recorded driver."""
-        energy = _energy_scores(driven, self._human, self._scales)
+        recorded = driven.of(slice(len(self._human.driver)))
+        energy = _energy_scores(recorded, self._human, self._scales)
         return np.array([np.bincount(self._number, each) for each in energy.T]).T
 
     def _weights(self) -> Floats:
@@ -202,13 +231,13 @@ class Yardstick:
         return np.concatenate([np.ones((1, self._drivers)), 1 - np.eye(self._drivers)])
 
     def _without(self, lanes: Floats, part: int) -> Floats:
-        """(L, 3) lane counts of a part; without a driver, every D-th unit is left out, too."""
+        """(L, 4) lane counts of a part; without a driver, every D-th unit is left out, too."""
         left_out = (np.arange(len(lanes)) % self._drivers == part - 1) & (part > 0)
         return np.where(left_out[:, None], 0.0, lanes)
 
 
 def _of_worst(found: Floats) -> dict[str, Score]:
-    """The components and the total of scores (1 + D, 6), see `_by_part`.
+    """The components and the total of scores (1 + D, 8), see `_by_part`.
 
     The bounds of the worst are the worst bounds: another score may be the worst of other drivers.
     """
@@ -216,7 +245,7 @@ def _of_worst(found: Floats) -> dict[str, Score]:
 
 
 def _with_worst(scores: Floats) -> Floats:
-    """(..., 4) closed loop, scene, the worst of the events, and the total, of scores (..., 6)."""
+    """(..., 4) closed loop, scene, the worst of the events, and the total, of scores (..., 8)."""
     events = np.nanmin(scores[..., 2:], axis=-1, keepdims=True)
     components = np.concatenate([scores[..., :2], events], axis=-1)
     return np.concatenate([components, components.min(axis=-1, keepdims=True)], axis=-1)
@@ -292,20 +321,23 @@ def _bin(values: Floats, edges: tuple[float, ...]) -> Ints:
 
 
 def _events(speed: Floats, gap: Floats) -> tuple[Floats, int]:
-    """(2,) seconds of hard braking and of short headways, and all seconds."""
+    """(3,) seconds of hard braking and of short headways, collisions, and all seconds."""
     is_hard = np.diff(speed, axis=-1) < -HARD_BRAKING_MPS2
     is_short = gap[:, 1:] < SHORT_HEADWAY_S * speed[:, 1:]
-    return np.array([is_hard.sum(), is_short.sum()], dtype=np.float64), is_hard.size
+    collided = (gap <= 0).any(axis=-1)
+    counted = is_hard.sum(), is_short.sum(), collided.sum()
+    return np.array(counted, dtype=np.float64), is_hard.size
 
 
 def _rates(driven: _Sums, weights: Floats, lanes: Floats, half_km: Floats, m: int = 0) -> Floats:
-    """(H, 4) rates of events by second and by km, of lanes (H, 3); NaN where lanes are unknown.
+    """(H, 6) rates of events by second and by km, of lanes (H, 4); NaN where lanes are unknown.
 
     The prior is one of a rate on as many kilometres as half of the recorded drivers drove, so that
     who drives further is not thought to change lanes less.
     """
     seconds = weights @ driven.seconds
-    braking = (weights @ driven.events[m] + PRIOR_EVENTS) / seconds[:, None]
-    km, half_km = (np.where(each > 0, each, np.nan) for each in (lanes[:, 0], half_km))
-    changes = lanes[:, 1:] / km[:, None] + PRIOR_EVENTS / half_km[:, None]
-    return np.concatenate([braking, changes], axis=1)
+    behind = (weights @ driven.events[m] + _PRIORS) / seconds[:, None]
+    changes = PRIOR_EVENTS / half_km
+    priors = np.stack([changes, changes, np.full(changes.shape, PRIOR_PER_KM)], axis=-1)
+    in_lanes = lanes[:, 1:] / lanes[:, :1] + priors
+    return np.concatenate([behind, in_lanes], axis=1)

@@ -13,6 +13,8 @@ CONDUCT = {
     "hard_braking_per_h": ("hard braking, s per hour", ".1f"),
     "time_gap_median_s": ("time gap, median, s", ".2f"),
     "short_headway": ("below 1 s", ".1%"),
+    "collided": ("hits the leader", ".1%"),
+    "collisions_per_1000km": ("collisions per 1,000 km in traffic", ",.0f"),
     "lane_changes_per_km": ("lane changes per km", ".2f"),
     "undone_lane_changes": ("undone within 5 s", ".1%"),
 }

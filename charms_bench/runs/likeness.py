@@ -1,23 +1,26 @@
 """The likeness of every ego and traffic of a suite to recorded drivers."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from charms_bench.errors import InputError
-from charms_bench.people.behind import REPETITIONS, count_lanes, drive_behind, fitting
+from charms_bench.people.behind import count_lanes, drive_behind, fitting, speeds_of
+from charms_bench.people.blind_lanes import BlindLanes
 from charms_bench.people.calibration import ou_noise, own_parameters
 from charms_bench.people.car_following import IDM, MODELS, drive
-from charms_bench.people.controls import CALIBRATED, controls
+from charms_bench.people.controls import CALIBRATED, controls, in_place
 from charms_bench.people.driven import Driven, conduct, recorded
 from charms_bench.people.held_out import SEED, profile_idm, scales_of, starts
 from charms_bench.people.lane_choices import read_lane_counts
 from charms_bench.people.likeness import Score, Yardstick
 from charms_bench.people.population import Population
+from charms_bench.people.simple import REPETITIONS, constant_time_gap, nearest_neighbours
 from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
+from charms_bench.people.unseen import unseen
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
@@ -35,13 +38,13 @@ class Standard:
 
     yardstick: Yardstick
     parts: tuple[Trip, ...]
+    """Their S situations, and then S that no recording has."""
     population: Population
     human: Driven
     others: Driven
     """Those whom the population was fitted to, in their own situations."""
-    constant: Driven
-    spawn_only: Driven
-    own: Driven
+    references: dict[str, Driven]
+    """What the scores are read against, by name: what simple drivers do in the 2 S situations."""
 
 
 @dataclass(frozen=True)
@@ -83,39 +86,45 @@ def standard(
         )
     fitted, held_out = split(read_trips(recordings))
     held_out = of_half(held_out, half)
-    parts = _some(fitting(starts(held_out), suite.scene.profile))
-    others = _some(fitting(starts(fitted), suite.scene.profile))
-    lanes = read_lane_counts(recordings)
+    profile = suite.scene.profile
+    parts = _some(fitting(starts(held_out), profile))
+    others = _some(fitting(starts(fitted), profile))
+    lanes = read_lane_counts(recordings, held_out)
     human = recorded(parts, lanes)
-    rng = np.random.default_rng(SEED)
+    parts += unseen(parts, speeds_of(profile))
     own = own_parameters(population, held_out)
 
-    def constant(part: Trip) -> tuple[Floats, Floats]:
+    def constant(part: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
         time_s = np.arange(part.gap.size) / RATE_HZ
         return (
             (part.leader_x - part.speed[0] * time_s)[None],
             np.full((1, time_s.size), part.speed[0]),
         )
 
-    def spawn_only(part: Trip) -> tuple[Floats, Floats]:
+    def spawn_only(part: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
         p = profile_idm(CHARMS.idm_mobil.time_headway_s)
         p[0] = max(part.speed[0], 1.0)
         return drive(IDM, part, p[None])
 
-    def own_fit(part: Trip) -> tuple[Floats, Floats]:
+    def own_fit(part: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
         p = np.tile(own[part.driver], (REPETITIONS, 1))
         noise = ou_noise(rng, (len(p), part.gap.size), population.noise_mps2, population.noise_s)
         return drive(MODELS[population.model], part, p, population.lag_s, noise)
 
-    # None of them changes lanes, on as many kilometres as were recorded.
-    still = lanes * [1.0, 0.0, 0.0]
-    at_constant = _driven(human, parts, constant, still)
-    at_spawn = _driven(human, parts, spawn_only, still)
-    fitted_own = _driven(human, parts, own_fit, lanes)
+    # Those that define 0 do not change lanes, on as many kilometres as were recorded.
+    still = lanes * [1.0, 0.0, 0.0, 0.0]
+    at_constant, at_spawn = (in_place(parts, still, each) for each in (constant, spawn_only))
+    fitted_own = in_place(parts, lanes, own_fit)
     yardstick = Yardstick(human, at_constant, at_spawn, fitted_own, scales_of(fitted))
-    of_others = recorded(others, lanes)
-    drivers = human, of_others, at_constant, at_spawn, fitted_own
-    return Standard(yardstick, tuple(parts), population, *drivers)
+    references = {
+        "IDM, own fit and noise": fitted_own,
+        "constant time gap": in_place(parts, lanes, constant_time_gap(population)),
+        "nearest neighbours": in_place(parts, lanes, nearest_neighbours(fitted, population)),
+        "constant velocity": at_constant,
+        "IDM, speed of the spawn": at_spawn,
+    }
+    of_others = recorded(others, read_lane_counts(recordings, fitted))
+    return Standard(yardstick, tuple(parts), population, human, of_others, references)
 
 
 def of_half(trips: list[Trip], half: Half) -> list[Trip]:
@@ -136,35 +145,47 @@ def likeness(suite: Suite, against: Standard) -> Iterator[Likeness]:
     yield Likeness("reference", "half of the drivers", halves, conduct(against.human))
     of_others = yardstick.of_others(against.others)
     yield Likeness("reference", "drivers of the other half", of_others, conduct(against.others))
-    for label, driven in (
-        ("IDM, own fit and noise", against.own),
-        ("constant velocity", against.constant),
-        ("IDM, speed of the spawn", against.spawn_only),
-    ):
-        yield Likeness("reference", label, yardstick.scores(driven), conduct(driven))
+    for label, driven in against.references.items():
+        yield _scored("reference", label, against, driven)
     first_ego, first_traffic = suite.egos[0].agent, suite.traffics[0].traffic
     for ego in suite.egos:
         traffic = first_traffic.make()
         agents = _agents(suite, ego.agent, traffic)
-        lanes = _lanes(suite, against, ego.agent.key, ego.agent.key, traffic, agents)
-        driven = drive_behind(against.parts, suite.scene, ego.agent.key, agents, lanes)
-        yield Likeness("ego", ego.title, yardstick.scores(driven), conduct(driven))
+        name = ego.agent.key
+        lanes = count_lanes(suite.scene, name, name, traffic, agents, suite.episodes)
+        driven = drive_behind(against.parts, suite.scene, name, agents, lanes)
+        yield _scored("ego", ego.title, against, driven)
     for entry in suite.traffics:
         traffic = entry.traffic.make()
         agents = _agents(suite, first_ego, traffic)
-        lanes = _lanes(suite, against, traffic, first_ego.key, traffic, agents)
+        lanes = count_lanes(suite.scene, traffic, first_ego.key, traffic, agents, suite.episodes)
         driven = drive_behind(against.parts, suite.scene, traffic, agents, lanes)
-        yield Likeness("traffic", entry.title, yardstick.scores(driven), conduct(driven))
+        yield _scored("traffic", entry.title, against, driven)
 
 
-def likeness_of_controls(against: Standard) -> Iterator[Likeness]:
+def likeness_of_controls(suite: Suite, against: Standard) -> Iterator[Likeness]:
     """The scores of drivers with known faults, and what they differ by from a calibrated driver."""
     driven = controls(against.parts, against.human, against.population)
+    km, changes, *_ = against.human.lanes.sum(axis=0)
+    if np.isfinite(changes):
+        traffic = suite.traffics[0].traffic.make()
+        agents = _agents(suite, suite.egos[0].agent, traffic)
+        agents["blind"] = BlindLanes(changes / km, suite.scene.lanes)
+        lanes = count_lanes(suite.scene, "blind", "blind", traffic, agents, suite.episodes)
+        kept = against.references["constant time gap"]
+        driven["constant time gap, blind lane changes"] = replace(kept, lanes=lanes)
     for label, each in driven.items():
         apart = None
         if label != CALIBRATED:
             apart = against.yardstick.differences(driven[CALIBRATED], each)
-        yield Likeness("control", label, against.yardstick.scores(each), conduct(each), apart)
+        yield replace(_scored("control", label, against, each), differences=apart)
+
+
+def _scored(kind: str, label: str, against: Standard, driven: Driven) -> Likeness:
+    """Conduct is that in the situations that no recording has, as most of the score."""
+    seen = len(against.human.driver)
+    scores = against.yardstick.scores(driven)
+    return Likeness(kind, label, scores, conduct(driven.of(slice(seen, None))))
 
 
 def _some(parts: list[Trip]) -> list[Trip]:
@@ -175,29 +196,3 @@ def _some(parts: list[Trip]) -> list[Trip]:
 def _agents(suite: Suite, ego: AgentSpec, traffic: Traffic) -> dict[str, Agent]:
     networks = networks_of(ego, traffic, suite.folder)
     return {driver.key: driver.make(networks) for driver in drivers_of(ego, traffic)}
-
-
-def _lanes(
-    suite: Suite,
-    against: Standard,
-    driver: str | Traffic,
-    ego: str,
-    traffic: Traffic,
-    agents: Mapping[str, Agent],
-) -> Floats:
-    if not against.human.lanes.size:
-        return against.human.lanes
-    return count_lanes(suite.scene, driver, ego, traffic, agents, suite.episodes)
-
-
-def _driven(
-    human: Driven,
-    parts: list[Trip],
-    driver: Callable[[Trip], tuple[Floats, Floats]],
-    lanes: Floats,
-) -> Driven:
-    """What a driver does who needs no engine, at 1 Hz."""
-    every = slice(None, None, RATE_HZ)
-    gaps, speeds = zip(*(driver(part) for part in parts), strict=True)
-    of_seconds = [np.array(each)[..., every] for each in (gaps, speeds)]
-    return Driven(human.driver, of_seconds[0], of_seconds[1], human.leader_speed, lanes)

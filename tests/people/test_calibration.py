@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.special import expit
 from charms_bench.errors import DataError
 from charms_bench.people.calibration import fit_population, noise_of, ou_noise, situation_of
 from charms_bench.people.car_following import FVDM, IDM, drive
-from charms_bench.people.held_out import ratio_interval, starts
+from charms_bench.people.held_out import drawn, ratio_interval, starts
 from charms_bench.people.lane_choices import Choices, fit_choices, read_choices
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import RATE_HZ, Trip, read_trips, split
@@ -98,6 +99,20 @@ def test_predictions_start_with_the_recorded_gap():
     assert len(parts) == 9
     assert [part.leader_x[0] for part in parts] == [part.gap[0] for part in parts]
     assert situation_of([trip])[0] == pytest.approx(np.log(35.0 / trip.speed[0]))
+
+
+def test_a_prediction_knows_nothing_of_the_trip_beyond_its_start():
+    trip = trip_behind(waves(3), 35.0, np.array(IDM.usual))
+    fit = fit_population(
+        IDM, [trip_behind(waves(d), 35.0, np.array(IDM.usual), d) for d in range(3)], 0.0
+    )
+    later = np.arange(trip.gap.size) >= 100
+    other = replace(trip, gap=trip.gap + later, speed=trip.speed + later,
+                    leader_x=trip.leader_x + later * np.arange(later.size),
+                    leader_speed=trip.leader_speed + 10 * later)  # fmt: skip
+    predict = drawn(fit, (0.1, 1.5))
+    one, two = (predict(each, np.random.default_rng(0))[0] for each in (trip, other))
+    np.testing.assert_array_equal(one[:, :100], two[:, :100])
 
 
 def test_the_interval_of_a_ratio_contains_it():

@@ -6,6 +6,7 @@ import pytest
 from charms_bench.engine.simulation import Simulation
 from charms_bench.metrics import standard, sums_by_episode
 from charms_bench.people.behind import count_lanes
+from charms_bench.people.blind_lanes import BlindLanes
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.recording.recording import Recording
@@ -31,4 +32,14 @@ def test_the_likeness_and_the_metrics_count_the_same_lane_changes(hz: int) -> No
     whole = ~simulation.failed  # the step of a collision counts for the likeness only
     assert whole.sum() > EPISODES / 2
     assert sums[whole, 1].sum() > 5
-    np.testing.assert_array_equal(counted[whole, 1:], sums[whole])
+    assert counted[:, 3].sum() == simulation.scene.crashed[:, 0].sum()
+    np.testing.assert_array_equal(counted[whole, 1:3], sums[whole])
+
+
+def test_the_blind_driver_changes_lanes_as_often_as_it_is_told_and_collides() -> None:
+    agents = {"blind": BlindLanes(2.0, 3), "idm_mobil": make_agent("idm_mobil")}
+    settings = SceneSettings(traffic_vehicles=20)
+    counted = count_lanes(settings, "blind", "blind", OneAgent("idm_mobil"), agents, EPISODES)
+    km, changes, _, collisions = counted.sum(axis=0)
+    assert changes / km == pytest.approx(2.0, rel=0.3)
+    assert collisions > 0

@@ -8,17 +8,19 @@ from scipy import stats
 
 from charms_bench.people.calibration import ou_noise
 from charms_bench.people.car_following import IDM, drive
-from charms_bench.people.controls import CALIBRATED, Driver, calibrated, controls, in_place
+from charms_bench.people.controls import CALIBRATED, calibrated, controls, in_place
 from charms_bench.people.driven import Driven, conduct, recorded
 from charms_bench.people.held_out import scales_of, starts
-from charms_bench.people.likeness import Yardstick, _jackknifed
+from charms_bench.people.likeness import EVENTS, Yardstick, _jackknifed, _rates, _Sums
 from charms_bench.people.population import read_population
+from charms_bench.people.simple import Driver, constant_time_gap, nearest_neighbours
 from charms_bench.people.trips import RATE_HZ, Trip
+from charms_bench.people.unseen import unseen
 from charms_bench.statistics.energy_score import energy_score
 from charms_bench.world.scene import Floats
 
 POPULATION = read_population("i24")
-LANES = np.column_stack([np.full(40, 2.5), np.arange(40) % 2, np.zeros(40)])
+LANES = np.column_stack([np.full(40, 2.5), np.arange(40) % 2, np.zeros((40, 2))])
 
 
 def people(count: int = 40) -> list[Trip]:
@@ -42,15 +44,16 @@ class Case:
 
     def __init__(self) -> None:
         trips = people()
-        self.parts = starts(trips)
+        self.trips, self.parts = trips, starts(trips)
         self.human = recorded(self.parts, LANES)
+        self.parts += unseen(self.parts, (0.0, 50.0))
         self.controls = controls(self.parts, self.human, POPULATION)
         self.calibrated = self.controls[CALIBRATED]
-        marks = [replace(self.of(each), lanes=LANES * [1, 0, 0]) for each in (constant, eager)]
+        marks = [replace(self.of(each), lanes=LANES * [1, 0, 0, 0]) for each in (constant, eager)]
         self.yardstick = Yardstick(self.human, *marks, self.calibrated, scales_of(trips))
 
     def of(self, driver: Driver) -> Driven:
-        return in_place(self.parts, self.human, driver)
+        return in_place(self.parts, LANES, driver)
 
 
 def constant(trip: Trip, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -102,8 +105,8 @@ def test_drivers_from_the_same_population_reach_the_ceiling(case: Case):
 
 
 def test_other_people_reach_the_ceiling_within_their_interval(case: Case):
-    others = replace(case.calibrated, gap=case.calibrated.gap[:, :1],
-                     speed=case.calibrated.speed[:, :1])  # fmt: skip
+    driven = case.calibrated.of(slice(len(case.human.driver)))
+    others = replace(driven, gap=driven.gap[:, :1], speed=driven.speed[:, :1])
     found = case.yardstick.of_others(others)
     assert set(found) == {"given_scene", "events"}
     for each in found.values():
@@ -121,6 +124,44 @@ def test_other_people_reach_the_ceiling_within_their_interval(case: Case):
 def test_a_driver_that_copies_or_oscillates_scores_below_a_calibrated_one(case: Case, control: str):
     found = case.yardstick.differences(case.calibrated, case.controls[control])
     assert found["total"].high < 0
+
+
+def test_a_memory_of_the_recordings_wins_only_the_closed_loop(case: Case):
+    found = case.yardstick.scores(case.controls["the recording with the nearest start"])
+    assert found["closed_loop"].value > 1
+    assert found["total"].high < 0
+
+
+def test_unseen_situations_have_neither_the_start_nor_the_leader_of_a_recorded_one(case: Case):
+    seen, new = np.split(np.array([[each.gap[0], each.speed[0]] for each in case.parts]), 2)
+    assert np.abs(np.log(new[:, 0] / seen[:, 0])).mean() == pytest.approx(0.08, abs=0.03)
+    assert not (new[:, None] == seen).any()
+    of_leaders = np.array([np.diff(each.leader_speed) for each in case.parts])
+    recorded_ones, others = np.split(of_leaders, 2)
+    assert others.std() == pytest.approx(recorded_ones.std(), rel=0.15)
+    assert np.corrcoef(others[0], recorded_ones[0])[0, 1] < 0.95
+
+
+def test_simple_models_keep_the_time_gap_of_recorded_drivers(case: Case):
+    parts = case.parts[::8]
+    time_gap = np.median([part.gap[0] / part.speed[0] for part in parts])
+    for driver in (constant_time_gap(POPULATION), nearest_neighbours(case.trips, POPULATION)):
+        driven = in_place(parts, LANES, driver)
+        assert driven.collided.mean() < 0.1
+        assert conduct(driven)["time_gap_median_s"] == pytest.approx(time_gap, rel=0.15)
+
+
+def test_a_collision_of_all_drivers_together_doubles_a_rate_without_collisions(case: Case):
+    gap, lanes = case.calibrated.gap.copy(), LANES.copy()
+    gap[0, 0, 15], lanes[0, 3] = 0.0, 1.0
+    every, km = np.ones((1, 40)), LANES[:, 0].sum(keepdims=True)
+    ratio = [
+        _rates(_Sums(driven), every, driven.lanes.sum(axis=0, keepdims=True), km)[0]
+        for driven in (replace(case.calibrated, gap=gap, lanes=lanes), case.calibrated)
+    ]
+    times = dict(zip(EVENTS, ratio[0] / ratio[1], strict=True))
+    assert times["collision"] == times["collision_in_traffic"] == pytest.approx(2.0)
+    assert times["lane_change"] == times["hard_braking"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -144,7 +185,7 @@ def test_lane_changes_do_not_change_the_components_of_the_lane(case: Case):
 
 def test_one_event_of_one_driver_does_not_decide_a_score(case: Case):
     speed = case.calibrated.speed.copy()
-    speed[0, :, 20:] -= 2.0  # one second of hard braking
+    speed[-1, :, 20:] -= 2.0  # one second of hard braking
     found = case.yardstick.differences(case.calibrated, replace(case.calibrated, speed=speed))
     assert abs(found["events"].value) < 0.2
 
@@ -161,7 +202,7 @@ def test_conduct_counts_seconds():
     # 30, 31, 30, 30, 28 m/s at 1 Hz: one reversal in three pairs, hard braking in one of four.
     speed = np.array([[[30.0, 31.0, 30.0, 30.0, 28.0]]])
     gap = np.array([[[9.0, 31.0, 15.0, 15.0, 56.0]]])
-    driven = Driven(np.zeros(1, int), gap, speed, speed[:, 0], np.array([[4.0, 2.0, 1.0]]))
+    driven = Driven(np.zeros(1, int), gap, speed, speed[:, 0], np.array([[4.0, 2.0, 1.0, 0.0]]))
     assert conduct(driven) == {
         "acceleration_std_mps2": pytest.approx(np.std([1, -1, 0, -2])),
         "strong_acceleration": 0.25,
@@ -169,6 +210,8 @@ def test_conduct_counts_seconds():
         "hard_braking_per_h": 900.0,
         "time_gap_median_s": pytest.approx(0.75),
         "short_headway": 0.5,
+        "collided": 0.0,
+        "collisions_per_1000km": 0.0,
         "lane_changes_per_km": 0.5,
         "undone_lane_changes": 0.5,
     }
