@@ -52,6 +52,16 @@ class Remembering(Policy):
         return np.argmax(change, axis=1)
 
 
+class Wrong(Policy):
+    """Chooses an action that does not exist for the vehicle of one row, and else keeps its lane."""
+
+    def __init__(self, row: int) -> None:
+        self.row = row
+
+    def decide(self, observations: Observations) -> Actions:
+        return np.where(np.arange(len(observations)) == self.row, 5, IDLE)
+
+
 class Steering(Policy):
     """Accelerates and steers a little."""
 

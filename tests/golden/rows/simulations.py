@@ -10,9 +10,10 @@ import numpy as np
 from rows.case import Cases, Values, adding_to
 from rows.cells import PROJECT, with_stand_ins
 from rows.hashing import Digests
-from rows.policies import Braking, Canny, Noisy, Planning, Recurrent, Remembering, Steering
+from rows.policies import Braking, Canny, Noisy, Planning, Recurrent, Remembering, Steering, Wrong
 
 from charms_bench import Policy, load_state, save_state
+from charms_bench.errors import AgentError
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
@@ -187,6 +188,18 @@ def continued(make: Callable[[], Simulation], folder: Path | None = None) -> Val
         state = load_state(folder / "state.json")
     again.restore(state)
     return followed(again)
+
+
+@case("actions that do not exist")
+def wrong_actions(folder: Path) -> Values:
+    said: Values = {}
+    for row in (0, 2, 5):
+        simulation = simulation_of(SMALL, "wrong", OneAgent("idm_mobil"), wrong=Wrong(row))
+        try:
+            simulation.step()
+        except AgentError as error:
+            said[str(row)] = str(error)
+    return said
 
 
 if __name__ == "__main__":
