@@ -13,8 +13,8 @@ from rows.hashing import Digests
 from rows.policies import Braking, Canny, Noisy, Planning, Recurrent, Remembering, Steering, Wrong
 
 from charms_bench import Policy, load_state, save_state
-from charms_bench.errors import AgentError
 from charms_bench.engine.simulation import Simulation
+from charms_bench.errors import AgentError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import Mixture, OneAgent, Traffic
