@@ -27,6 +27,8 @@ from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
+from charms_bench.world.action_texts import action_objects
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, Observation, observation_of
 
@@ -59,7 +61,7 @@ def check_policy(recorded: RecordedCell) -> Policy:
             f"{path}: {title} is a driver model, which chooses no meta-actions; choose "
             "an ego that is a policy, or --format highd, which has the trajectories of all egos"
         )
-    if policy.actions != "meta":
+    if not meta_actions_of(policy.actions):
         raise InputError(
             f"{path}: {title} has {policy.actions} actions; expected a policy that "
             "chooses meta-actions, or --format highd, which has the trajectories of all egos"
@@ -68,12 +70,6 @@ def check_policy(recorded: RecordedCell) -> Policy:
         raise InputError(
             f"{path}: {title} decides {policy.decision_hz:g} times per second and the "
             f"suite records {chosen.scene.decision_hz} decisions per second; expected equal rates"
-        )
-    steps = tuple(policy.target_speed_steps_mps)
-    if steps and steps != chosen.scene.profile.target_speed_steps_mps:
-        raise InputError(
-            f"{path}: {title} has speed steps of its own, {list(steps)} m/s, and the environments "
-            "have those of the profile; expected a policy with the profile's steps"
         )
     return policy
 
@@ -97,11 +93,12 @@ def write_minari(
     from minari.dataset.minari_storage import MinariStorage
 
     chosen, suite = recorded.cell, recorded.run.suite.suite
-    observation = observation_of(check_policy(recorded).observation)
+    policy = check_policy(recorded)
+    observation, actions = observation_of(policy.observation), meta_actions_of(policy.actions)
     # `minari.create_dataset_from_buffers` keeps all episodes in memory and takes no folder.
     data = path.absolute() / "data"  # Minari cannot measure the size of a relative path
-    spaces = spaces_of(chosen.scene, observation)
-    storage = MinariStorage.new(data, *spaces, environment_of(chosen, observation))
+    spaces = spaces_of(chosen.scene, observation, actions)
+    storage = MinariStorage.new(data, *spaces, environment_of(chosen, observation, actions))
     storage.update_metadata(
         {
             "dataset_id": name,
@@ -124,7 +121,9 @@ def write_minari(
         first += len(some)
 
 
-def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
+def environment_of(
+    cell: Cell, observation: Observation, actions: Sequence[MetaAction] = DEFAULT_ACTIONS
+) -> EnvSpec | None:
     """Returns what `gymnasium.make` needs to make the environment of a cell's episodes.
 
     It is None where plain values cannot describe the environment: for a scenario, a road, a traffic
@@ -141,6 +140,8 @@ def environment_of(cell: Cell, observation: Observation) -> EnvSpec | None:
         "observation": {"type": observation.name, **observation.model_dump(mode="json")},
         **cell.scene.model_dump(mode="json"),
     }
+    if actions != DEFAULT_ACTIONS:
+        spec.kwargs["actions"] = action_objects(actions)
     return spec
 
 

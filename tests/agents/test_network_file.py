@@ -15,13 +15,14 @@ from charms_agents.training.network_file import export
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import with_speed_steps
 
 
 def test_speed_steps_are_read_as_they_were_written(tmp_path: Path) -> None:
     network = torch.nn.Sequential(torch.nn.Linear(35, 5))
     facts = {"target_speed_steps_mps": json.dumps([0.1, 0.25, 2])}
     export(network, tmp_path / "policy.onnx", facts, np.zeros((1, 7, 5), dtype=np.float32))
-    assert OnnxPolicy(tmp_path / "policy.onnx").target_speed_steps_mps == (0.1, 0.25, 2.0)
+    assert OnnxPolicy(tmp_path / "policy.onnx").actions == with_speed_steps(0.1, 0.25, 2.0)
 
 
 @pytest.mark.parametrize(("value", "is_a_tie"), [(40.0, False), (400.0, True)])

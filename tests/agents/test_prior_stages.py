@@ -24,6 +24,7 @@ from charms_agents.training.suite_file import load_training
 from trios import busy_road, write_trio
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import with_speed_steps
 from charms_bench.world.observations import COMMANDS, Neighbours
 
 SUITE = """\
@@ -142,7 +143,7 @@ def test_a_file_says_which_steps_it_has_learnt_and_draws_its_actions(
     assert [port.name for port in model.graph.input] == ["observations", "noise"]
     policy = OnnxPolicy(file)
     assert policy.observation == SEEN
-    assert policy.target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    assert policy.actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
 
 
 @pytest.mark.parametrize("name", ["people", "charms_style"])

@@ -6,6 +6,7 @@ from charms_agents.human.interface import through_interface
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.traffic import OneAgent
+from charms_bench.world.actions import DEFAULT_ACTIONS, with_speed_steps
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import SceneSettings
 
@@ -20,7 +21,8 @@ def test_speeds_and_commands_are_those_of_the_engine(name: str, own: tuple[float
     commanded = profile.model_copy(update={"target_speed_steps_mps": steps})
     driven = through_interface(recorded[:, None], commanded)
     settings = SceneSettings(profile=profile, traffic_vehicles=0, ego_slots=1, duration_s=30.0)
-    made = Simulation(settings, 1, None, OneAgent(""), {}, outside_steps_mps=own)
+    actions = with_speed_steps(*own) if own else DEFAULT_ACTIONS
+    made = Simulation(settings, 1, None, OneAgent(""), {}, actions=actions)
     made.reset(np.zeros(1, dtype=np.uint64))
     for k, action in enumerate(driven.actions[:, 0]):
         scene = made.scene
