@@ -31,11 +31,14 @@ if TYPE_CHECKING:
     from charms_bench.report.table import Table as Table
     from charms_bench.report.training_tables import Training as Training
     from charms_bench.world.actions import ACTIONS as ACTIONS
+    from charms_bench.world.actions import DEFAULT_ACTIONS as DEFAULT_ACTIONS
     from charms_bench.world.actions import FASTER as FASTER
     from charms_bench.world.actions import IDLE as IDLE
     from charms_bench.world.actions import LANE_LEFT as LANE_LEFT
     from charms_bench.world.actions import LANE_RIGHT as LANE_RIGHT
     from charms_bench.world.actions import SLOWER as SLOWER
+    from charms_bench.world.actions import MetaAction as MetaAction
+    from charms_bench.world.actions import with_speed_steps as with_speed_steps
     from charms_bench.world.kinematics_observation import Kinematics as Kinematics
     from charms_bench.world.scene import Scene as Scene
     from charms_bench.world.scene import SceneSettings as SceneSettings
@@ -52,7 +55,10 @@ _NAMES = {
     "plugins.traffic": "Mixture Traffic",
     "report.table": "Table",
     "report.training_tables": "Training",
-    "world.actions": "ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT SLOWER",
+    "world.actions": (
+        "ACTIONS DEFAULT_ACTIONS FASTER IDLE LANE_LEFT LANE_RIGHT MetaAction SLOWER "
+        "with_speed_steps"
+    ),
     "foundation.compiled": "compiled",
     "world.kinematics_observation": "Kinematics",
     "world.scene": "Scene SceneSettings",

@@ -5,7 +5,7 @@ decision, 3 times a second, the driver chooses the one of FASTER, SLOWER and IDL
 speed is the nearest to the recorded one at the next decision. The table has the proportion of
 decisions whose mean acceleration is above 1.1 m/s2 and the standard deviation of the accelerations,
 of the recorded drivers and of those through the interface of each profile. Each POLICY, the name of
-an agent or the path of a network, adds the interface of `charms` with that policy's speed steps.
+an agent or the path of a network, adds the interface of `charms` with that policy's meta-actions.
 """
 
 import sys
@@ -17,6 +17,7 @@ from charms_agents.human.interface import DECISION_HZ, through_interface
 
 from charms_bench.people.trips import RATE_HZ, read_trips
 from charms_bench.plugins.registry import make_agent
+from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.profile import CHARMS, NATURALISTIC
 
 FILES = {"I-24": "i24_car_following.parquet", "I-75": "i75_lane_trajectories.parquet"}
@@ -25,7 +26,7 @@ STRONG_MPS2 = 1.1
 
 def main(data: Path, policies: Sequence[str]) -> None:
     """Prints the table."""
-    steps_of = {name: getattr(make_agent(name), "target_speed_steps_mps", ()) for name in policies}
+    actions_of = {name: getattr(make_agent(name), "actions", "meta") for name in policies}
     print("| recording | driver | above 1.1 m/s² | standard deviation, m/s² |")
     print("|---|---|---:|---:|")
     for name, file in FILES.items():
@@ -36,12 +37,12 @@ def main(data: Path, policies: Sequence[str]) -> None:
             at = np.arange(0.0, time_s[-1], 1 / DECISION_HZ)
             decided.append(np.interp(at, time_s, trip.speed))
         drivers = {"recorded": decided}
-        interfaces = {f"`{profile.name}`": profile for profile in (CHARMS, NATURALISTIC)}
-        for policy, steps in steps_of.items():
-            own = CHARMS.model_copy(update={"target_speed_steps_mps": steps})
-            interfaces[f"`charms` and `{policy}`"] = own if steps else CHARMS
-        for name_of_interface, profile in interfaces.items():
-            followed = [through_interface(each[:, None], profile).speed[:, 0] for each in decided]
+        interfaces = {f"`{each.name}`": (each, DEFAULT_ACTIONS) for each in (CHARMS, NATURALISTIC)}
+        for policy, actions in actions_of.items():
+            interfaces[f"`charms` and `{policy}`"] = CHARMS, meta_actions_of(actions)
+        for name_of_interface, interface in interfaces.items():
+            followed = [through_interface(each[:, None], *interface) for each in decided]
+            followed = [each.speed[:, 0] for each in followed]
             drivers[f"through the interface of {name_of_interface}"] = followed
         for driver, speeds in drivers.items():
             found = np.concatenate([np.diff(each) * DECISION_HZ for each in speeds])

@@ -93,6 +93,7 @@ class Conditions(EpisodesVecEnv):
                 stage.reward_of(suite.weights[stage.weights]),
                 suite.first_episode_seed + k * (EPISODES_OF_A_SEED // len(places)),
                 suite.observed,
+                suite.actions,
             )
             for k, (scene, traffic) in enumerate(places)
         ]
@@ -165,13 +166,13 @@ def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: P
         "stage": f"{name}, {algorithm}",
         "style": job.style,
         "decision_hz": f"{job.decision_hz:g}",
-        "target_speed_steps_mps": json.dumps(job.speed_steps_mps),
     }
     network = folder / f"{algorithm}.onnx"
     # VecNormalize divides rewards only; `_take_plain_observations` has standardised the weights.
     given = suite.observed, False, NOT_OBSERVATIONS
-    checked = export_zip(folder / f"{algorithm}.zip", network, facts, *given)
-    (folder / f"{algorithm}.zip").unlink()
+    zipped = folder / f"{algorithm}.zip"
+    checked = export_zip(zipped, network, facts, *given, actions=job.actions)
+    zipped.unlink()
     write_csv(folder / f"{algorithm}.csv", Point, curve.points)
     own = ("hyperparameters", "curve_steps")  # of the suite's learner
     manifest = {

@@ -26,8 +26,9 @@ class ModelPredictive(Policy):
 
     def __init__(self, horizon: int = 9, others: str = "idm_mobil") -> None:
         self.rollouts_with = others
-        self._plans = np.full((5, horizon), IDLE)
-        self._plans[:, 0] = self._first = np.array([IDLE, FASTER, SLOWER, LANE_LEFT, LANE_RIGHT])
+        self._first = np.array([IDLE, FASTER, SLOWER, LANE_LEFT, LANE_RIGHT])
+        self._plans = np.full((self._first.size, horizon), IDLE)
+        self._plans[:, 0] = self._first
 
     def decide(self, observations: Observations, memory: Any, noise: Any, rollouts: Any) -> Actions:
         found = rollouts(self._plans)

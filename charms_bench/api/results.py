@@ -110,6 +110,7 @@ class Run:
         The decisions are those of its first cell, or of its first few thousand episodes there.
         """
         from charms_bench.metrics.missing_lanes import MEANING, missing_lanes
+        from charms_bench.world.action_texts import actions_described
 
         cells, first = self.suite.cells, dict[str, int]()
         for index, cell in enumerate(cells):
@@ -120,8 +121,10 @@ class Run:
         found = []
         for name, index in first.items():
             rows = self._finished.cell(index)
-            steps = (steps for _, steps in islice(rows.parts, 1))
-            if said := missing_lanes(steps, cells[index].scene.lanes).remark():
+            steps, cell = (steps for _, steps in islice(rows.parts, 1)), cells[index]
+            identity = self.manifest.get("agents", {}).get(cell.ego.agent.origin, {})
+            actions = actions_described(identity.get("actions", "meta"))
+            if said := missing_lanes(steps, cell.scene.lanes, actions).remark():
                 found.append(f"{name} in {rows.traffic}: {said}")
         return [*found, MEANING] if found else []
 
@@ -129,6 +132,7 @@ class Run:
         """A line about each ego that is a network: what it observes and does, and how often."""
         from charms_bench.plugins.onnx_policy import ASSUMED, OnnxPolicy
         from charms_bench.plugins.registry import is_network
+        from charms_bench.world.actions import ACTIONS, meta_actions_of
         from charms_bench.world.kinematics_observation import Kinematics
         from charms_bench.world.observations import Neighbours, described
 
@@ -141,9 +145,13 @@ class Run:
                 assert isinstance(policy.observation, Neighbours | Kinematics)
                 seen, _, _ = described(policy.observation).partition(": (")
                 last = policy.history_length
+                names = tuple(action.name for action in meta_actions_of(policy.actions))
+                does = "meta actions" if names else "continuous actions"
+                if names not in ((), ACTIONS):
+                    does = f"the meta-actions {', '.join(names)}"
                 found.append(
                     f"{ego.title}: observes {seen}{f', the last {last}' if last > 1 else ''}; "
-                    f"chooses {policy.actions} actions at {policy.decision_hz:g} Hz"
+                    f"chooses {does} at {policy.decision_hz:g} Hz"
                     f"{f'; {ASSUMED}' if policy.is_assumed else ''}"
                 )
         return found

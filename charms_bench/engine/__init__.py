@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.stepping import Put
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import Actions, MetaAction
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
 EngineName = Literal["batched", "highway-env"]
@@ -98,22 +98,22 @@ def make_engine(
     continuous: Collection[int] = (),
     memory: int = 0,
     prescribed: Collection[int] = (),
-    own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+    own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
 ) -> Engine:
     """An engine of B scenes, by its name or by what makes it; nothing is spawned yet.
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
     actions, and the scenario moves the vehicles of `prescribed`. `memory` is the width of the
-    scene's memory. `own_steps` are the steps of FASTER and SLOWER of the agents that have their
-    own, m/s.
+    scene's memory. `own_actions` are the meta-actions of the agents that have other ones than
+    highway-env's.
     """
     if callable(name):
-        return name(settings, scenes, models, continuous, memory, prescribed, own_steps)
+        return name(settings, scenes, models, continuous, memory, prescribed, own_actions)
     if name == "batched":
         from charms_bench.engine.batched import BatchedEngine
 
-        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed, own_steps)
+        return BatchedEngine(settings, scenes, models, continuous, memory, prescribed, own_actions)
     from charms_bench.engine.highway_env import HighwayEnvEngine
 
-    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed, own_steps)
+    return HighwayEnvEngine(settings, scenes, models, continuous, memory, prescribed, own_actions)

@@ -18,7 +18,7 @@ from charms_bench.engine.stepping import Put, advance, advance_put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.actions import Actions, controls_of
+from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.scene import Floats, Ints, Scene, SceneSettings, Vehicles
 
 
@@ -33,7 +33,7 @@ class BatchedEngine(Shown):
         continuous: Collection[int] = (),
         memory: int = 0,
         prescribed: Collection[int] = (),
-        own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -44,7 +44,7 @@ class BatchedEngine(Shown):
         self._settings = settings
         self._spawn_rule = spawn_rule(settings)
         self._command_rule = command_rule(settings.profile)
-        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
+        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_actions.items()}
         self._models = models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._are_models = np.isin(np.arange(max(models, default=0) + 1), list(models))
@@ -80,7 +80,8 @@ class BatchedEngine(Shown):
         if self._command_rule.speeds.size:
             free = self._is_modelled
             if self._own_rules:
-                free = free | np.isin(self.drivers, list(self._own_rules))
+                unbound = [k for k, rule in self._own_rules.items() if not rule.speeds.size]
+                free = free | np.isin(self.drivers, unbound)
             choose_target_speeds(scene, rows, free, self._command_rule.speeds)
         self._mark(rows)
 

@@ -26,7 +26,7 @@ from charms_bench.engine.stepping import Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.actions import ACTIONS, Actions, MetaAction, follows_profile
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.profile import Profile
 from charms_bench.world.road import Straight
@@ -48,7 +48,7 @@ class HighwayEnvEngine(Shown):
         continuous: Collection[int] = (),
         memory: int = 0,
         prescribed: Collection[int] = (),
-        own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
@@ -65,14 +65,15 @@ class HighwayEnvEngine(Shown):
         self._classes = {
             agent: _reference_class(model, settings.profile) for agent, model in models.items()
         }
-        for agent, steps in own_steps.items():
-            self._classes[agent] = _with_steps(settings.profile, steps)
+        self._own_actions = own_actions
+        for agent, actions in own_actions.items():
+            self._classes[agent] = _with_actions(settings.profile, actions)
         speeds = settings.profile.target_speeds_mps
         if speeds:
             self._commanded = _with_constants(MDPVehicle, settings.profile)
             self._commanded.DEFAULT_TARGET_SPEEDS = np.array(speeds)
         else:
-            self._commanded = _with_steps(settings.profile)
+            self._commanded = _with_constants(_RelativeMetaVehicle, settings.profile)
         self._plain = _with_constants(Vehicle, settings.profile)
         """Spawns vehicles, and is the class of those with continuous actions."""
         self._continuous = list(continuous)
@@ -143,7 +144,10 @@ class HighwayEnvEngine(Shown):
                 for name, value in vehicle.action.items():
                     getattr(self.scene, name)[row, place] = value
                 continue
-            vehicle.act(ACTIONS[action])
+            if (own := self._own_actions.get(int(self.drivers[row, place]))) is not None:
+                vehicle.carry_out(own[action])
+            else:
+                vehicle.act(ACTIONS[action])
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
             self.scene.target_speed[row, place] = vehicle.target_speed
             if hasattr(vehicle, "repeats"):
@@ -329,6 +333,7 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
 
     target_lane_index: tuple[str, str, int]
     target_speed: float
+    speed: float
     LOWEST_TARGET = HIGHEST_TARGET = 0.0
     FROM_CURRENT_LANE = True
     STEPS: tuple[float, ...] = ()
@@ -358,6 +363,49 @@ class _RelativeMetaVehicle(ControlledVehicle):  # type: ignore[misc]  # highway-
     def _is_edge(self, action: str) -> bool:
         lanes = len(self.road.network.all_side_lanes(self.lane_index))
         return bool(self.lane_index[2] == (0 if action == "LANE_LEFT" else lanes - 1))
+
+
+class _OwnMetaVehicle(_RelativeMetaVehicle):
+    """Obeys the meta-actions of a policy that has other ones than highway-env's."""
+
+    PROFILE: Profile
+    MOST = 1
+    """Steps up to which repetitions are counted."""
+    SPEEDS: NDArray[np.float64]
+    """The profile's target speeds; empty if no action chooses between them."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if self.SPEEDS.size:
+            self.target_speed = self._nearest(self.target_speed, 0)
+
+    def carry_out(self, action: MetaAction) -> None:
+        """Changes the targets as a meta-action says."""
+        steps, direction = action.speed_steps_mps, action.profile_step
+        if direction and not self.SPEEDS.size:
+            steps = tuple(direction * step for step in _steps_of(self.PROFILE))
+        sign = int(np.sign(steps[0])) if steps else direction
+        again = abs(self.repeats) if sign * self.repeats > 0 else 0
+        again = min(again + 1, self.MOST)
+        if self.MOST > 1:
+            self.repeats = sign * again
+        wanted = self.target_speed
+        if direction and self.SPEEDS.size:
+            wanted = self._nearest(self.speed, direction)
+        elif action.changes_speed:
+            if steps:
+                wanted += steps[min(again, len(steps)) - 1]
+            else:
+                wanted = self.speed + (action.speed_from_present_mps or 0.0)
+            wanted = float(np.clip(wanted, self.LOWEST_TARGET, self.HIGHEST_TARGET))
+        self.target_speed = wanted
+        self.act(("LANE_LEFT", "IDLE", "LANE_RIGHT")[action.lanes + 1])
+
+    def _nearest(self, speed: float, change: int) -> float:
+        """[`MDPVehicle.speed_to_index` and `index_to_speed`], `change` indices further."""
+        first, last = self.SPEEDS[0], self.SPEEDS.size - 1
+        nearest = np.clip(np.round((speed - first) / (self.SPEEDS[-1] - first) * last), 0, last)
+        return float(self.SPEEDS[int(np.clip(nearest + change, 0, last))])
 
 
 class _ModelledVehicle(ControlledVehicle):  # type: ignore[misc]  # untyped too
@@ -417,12 +465,18 @@ def _reference_class(model: DriverModel, profile: Profile) -> Any:
     return _with_constants(getattr(import_module(module), name), profile)
 
 
-def _with_steps(profile: Profile, own_steps: tuple[float, ...] = ()) -> Any:
-    """The class that obeys meta-actions, with steps of a policy's own instead of the profile's."""
-    commanded = _with_constants(_RelativeMetaVehicle, profile)
-    if own_steps:
-        commanded.STEPS, commanded.DELTA_SPEED = own_steps, own_steps[0]
+def _with_actions(profile: Profile, actions: tuple[MetaAction, ...]) -> Any:
+    """The class that obeys these meta-actions."""
+    commanded = _with_constants(_OwnMetaVehicle, profile)
+    speeds = profile.target_speeds_mps if follows_profile(actions) else ()
+    commanded.PROFILE, commanded.SPEEDS, commanded.STEPS = profile, np.array(speeds), ()
+    of_profile = _steps_of(profile) if follows_profile(actions) and not speeds else ()
+    commanded.MOST = max(1, len(of_profile), *(len(each.speed_steps_mps) for each in actions))
     return commanded
+
+
+def _steps_of(profile: Profile) -> tuple[float, ...]:
+    return profile.target_speed_steps_mps or (profile.target_speed_step_mps,)
 
 
 def _with_constants(vehicle_class: Any, profile: Profile) -> Any:

@@ -6,31 +6,62 @@ from typing import NamedTuple
 import numpy as np
 
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index
-from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, MetaAction, follows_profile
 from charms_bench.world.profile import Profile
 from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
+BY_NOTHING, BY_TARGETS, BY_STEPS, FROM_PRESENT = range(4)
+"""How a meta-action changes the target speed: not at all; to the next of the profile's target
+speeds; by a step from the target speed; to the present speed and a change."""
+
 
 class CommandRule(NamedTuple):
-    """How meta-actions change target speeds and lanes; SI units."""
+    """How A meta-actions change target speeds and lanes; SI units."""
 
+    lanes: Ints
+    """(A,) -1 to the left, 1 to the right."""
+    ways: Ints
+    """(A,) `BY_NOTHING` to `FROM_PRESENT`."""
+    signs: Ints
+    """(A,) 1 or -1 for `BY_TARGETS` and `BY_STEPS`, by the direction; actions of one direction
+    count as repetitions."""
+    changes: Floats
+    """(A, S) what the action adds as the first of its direction, then as the second, and so on."""
     speeds: Floats
-    """The target speeds between which FASTER and SLOWER choose; empty if they add `steps`."""
-    steps: Floats
-    """What the first FASTER or SLOWER in a row adds, then the second, and so on; at least one."""
+    """The profile's target speeds; empty if no action chooses between them."""
     lowest: float
     highest: float
     from_target_lane: bool
     """Whether lane commands count from the target lane; otherwise from the current lane."""
 
 
-def command_rule(profile: Profile, own_steps: Sequence[float] = ()) -> CommandRule:
-    """How a profile's vehicles carry out meta-actions, with the steps that their policy may own."""
-    steps = own_steps or profile.target_speed_steps_mps or (profile.target_speed_step_mps,)
+def command_rule(profile: Profile, actions: Sequence[MetaAction] = DEFAULT_ACTIONS) -> CommandRule:
+    """How a profile's vehicles carry out the meta-actions of their policy."""
+    speeds = profile.target_speeds_mps if follows_profile(actions) else ()
+    steps = profile.target_speed_steps_mps or (profile.target_speed_step_mps,)
+    rows: list[tuple[int, tuple[float, ...]]] = []
+    for action in actions:
+        if action.profile_step and speeds:
+            rows.append((BY_TARGETS, (float(action.profile_step),)))
+        elif action.profile_step:
+            rows.append((BY_STEPS, tuple(action.profile_step * step for step in steps)))
+        elif action.speed_steps_mps:
+            rows.append((BY_STEPS, action.speed_steps_mps))
+        elif action.speed_from_present_mps is not None:
+            rows.append((FROM_PRESENT, (action.speed_from_present_mps,)))
+        else:
+            rows.append((BY_NOTHING, (0.0,)))
+    longest = max(len(changes) for _, changes in rows)
+    padded = [(*changes, *changes[-1:] * (longest - len(changes))) for _, changes in rows]
+    ways, changes = np.array([way for way, _ in rows]), np.array(padded, dtype=np.float64)
+    by_direction = (ways == BY_TARGETS) | (ways == BY_STEPS)
     return CommandRule(
-        speeds=np.array(() if own_steps else profile.target_speeds_mps, dtype=np.float64),
-        steps=np.array(steps, dtype=np.float64),
+        lanes=np.array([action.lanes for action in actions]),
+        ways=ways,
+        signs=np.sign(changes[:, 0]).astype(np.int64) * by_direction,
+        changes=changes,
+        speeds=np.array(speeds, dtype=np.float64),
         lowest=profile.target_speed_min_mps,
         highest=profile.target_speed_max_mps,
         from_target_lane=profile.lane_command_from == "target_lane",
@@ -43,34 +74,34 @@ def command(scene: Scene, rows: Ints, places: Ints, actions: Actions, rule: Comm
     road, target_speed, target_lane = scene.road, scene.target_speed, scene.target_lane
     for m in range(rows.size):
         b, i, action = rows[m], places[m], actions[m]
-        step = 0
-        if rule.steps.size > 1:
-            count_repeats(scene, b, i, action, rule.steps.size)
-            step = abs(scene.repeats[b, i]) - 1
-        if action in (FASTER, SLOWER):
-            change = 1 if action == FASTER else -1
-            if rule.speeds.size:
-                wanted = nearest_target_speed(scene.speed[b, i], change, rule.speeds)
-            else:
-                wanted = target_speed[b, i] + change * rule.steps[step]
-                wanted = clip(wanted, rule.lowest, rule.highest)
-            target_speed[b, i] = wanted
-        elif action in (LANE_LEFT, LANE_RIGHT):
+        if not 0 <= action < rule.ways.size:
+            continue
+        way, sign, step = rule.ways[action], rule.signs[action], 0
+        if rule.changes.shape[1] > 1:
+            count_repeats(scene, b, i, sign, rule.changes.shape[1])
+            step = max(abs(scene.repeats[b, i]) - 1, 0)
+        if way == BY_TARGETS:
+            target_speed[b, i] = nearest_target_speed(scene.speed[b, i], sign, rule.speeds)
+        elif way != BY_NOTHING:
+            wanted = target_speed[b, i] if way == BY_STEPS else scene.speed[b, i]
+            wanted += rule.changes[action, step]
+            target_speed[b, i] = clip(wanted, rule.lowest, rule.highest)
+        if rule.lanes[action] != 0:
             lane = target_lane[b, i] if rule.from_target_lane else scene.lane[b, i]
             left, right = side_lanes(road, lane)
-            beside = right if action == LANE_RIGHT else left
+            beside = right if rule.lanes[action] > 0 else left
             lane = beside if beside >= 0 else lane
             if is_reachable(road, lane, scene.x[b, i], scene.y[b, i]):
                 target_lane[b, i] = lane
 
 
 @compiled
-def count_repeats(scene: Scene, b: int, i: int, action: int, most: int) -> None:
-    """Counts how often a vehicle's speed command has been given in a row, up to a number."""
+def count_repeats(scene: Scene, b: int, i: int, sign: int, most: int) -> None:
+    """Counts speed commands of one direction in a row, up to a number; 0 begins anew."""
     repeats = scene.repeats[b, i]
-    if action == FASTER:
+    if sign > 0:
         scene.repeats[b, i] = min(max(repeats, 0) + 1, most)
-    elif action == SLOWER:
+    elif sign < 0:
         scene.repeats[b, i] = max(min(repeats, 0) - 1, -most)
     else:
         scene.repeats[b, i] = 0

@@ -23,6 +23,7 @@ from charms_bench.engine.stepping import Put
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
+from charms_bench.world.actions import follows_profile
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.moments import Tracks, moments_of
 from charms_bench.world.road import closest_lane
@@ -61,7 +62,8 @@ class Playback:
         self._played = Played(np.full(shape, -1), np.zeros(shape[0], np.int64), np.ones(shape[0]))
         models = [(k, a) for k, a in simulation.made.items() if isinstance(a, DriverModel)]
         self._models = [k for k, _ in models]
-        self._unrounded = [*self._models, *simulation.own_steps]
+        own = simulation.own_actions
+        self._unrounded = [*self._models, *(k for k in own if not follows_profile(own[k]))]
         """Agents whose vehicles do not start at one of the profile's target speeds."""
         self._followers = [k for k, model in models if model.follows_recording]
         agents = simulation.agents

@@ -15,7 +15,7 @@ from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import Actions, meta_actions_of, problem_of
 from charms_bench.world.scene import Bools, Floats, Ints, Vehicles
 
 if TYPE_CHECKING:
@@ -110,16 +110,16 @@ class Futures:
             others, actions = self._planner.rollouts_with, self._planner.actions
             agents, simulation = {others: others_of(self._planner)}, type(self._made)
             self._beside = simulation(
-                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions,
-                outside_steps_mps=self._planner.target_speed_steps_mps,
-            )  # fmt: skip
+                self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
+            )
             self._beside.playback = None  # a planner does not know what was recorded next
         return self._beside  # type: ignore[no-any-return]
 
     def outcomes(self, vehicles: Vehicles, plans: Actions) -> Outcomes:
         """See `Rollouts`."""
         rows, places = vehicles
-        dimensions = 2 if self._planner.actions == "meta" else 3
+        actions = self._planner.actions
+        dimensions = 2 if meta_actions_of(actions) else 3
         if plans.ndim == dimensions:
             plans = np.broadcast_to(plans, (rows.size, *plans.shape))
         if plans.ndim != dimensions + 1 or len(plans) != rows.size:
@@ -127,6 +127,8 @@ class Futures:
                 f"rollouts: plans of shape {plans.shape}; expected (plans, decisions), or "
                 f"({rows.size}, plans, decisions) with plans for each vehicle"
             )
+        if dimensions == 2 and (what := problem_of(plans.ravel(), actions, plans.size)[0]):
+            raise InputError(f"rollouts: plans have {what}")
         shape = plans.shape[:3]
         found = Outcomes(*(np.zeros(shape, dtype) for dtype in _DTYPES))
         flat = [array.reshape(-1, shape[2]) for array in found]
@@ -138,9 +140,9 @@ class Futures:
                 index = each[start : start + SCENES]
                 which = index // shape[1]
                 state = self._state((rows[which], places[which]))
-                actions = plans.reshape(-1, *plans.shape[2:])[index]
+                given = plans.reshape(-1, *plans.shape[2:])[index]
                 holds = bool(is_ego[which[0]])
-                for array, values in zip(flat, self._driven(state, actions, holds), strict=True):
+                for array, values in zip(flat, self._driven(state, given, holds), strict=True):
                     array[index] = values
         return found
 

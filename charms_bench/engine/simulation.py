@@ -1,6 +1,7 @@
 """B episodes at once: agents decide, an engine moves the vehicles, and each ending is noted."""
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 from numbers import Real
 from typing import Any
 
@@ -44,7 +45,14 @@ from charms_bench.foundation.philox import uniforms
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2, Agent, DriverModel, Policy
 from charms_bench.plugins.deciding import Asked, check_declared, decide, kept_width
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
-from charms_bench.world.actions import ActionKind, Actions, problem_of
+from charms_bench.world.actions import (
+    ACTIONS,
+    DEFAULT_ACTIONS,
+    Actions,
+    ActionsLike,
+    meta_actions_of,
+    problem_of,
+)
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -62,9 +70,7 @@ class Simulation:
             driven by `command`. If there are such vehicles, only time ends an episode.
         agents: All agents that `ego` and `traffic` name, by name.
         engine: `batched` or `highway-env`, or what makes the engine.
-        actions: The kind of the actions given to `step`.
-        outside_steps_mps: The speed steps of vehicles that are driven from outside, as
-            `Policy.target_speed_steps_mps`; by default, the profile's.
+        actions: The actions given to `step`, as `Policy.actions`.
 
     Raises:
         InputError: A policy's rate does not fit the simulation rate, or its observation or its kind
@@ -79,8 +85,7 @@ class Simulation:
         traffic: Traffic,
         agents: Mapping[str, Agent],
         engine: EngineName | MakeEngine = "batched",
-        actions: ActionKind = "meta",
-        outside_steps_mps: tuple[float, ...] = (),
+        actions: ActionsLike = "meta",
     ) -> None:
         self.settings = settings
         self.seeds = np.zeros(scenes, dtype=np.uint64)
@@ -91,7 +96,8 @@ class Simulation:
         """[B] index into `ENDINGS`. A collision is noted in the simulation step of its occurrence,
         every other ending after the decision interval."""
         self.action = np.zeros((scenes, settings.vehicles), dtype=np.int64)
-        """[B, N] the last meta-action, only meaningful where `has_action` is true."""
+        """[B, N] the last meta-action, an index into those of the vehicle's driver; only meaningful
+        where `has_action` is true."""
         self.decided: list[tuple[Vehicles, Actions]] = []
         """What policies have decided in the last simulation step."""
         self.has_action = np.zeros(self.action.shape, dtype=np.bool_)
@@ -137,20 +143,30 @@ class Simulation:
             raise InputError(f"scene.{at}: {error}") from error
         self.ranges = {k: model.parameters for k, model in models.items() if model.parameters}
         """The parameters of driver models and their ranges, by the index of the agent."""
-        continuous = [k for k, p in self._policies.items() if p.actions == "continuous"]
-        if actions == "continuous":
-            continuous += [k for k, name in enumerate(self.agents) if not name]
-        steps = {k: policy.target_speed_steps_mps for k, policy in self._policies.items()}
-        steps |= {k: outside_steps_mps for k, name in enumerate(self.agents) if not name}
-        self.own_steps = {k: tuple(map(float, own)) for k, own in steps.items() if own}
-        """The speed steps of agents that have their own, by the index of the agent."""
+        outside = {k: meta_actions_of(actions) for k, name in enumerate(self.agents) if not name}
+        self.meta_actions = outside | {
+            k: meta_actions_of(policy.actions) for k, policy in self._policies.items()
+        }
+        """The meta-actions of policies and of what is driven from outside, by the index of the
+        agent; none if its actions are continuous."""
+        continuous = [k for k, own in self.meta_actions.items() if not own]
+        self.own_actions = {
+            k: own for k, own in self.meta_actions.items() if own and own != DEFAULT_ACTIONS
+        }
+        """Those of the agents that have other ones than highway-env's."""
+        names = {k: [action.name for action in own] for k, own in self.own_actions.items()}
+        self.action_names = tuple(dict.fromkeys([*ACTIONS, *chain(*names.values())]))
+        """The names of the meta-actions of all agents; highway-env's come first."""
+        self._numbers = {
+            k: np.array([self.action_names.index(name) for name in own]) for k, own in names.items()
+        }
         self._follows_recording = [k for k, model in models.items() if model.follows_recording]
         self._kept_widths = {k: kept_width(policy) for k, policy in self._policies.items()}
         widths = (*self._kept_widths.values(), *(model.memory_width for model in models.values()))
         memory = max(widths, default=0)
         prescribed = [k for k, name in enumerate(self.agents) if name == PRESCRIBED]
         self.engine = make_engine(
-            engine, settings, scenes, models, continuous, memory, prescribed, self.own_steps
+            engine, settings, scenes, models, continuous, memory, prescribed, self.own_actions
         )
         self._futures = {
             k: Futures(self, policy) for k, policy in self._policies.items() if policy.rollouts_with
@@ -179,6 +195,15 @@ class Simulation:
     def drivers(self) -> NDArray[np.str_]:
         """[B, N] the name of each vehicle's agent; empty for a vehicle driven from outside."""
         return np.asarray(np.array(self.agents)[self.engine.drivers])
+
+    @property
+    def named_actions(self) -> Ints:
+        """[B, N] the last meta-actions as indices of `action_names`."""
+        named = self.action.copy()
+        for k, numbers in self._numbers.items():
+            its = self.engine.drivers == k
+            named[its] = numbers[np.minimum(named[its], numbers.size - 1)]
+        return np.minimum(named, len(self.action_names) - 1)
 
     @property
     def failed(self) -> Bools:

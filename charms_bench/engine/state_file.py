@@ -20,8 +20,7 @@ from charms_bench.engine.state import OF_SCENE, OF_SCENES, SceneState
 from charms_bench.errors import InputError, first_problem
 from charms_bench.foundation.files import json_of, read_limited, write_bytes
 from charms_bench.plugins.agent import ACCELERATION_LIMIT_MPS2
-from charms_bench.world.actions import ACTIONS
-from charms_bench.world.profile import STEPS_LIMIT
+from charms_bench.world.actions import ACTIONS_LIMIT, STEPS_LIMIT
 from charms_bench.world.scene import SceneSettings
 
 FORMAT, VERSION = "charms-bench scene state", 6
@@ -190,7 +189,7 @@ def check_state(state: SceneState) -> None:
         "ending": (0, len(ENDINGS) - 1),
         "ego": (0, settings.vehicles - 1),
         "drivers": (0, len(state.agents) - 1),
-        "action": (0, len(ACTIONS) - 1),
+        "action": (0, ACTIONS_LIMIT - 1),  # a policy can have meta-actions of its own
         "collision": (0, len(COLLISIONS) - 1),
         "entry": (0, ENTRIES),
         "target_lane": (0, settings.lanes - 1),

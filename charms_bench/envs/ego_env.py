@@ -14,7 +14,7 @@ from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
-from charms_bench.envs.given_actions import array_of
+from charms_bench.envs.given_actions import GivenLike, array_of
 from charms_bench.envs.highway_reward import HighwayReward
 from charms_bench.envs.learners import Learners, Reward
 from charms_bench.envs.progress_reward import ProgressReward
@@ -26,7 +26,6 @@ from charms_bench.errors import InputError, first_problem
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
-from charms_bench.world.actions import ActionKind
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
@@ -47,7 +46,9 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         reward: The reward of a decision; by default highway-env's, see `HighwayReward`, and for
             continuous actions the progress along the road, see `ProgressReward`.
         observation: The ego's observation; see `charms_bench.world.observations`.
-        actions: `meta`, or `continuous` for an acceleration and a steering angle.
+        actions: `meta` for highway-env's five, `continuous` for an acceleration and a steering
+            angle, or a list of meta-actions such as `[*DEFAULT_ACTIONS, MetaAction("BRAKE",
+            speed_from_present_mps=-6.0)]`; see `charms_bench.world.action_texts`.
         longitudinal: Whether actions change the speed, as in highway-env's configuration.
         lateral: Whether actions change the lane, or steer.
         render_mode: `rgb_array` or `human`; see `render`.
@@ -66,7 +67,7 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         traffic: TrafficLike = "idm_mobil",
         reward: Reward[Any] | None = None,
         observation: ObservationLike = "neighbours",
-        actions: ActionKind = "meta",
+        actions: GivenLike = "meta",
         render_mode: str | None = None,
         longitudinal: bool = True,
         lateral: bool = True,
@@ -183,7 +184,7 @@ def ego_vector_env(
     traffic: TrafficLike = "idm_mobil",
     reward: Reward[Any] | None = None,
     observation: ObservationLike = "neighbours",
-    actions: ActionKind = "meta",
+    actions: GivenLike = "meta",
     render_mode: str | None = None,
     longitudinal: bool = True,
     lateral: bool = True,
@@ -207,8 +208,8 @@ def ego_vector_env(
     )
 
 
-def reward_of(actions: ActionKind) -> Reward[Any]:
-    """The default reward of a kind of actions."""
+def reward_of(actions: GivenLike) -> Reward[Any]:
+    """The default reward of actions."""
     return ProgressReward() if actions == "continuous" else HighwayReward()
 
 

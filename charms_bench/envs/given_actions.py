@@ -1,6 +1,7 @@
 """The actions that a program gives to an environment."""
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -8,7 +9,22 @@ from numpy.typing import NDArray
 
 from charms_bench.errors import InputError
 from charms_bench.roads.configuration import meta_actions
-from charms_bench.world.actions import ACTION_KINDS, CONTROLS, ActionKind, Actions
+from charms_bench.world.action_texts import read_actions
+from charms_bench.world.actions import (
+    ACTION_KINDS,
+    CONTROLS,
+    DEFAULT_ACTIONS,
+    ActionKind,
+    Actions,
+    ActionsLike,
+    MetaAction,
+    meta_actions_of,
+)
+
+GivenLike = ActionKind | Sequence[MetaAction | str | Mapping[str, Any]]
+"""What an environment takes as its actions."""
+MetaLike = Literal["meta"] | Sequence[MetaAction | str | Mapping[str, Any]]
+"""What an environment with meta-actions only takes."""
 
 
 def array_of(actions: Any) -> NDArray[Any]:
@@ -27,27 +43,45 @@ class GivenActions:
     """The actions of learners, of which a program may leave out the lateral or longitudinal ones.
 
     Args:
-        kind: `meta` or `continuous`.
+        like: `meta`, `continuous`, or a list of meta-actions; see `world.action_texts`.
         longitudinal: Whether they change the speed.
         lateral: Whether they change the lane, or steer [`DiscreteMetaAction`, `ContinuousAction`].
         title: The environment's name, for messages.
 
     Raises:
-        InputError: There is no such kind, or no action is left.
+        InputError: There are no such actions, or no action is left.
     """
 
-    def __init__(self, kind: ActionKind, longitudinal: bool, lateral: bool, title: str) -> None:
-        if kind not in ACTION_KINDS:
-            raise InputError(f"{title}: actions: '{kind}'; expected {' or '.join(ACTION_KINDS)}")
+    def __init__(self, like: GivenLike, longitudinal: bool, lateral: bool, title: str) -> None:
+        if isinstance(like, str) and like not in ACTION_KINDS:
+            raise InputError(f"{title}: actions: '{like}'; expected {' or '.join(ACTION_KINDS)}")
         if not (longitudinal or lateral):
             raise InputError(f"{title}: neither longitudinal nor lateral; expected one of them")
-        self.kind = kind
+        try:
+            self.like: ActionsLike = "continuous" if like == "continuous" else "meta"
+            if not isinstance(like, str):
+                self.like = read_actions(like)
+            """All actions, also those that are left out."""
+        except InputError as error:
+            raise InputError(f"{title}: actions: {error}") from error
+        own = meta_actions_of(self.like)
+        self.kind: ActionKind = "meta" if own else "continuous"
         self.space: gymnasium.spaces.Discrete | gymnasium.spaces.Box
         """Of one learner."""
-        if kind == "meta":
+        if own:
             which = {"longitudinal": longitudinal, "lateral": lateral}
-            found = meta_actions({"action": {"type": "DiscreteMetaAction", **which}})
-            self.names, self.meaning = found.names, found.meaning
+            if own == DEFAULT_ACTIONS:  # in highway-env's order
+                found = meta_actions({"action": {"type": "DiscreteMetaAction", **which}})
+                self.meaning = found.meaning
+            else:
+                left_out = [
+                    (each.changes_speed and not longitudinal) or (each.lanes and not lateral)
+                    for each in own
+                ]
+                self.meaning = np.flatnonzero(np.logical_not(left_out))
+            if not self.meaning.size:
+                raise InputError(f"{title}: no meta-action is longitudinal or lateral alone")
+            self.names = tuple(own[k].name for k in self.meaning)
             self.space = gymnasium.spaces.Discrete(len(self.names))
         else:
             self.meaning = np.flatnonzero([longitudinal, lateral])

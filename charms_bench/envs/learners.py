@@ -13,14 +13,14 @@ from charms_bench.engine.endings import OFF_ROAD, REAR_END, RUNNING, SIDE, TIME,
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
-from charms_bench.envs.given_actions import GivenActions
+from charms_bench.envs.given_actions import GivenActions, GivenLike
 from charms_bench.envs.rendering import Frame, Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
 from charms_bench.errors import InputError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
-from charms_bench.world.actions import ActionKind, Actions
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, meta_actions_of
 from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
 
@@ -72,7 +72,7 @@ class Learners:
         observation: The learners' observation.
         render_mode: One of `RENDER_MODES`, or None.
         title: The environment's name, for messages and pictures.
-        actions: The kind of the learners' actions.
+        actions: The learners' actions; see `GivenActions`.
         longitudinal: Whether their actions change the speed.
         lateral: Whether their actions change the lane, or steer.
 
@@ -92,7 +92,7 @@ class Learners:
         observation: Observation = neighbours,
         render_mode: str | None = None,
         title: str = ID,
-        actions: ActionKind = "meta",
+        actions: GivenLike = "meta",
         longitudinal: bool = True,
         lateral: bool = True,
     ) -> None:
@@ -106,13 +106,14 @@ class Learners:
         driven = traffic if self.numbers == (0,) else FromOutside(self.numbers, traffic)
         if len(self.numbers) == settings.vehicles > 1:
             driven = OneAgent("")
-        self.simulation = Simulation(settings, scenes, None, driven, agents, actions=actions)
+        like = self.actions.like
+        self.simulation = Simulation(settings, scenes, None, driven, agents, actions=like)
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
         self._are_egos = len(self.numbers) == 1
         self._places = np.zeros_like(self.scene_of)
         self._alive = np.zeros(self.returns.size, dtype=np.bool_)
-        self.spaces = spaces_of(settings, observation, actions)[0], self.actions.space
+        self.spaces = spaces_of(settings, observation, like)[0], self.actions.space
         """Of a learner's observations and of its actions."""
         self.renderer = Renderer(scenes, settings.decision_hz, render_mode, title)
         self.observation = observation
@@ -190,7 +191,8 @@ class Learners:
     def masks(self, vehicles: Vehicles) -> ActionMasks:
         """The action masks (M, A) of M vehicles; see `world.action_mask`."""
         self.check_started("action masks")
-        return action_masks(self.simulation.scene, vehicles)[:, self.actions.meaning]
+        own = meta_actions_of(self.actions.like) or DEFAULT_ACTIONS
+        return action_masks(self.simulation.scene, vehicles, own)[:, self.actions.meaning]
 
     def show(self) -> None:
         """Shows the scenes in a window if the render mode is `human`."""

@@ -6,6 +6,7 @@ from typing import Any
 from gymnasium.vector import AutoresetMode
 
 from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
+from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.vector_env import ScenesVectorEnv
@@ -28,6 +29,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         traffic: Assigns a driver to each of the other vehicles.
         reward: The rewards (M,) of M vehicles after a decision; by default highway-env's.
         observation: The learners' observation; see `charms_bench.world.observations`.
+        actions: The learners' meta-actions; see `EgoEnv`.
         render_mode: `rgb_array` or `human`; see `render`.
         longitudinal: Whether actions change the speed.
         lateral: Whether actions change the lane.
@@ -52,15 +54,14 @@ class LearnersVectorEnv(ScenesVectorEnv):
         lateral: bool = True,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         first_seed: int | None = None,
+        actions: MetaLike = "meta",
         **scene: Any,
     ) -> None:
         title = type(self).__name__
         settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
-        made = Learners(
-            settings, scenes, learners, *how, longitudinal=longitudinal, lateral=lateral
-        )
+        made = Learners(settings, scenes, learners, *how, actions, longitudinal, lateral)
         super().__init__(made, first_seed, autoreset_mode)
 
     @property

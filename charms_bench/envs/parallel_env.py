@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
 from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
+from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
 from charms_bench.envs.rendering import RENDER_MODES
@@ -116,15 +117,14 @@ class HighwayParallelEnv(NamedAgents):
         render_mode: str | None = None,
         longitudinal: bool = True,
         lateral: bool = True,
+        actions: MetaLike = "meta",
         **scene: Any,
     ) -> None:
         title = type(self).__name__
         settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
-        self._learners = Learners(
-            settings, 1, learners, *how, longitudinal=longitudinal, lateral=lateral
-        )
+        self._learners = Learners(settings, 1, learners, *how, actions, longitudinal, lateral)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": settings.decision_hz}
         self.possible_agents = [f"vehicle_{number}" for number in self._learners.numbers]
@@ -180,7 +180,7 @@ class HighwayParallelEnv(NamedAgents):
         if self._has_started and not self.agents:
             return {}, {}, {}, {}, {}
         names = self._learners.actions.names
-        outcome = self._learners.step(self._checked(actions, names, names.index("IDLE")))
+        outcome = self._learners.step(self._checked(actions, names, 0))  # which nobody obeys
         acted, observations, infos = self.agents, self._observe(), self._masks()
         rewards, terminated, truncated, endings = (
             {agent: values[self._place[agent]] for agent in acted}

@@ -97,7 +97,7 @@ class EpisodesVecEnv(VecEnv):
         return [masks[row] for row in self._get_indices(indices)]
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """The action masks of all episodes, (B, 5)."""
+        """The action masks of all episodes, (B, A)."""
         episodes: Any = self.episodes.unwrapped
         return np.asarray(episodes.action_masks())
 

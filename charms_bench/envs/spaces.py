@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind
+from charms_bench.world.action_texts import described_actions
+from charms_bench.world.actions import (
+    CONTROLS,
+    DEFAULT_ACTIONS,
+    ActionsLike,
+    meta_actions_of,
+    outputs_of,
+)
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     EGO,
@@ -22,7 +29,7 @@ from charms_bench.world.scene import SceneSettings
 
 
 def spaces_of(
-    settings: SceneSettings, observation: Observation = neighbours, kind: ActionKind = "meta"
+    settings: SceneSettings, observation: Observation = neighbours, like: ActionsLike = "meta"
 ) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Gymnasium's spaces of the ego's observations and actions.
 
@@ -31,10 +38,13 @@ def spaces_of(
     values that occur while it drives; with continuous actions, its position has no bounds. Other
     observations have no bounds, as in highway-env.
     """
-    actions: spaces.Space[Any] = spaces.Discrete(len(ACTIONS))
-    if kind == "continuous":
+    actions: spaces.Space[Any] = spaces.Discrete(outputs_of(like))
+    is_continuous = not meta_actions_of(like)
+    if is_continuous:
         actions = spaces.Box(-1.0, 1.0, (len(CONTROLS),), np.float32)
     where: dict[str, Any] = {"environment": "Ego-v0", "decision_hz": settings.decision_hz}
+    if not is_continuous and meta_actions_of(like) != DEFAULT_ACTIONS:
+        where["actions"] = described_actions(meta_actions_of(like))
     if isinstance(observation, Neighbours | Kinematics):
         where["observation"] = described(observation)
     if not isinstance(observation, Neighbours):
@@ -45,7 +55,7 @@ def spaces_of(
     fastest = max(profile.speed_max_mps, -profile.speed_min_mps, profile.ego_speed_mps, *targets)
     high = np.ones(observation.shape, dtype=np.float32)
     high[EGO, 2] = 2 * settings.lanes * profile.lane_width_m / Y_SCALE_M
-    if kind == "continuous":
+    if is_continuous:
         high[EGO, 2] = np.inf
     high[EGO, 3:] = 2 * fastest / SPEED_SCALE_MPS
     return trained_in(spaces.Box(-high, high, dtype=np.float32), where), actions

@@ -12,6 +12,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import SceneState
 from charms_bench.envs import ID
 from charms_bench.envs.autoreset import Autoreset
+from charms_bench.envs.given_actions import GivenLike
 from charms_bench.envs.learners import C, Learners, Reward
 from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.envs.seeds import checked_seed, random_seeds, seeds_of
@@ -21,7 +22,7 @@ from charms_bench.foundation.generator import State, seeded, word
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.world.action_mask import ActionMasks
-from charms_bench.world.actions import ActionKind, Actions
+from charms_bench.world.actions import Actions
 from charms_bench.world.observations import Observation, neighbours
 from charms_bench.world.scene import (
     EVALUATION_SEEDS,
@@ -282,7 +283,7 @@ class HighwayVectorEnv(ScenesVectorEnv, Generic[C]):
         reward: Reward[C],
         first_seed: int | None = None,
         observation: Observation = neighbours,
-        actions: ActionKind = "meta",
+        actions: GivenLike = "meta",
         render_mode: str | None = None,
         longitudinal: bool = True,
         lateral: bool = True,

@@ -54,6 +54,7 @@ def moment_of(replay: Replay, view: EgoView, frame: int) -> Moment:
         t_s=replay.t_s[frame],
         ego=replay.ego,
         agents=replay.agents,
+        action_names=replay.action_names,
         traffic=sorted({name for k, name in enumerate(replay.agents) if k != replay.ego}),
         gap_ahead=view.gap_ahead[frame],
         ttc=view.ttc[frame],

@@ -24,7 +24,8 @@ from charms_bench.errors import AgentError, InputError
 from charms_bench.plugins.agent import Policy
 from charms_bench.plugins.registry import AGENTS, make_agent, plugins
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.actions import ACTIONS, Actions
+from charms_bench.world.action_texts import described_actions
+from charms_bench.world.actions import Actions, MetaAction, meta_actions_of
 from charms_bench.world.scene import Bools, Ints, Observations, SceneSettings
 
 AFTERWARDS_S = 2.0
@@ -137,17 +138,16 @@ def _usable(settings: SceneSettings) -> tuple[str, ...]:
 class _Always(Policy):
     """Takes one action whatever it sees."""
 
-    def __init__(self, action: int, decision_hz: float, steps_mps: tuple[float, ...]) -> None:
-        self._action, self.decision_hz = action, decision_hz
-        self.target_speed_steps_mps = steps_mps
+    def __init__(self, action: int, decision_hz: float, actions: tuple[MetaAction, ...]) -> None:
+        self._action, self.decision_hz, self.actions = action, decision_hz, actions
 
     def decide(self, observations: Observations) -> Actions:
         return np.full(len(observations), self._action)
 
 
-def _override(action: int, steps_mps: tuple[float, ...]) -> str:
-    """The name of the agent that always takes an action, with these speed steps of its own."""
-    return f"always {ACTIONS[action]} {list(steps_mps)}"
+def _override(action: int, actions: tuple[MetaAction, ...]) -> str:
+    """The name of the agent that always takes one of these meta-actions."""
+    return f"always {actions[action].name} of {described_actions(actions)}"
 
 
 class _Chunk:
@@ -193,9 +193,9 @@ class _Chunk:
             tell(1)
         avoids = self._who_avoids(tried, [last for _, last, _ in searched])
         override = {
-            _override(k, steps): _Always(k, self._settings.decision_hz, steps)
-            for steps in dict.fromkeys([(), *outside.own_steps.values()])
-            for k in range(len(ACTIONS))
+            _override(k, actions): _Always(k, self._settings.decision_hz, actions)
+            for actions in dict.fromkeys(outside.meta_actions.values())
+            for k in range(len(actions))
         }
         overridden = self._simulation(_SCENES, override)
         found = []
@@ -263,12 +263,12 @@ class _Chunk:
             state = self._before(episode, step)
             taken = self._kept[step].action[episode]
             for place in self._deciding(state):
-                others = [action for action in range(len(ACTIONS)) if action != taken[place]]
+                actions = simulation.meta_actions[int(state.drivers[0, place])]
+                others = [action for action in range(len(actions)) if action != taken[place]]
                 rows = np.arange(len(others))
                 start = replace(state.take(np.zeros_like(rows)), agents=simulation.agents)
                 replaced = start.drivers.copy()
-                steps_mps = simulation.own_steps.get(int(state.drivers[0, place]), ())
-                names = [_override(action, steps_mps) for action in others]
+                names = [_override(action, actions) for action in others]
                 replaced[:, place] = [simulation.agents.index(name) for name in names]
                 simulation.scene.active[:] = False
                 simulation.restore(start.with_arrays({"drivers": replaced}), rows)
@@ -280,7 +280,7 @@ class _Chunk:
                     agent = state.agents[state.drivers[0, place]]
                     was, instead = taken[place], others[int(avoids.argmax())]
                     is_ego = bool(place == state.ego[0])
-                    said = (agent, ACTIONS[was], ACTIONS[instead])
+                    said = (agent, actions[was].name, actions[instead].name)
                     return Replacement(step, self._number(state, place), is_ego, *said)
         return None
 
@@ -298,7 +298,7 @@ class _Chunk:
         periods = {
             k: round(self._settings.simulation_hz / agent.decision_hz)
             for k, agent in self._made.items()
-            if isinstance(agent, Policy) and agent.actions == "meta"
+            if isinstance(agent, Policy) and meta_actions_of(agent.actions)
         }
         decides = [k in periods and frame % periods[k] == 0 for k in state.drivers[0].tolist()]
         near = np.array(decides) & (distance <= NEAR_M) & ~state.crashed[0]

@@ -1,6 +1,6 @@
 """Searches for a sequence of the ego's meta-actions that keeps it on the road and uncrashed.
 
-The search is exhaustive: every sequence of the five meta-actions, in batches of restored scenes,
+The search is exhaustive: every sequence of the ego's meta-actions, in batches of restored scenes,
 deepest first. A scene that equals one already visited at the same decision, to the last bit, is
 left out, because it has the same futures.
 """
@@ -11,7 +11,6 @@ import numpy as np
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.engine.state import ARRAYS, OF_SCENES, SceneState
-from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Ints
 
 _PLAYS_NO_PART = {*OF_SCENES, "action", "has_action", "drivers", "collision"} - {"network"}
@@ -30,6 +29,7 @@ class EscapeSearch:
 
     def __init__(self, simulation: Simulation, until: int, budget: int) -> None:
         self._simulation = simulation
+        self._actions = len(simulation.meta_actions[simulation.agents.index("")])
         self._until = until
         self._budget = budget
         self.nodes = 0
@@ -42,7 +42,7 @@ class EscapeSearch:
         After an answer False, the searches that follow use what this one has visited.
         """
         waiting: dict[int, list[SceneState]] = {int(start.steps[0]): [start]}
-        at_once = max(1, len(self._simulation.seeds) // len(ACTIONS))
+        at_once = max(1, len(self._simulation.seeds) // self._actions)
         while waiting:
             depth = max(waiting)
             state = waiting[depth].pop()
@@ -51,7 +51,7 @@ class EscapeSearch:
             if len(state) > at_once:
                 waiting.setdefault(depth, []).append(state.take(np.arange(at_once, len(state))))
                 state = state.take(np.arange(at_once))
-            if self.nodes + len(state) * len(ACTIONS) > self._budget:
+            if self.nodes + len(state) * self._actions > self._budget:
                 return None
             after = self._expand(state)
             if len(after) == 0:
@@ -65,13 +65,13 @@ class EscapeSearch:
 
     def _expand(self, state: SceneState) -> SceneState:
         """The scenes after each meta-action in which the ego has not failed."""
-        simulation, count = self._simulation, len(state) * len(ACTIONS)
+        simulation, count = self._simulation, len(state) * self._actions
         self.nodes += count
         rows = np.arange(count)
         simulation.scene.active[:] = False
-        simulation.restore(state.take(np.repeat(np.arange(len(state)), len(ACTIONS))), rows)
+        simulation.restore(state.take(np.repeat(np.arange(len(state)), self._actions)), rows)
         actions = np.zeros(len(simulation.seeds), dtype=np.int64)
-        actions[:count] = np.tile(np.arange(len(ACTIONS)), len(state))
+        actions[:count] = np.tile(np.arange(self._actions), len(state))
         simulation.step(actions)
         return simulation.state(rows[~simulation.failed[:count]])
 

@@ -25,11 +25,12 @@ from charms_bench.envs.spaces import spaces_of
 from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.errors import InputError
 from charms_bench.foundation.words import counted
-from charms_bench.plugins.agent import Agent, Policy
-from charms_bench.plugins.registry import is_network, make_agent
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.registry import is_network
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
-from charms_bench.world.actions import Actions
+from charms_bench.world.action_texts import action_objects
+from charms_bench.world.actions import DEFAULT_ACTIONS, Actions, meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, observation_of
 
@@ -122,27 +123,21 @@ def environment_of(cell: Cell, policy: Policy) -> EnvSpec | None:
     """Returns what `gymnasium.make` needs to make the environment of a cell's episodes.
 
     It is None where plain values cannot describe the environment: for a scenario, a road, a traffic
-    with options, a network given by path, an observation of a plugin, or speed steps of the ego's
-    policy that the profile cannot have for it alone.
+    with options, a network given by path, or an observation of a plugin.
     """
     traffic, observation = cell.traffic.traffic, observation_of(policy.observation)
     is_plain = not (traffic.options or traffic.scenario or traffic.road)
     is_plain &= not any(map(is_network, (traffic.name or "", *traffic.mixture)))
     if not is_plain or not isinstance(observation, Neighbours | Kinematics):
         return None
-    scene, steps = cell.scene.model_dump(mode="json"), tuple(policy.target_speed_steps_mps)
-    profile = cell.scene.profile
-    if policy.actions == "meta" and steps and steps != profile.target_speed_steps_mps:
-        others = map(make_agent, traffic.make().agents)
-        if profile.target_speeds_mps or any(map(_has_steps_of_the_profile, others)):
-            return None
-        scene["profile"]["target_speed_steps_mps"] = list(steps)
+    actions = meta_actions_of(policy.actions)
+    is_own = actions not in ((), DEFAULT_ACTIONS)
     spec = deepcopy(gymnasium.spec(ID))
     spec.kwargs = {
         "traffic": traffic.name or traffic.mixture,
         "observation": {"type": observation.name, **observation.model_dump(mode="json")},
-        "actions": policy.actions,
-        **scene,
+        "actions": action_objects(actions) if is_own else policy.actions,
+        **cell.scene.model_dump(mode="json"),
     }
     return spec
 
@@ -157,10 +152,6 @@ def _of_egos(simulation: Simulation) -> Actions:
     taken = np.zeros((simulation.scene.active.size, *actions.shape[1:]), actions.dtype)
     taken[rows] = actions
     return taken
-
-
-def _has_steps_of_the_profile(agent: Agent) -> bool:
-    return isinstance(agent, Policy) and not agent.target_speed_steps_mps
 
 
 def _simulated(

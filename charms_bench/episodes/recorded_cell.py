@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import InputError, RunFolderError, suggestion
-from charms_bench.plugins.agent import Agent
+from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.recording.columns import with_lengths
@@ -20,6 +20,7 @@ from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import EPISODES_AND_STEPS, FinishedRun, read_rows
 from charms_bench.runs.shard import engine_on, identify_agents
 from charms_bench.runs.suite import Cell
+from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.scene import SceneSettings
 
 
@@ -69,8 +70,8 @@ class RecordedCell:
             scenes: How many scenes.
             guests: Agents beside those of the cell, by name; they act after these.
             settings: Other settings than the suite's.
-            is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. It keeps
-                the speed steps of its agent.
+            is_ego_outside: Whether the actions given to `Simulation.step` drive the ego. They are
+                its agent's meta-actions, or if it has none, highway-env's.
 
         Raises:
             InputError: A guest cannot drive on the road of the cell.
@@ -82,9 +83,9 @@ class RecordedCell:
                 check_guests(guests, cell.scene)
             seats = dict.fromkeys((*agents, *traffic.agents, *guests))
             traffic = _WithGuests(traffic, tuple(seats))
-        key, steps = cell.ego.agent.key, ()
-        if is_ego_outside:
-            steps = getattr(agents[key], "target_speed_steps_mps", ())
+        key, actions = cell.ego.agent.key, DEFAULT_ACTIONS
+        if is_ego_outside and isinstance(ego := agents[key], Policy):
+            actions = meta_actions_of(ego.actions) or actions
         return Simulation(
             settings or cell.scene,
             scenes,
@@ -92,7 +93,7 @@ class RecordedCell:
             traffic,
             {**guests, **agents},
             engine_on(settings or cell.scene, "batched"),
-            outside_steps_mps=steps,
+            actions=actions,
         )
 
     def steps(self, episodes: Sequence[int]) -> pl.DataFrame:

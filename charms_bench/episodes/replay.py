@@ -18,6 +18,7 @@ from charms_bench.foundation.words import counted
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
 from charms_bench.runs.suite import Cell
+from charms_bench.world.actions import ACTIONS
 from charms_bench.world.plan import OF_VEHICLES, Plan, lines_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import VACANT_X_M, Floats, Ints, SceneSettings
@@ -38,7 +39,7 @@ TRAJECTORY_SCHEMA = pl.Schema(
         "acceleration": pl.Float64(),  # m/s2, as commanded
         "lane": pl.Int8(),  # the nearest lane, 0 is the leftmost; null on highway-env's roads
         "target_lane": pl.Int8(),
-        "action": pl.Int8(),  # index into ACTIONS; null before the first and under a driver model
+        "action": pl.Int8(),  # `Replay.action_names`; null before the first, under a driver model
         "crashed": pl.Boolean(),
     }
 )
@@ -59,6 +60,9 @@ class Replay(Motion):
     """Index of the ego in the order of spawning."""
     agents: tuple[str, ...]
     """N names of agents."""
+    action_names: tuple[str, ...] = ACTIONS
+    """What `action` is an index into: the names of highway-env's meta-actions, and of those that
+    the agents have beside these."""
     t_s: Floats
     """[T + 1] time since the start."""
     episodes: pl.DataFrame
@@ -203,6 +207,7 @@ def simulate(
                 episode=episode,
                 ego=ego,
                 agents=_agents(simulation, arrays.pop("driver")),
+                action_names=simulation.action_names,
                 t_s=np.arange(length) / settings.simulation_hz,
                 episodes=ended.filter(mine),
                 steps=steps.filter(mine),
@@ -280,4 +285,5 @@ def _frame(simulation: Simulation, scenes: Sequence[int]) -> dict[str, Any]:
     """Returns copies of the arrays `[S, N]` that a replay of S scenes keeps."""
     frame = {name: getattr(simulation.scene, name)[scenes] for name in (*_OF_SCENE, "entry")}
     frame["driver"] = simulation.engine.drivers[scenes]
-    return frame | {name: getattr(simulation, name)[scenes] for name in ("action", "has_action")}
+    frame["has_action"] = simulation.has_action[scenes]
+    return frame | {"action": simulation.named_actions[scenes]}

@@ -1,12 +1,12 @@
 """How often an ego commands a lane that does not exist, from its recorded decisions."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import polars as pl
 
-from charms_bench.world.actions import LANE_LEFT, LANE_RIGHT
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 
 NOTABLE = 0.05
 """The proportion from which an ego's decisions are worth a remark."""
@@ -18,9 +18,9 @@ class MissingLanes(NamedTuple):
 
     decisions: int
     left: int
-    """`LANE_LEFT` on the leftmost lane."""
+    """`LANE_LEFT`, or another change to the left, on the leftmost lane."""
     right: int
-    """`LANE_RIGHT` on the rightmost lane."""
+    """`LANE_RIGHT`, or another change to the right, on the rightmost lane."""
 
     def remark(self) -> str:
         """A sentence without its subject; empty if the proportion is not notable."""
@@ -36,8 +36,12 @@ class MissingLanes(NamedTuple):
         )
 
 
-def missing_lanes(parts: Iterable[pl.DataFrame], lanes: int) -> MissingLanes:
+def missing_lanes(
+    parts: Iterable[pl.DataFrame], lanes: int, actions: Sequence[MetaAction] = DEFAULT_ACTIONS
+) -> MissingLanes:
     """Counts the decisions of an ego whose step rows are `parts`, on a road of so many lanes.
+
+    The actions are the ego's meta-actions.
 
     A decision counts from the second of its episode on, because a row has the state after its
     decision. A policy that decides more rarely than there are rows repeats its action in the rows
@@ -55,8 +59,9 @@ def missing_lanes(parts: Iterable[pl.DataFrame], lanes: int) -> MissingLanes:
     period = math.gcd(*(changes - 1).to_list()) or 1
     rows = rows.filter((pl.col("step") - 1) % period == 0)
 
-    def count(action: int, edge: int) -> int:
+    def count(side: int, edge: int) -> int:
+        changing = [k for k, action in enumerate(actions) if action.lanes == side]
         on_edge = (pl.col("last_lane") == edge) & (pl.col("last_target_lane") == edge)
-        return rows.filter((pl.col("action") == action) & on_edge).height
+        return rows.filter(pl.col("action").is_in(changing) & on_edge).height
 
-    return MissingLanes(rows.height, count(LANE_LEFT, 0), count(LANE_RIGHT, lanes - 1))
+    return MissingLanes(rows.height, count(-1, 0), count(1, lanes - 1))

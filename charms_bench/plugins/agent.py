@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from charms_bench.world.actions import ActionKind
+from charms_bench.world.actions import ActionsLike
 from charms_bench.world.observations import ObservationLike
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
@@ -22,19 +22,17 @@ ACCELERATION_LIMIT_MPS2 = 20.0
 class Policy(ABC):
     """Chooses actions from observations, a few times per second."""
 
-    actions: ActionKind = "meta"
-    """The kind of its actions; `continuous` ones are held until its next decision."""
+    actions: ActionsLike = "meta"
+    """Its meta-actions, such as `(*DEFAULT_ACTIONS, MetaAction("BRAKE",
+    speed_from_present_mps=-6.0))`. By default they are highway-env's, whose FASTER and SLOWER
+    change the target speed as the profile says; with `with_speed_steps(0.25, 0.5, 1.0, 2.0)`, they
+    have steps of their own. `continuous` actions are held until its next decision."""
 
     observation: ObservationLike = "neighbours"
     """The observation that the policy receives."""
 
     decision_hz: float = 3.0
     """Decisions per second; the suite's simulation rate must be a multiple of this rate."""
-
-    target_speed_steps_mps: tuple[float, ...] = ()
-    """By how much FASTER and SLOWER change the target speeds of its vehicles, m/s: by the first
-    step and, while the same command is repeated, by the second one and so on to the last. At most
-    100; if there are none, the profile's steps or target speeds count."""
 
     history_length: int = 1
     """The number K of observations that it receives. If it is above 1, `observations` is
@@ -65,7 +63,8 @@ class Policy(ABC):
                 `decide(observations, memory, noise, rollouts)`.
 
         Returns:
-            (M,) integers 0..4, indices into `ACTIONS`. If `actions` is `continuous`, (M, 2) floats
+            (M,) integers, indices into `actions`, by default 0..4 for those whose names are
+            `ACTIONS`. If `actions` is `continuous`, (M, 2) floats
             from -1 to 1: an acceleration, up to 5 m/s² either way, and a steering angle, up to
             pi / 4 rad either way, positive to the right. With `memory_width`, a pair: these actions
             and the new memory (M, Q).

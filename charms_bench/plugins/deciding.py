@@ -2,24 +2,20 @@
 
 from collections.abc import Callable
 from math import prod
-from numbers import Real
-from sys import float_info
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from charms_bench.errors import BrokenWordError, InputError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
-from charms_bench.world.actions import ACTION_KINDS, Actions
+from charms_bench.world.actions import Actions, check_actions
 from charms_bench.world.observations import observation_of
-from charms_bench.world.profile import STEPS_LIMIT
 from charms_bench.world.scene import Floats, Ints, Observations
 
 Question = tuple[Any, ...]
 """The arguments of `Policy.decide`; each has one entry for each of M vehicles."""
 WIDEST = 100_000
 """Most numbers that a policy can remember of a vehicle."""
-SPEED_STEPS = f"1 to {STEPS_LIMIT} positive finite numbers"
 
 
 class Asked(NamedTuple):
@@ -107,10 +103,15 @@ def check_declared(agent: Agent) -> None:
         return
     policy = agent
     observation_of(policy.observation)
-    kinds = " or ".join(ACTION_KINDS)
-    _require("actions", policy.actions, kinds, lambda found: found in ACTION_KINDS, str)
-    name, steps, expected = "target_speed_steps_mps", policy.target_speed_steps_mps, SPEED_STEPS
-    _require(name, steps, expected, lambda its: not its or are_speed_steps(its), tuple, list)
+    try:
+        check_actions(policy.actions)
+    except InputError as error:
+        raise InputError(f"its attribute `actions` {error}") from error
+    if hasattr(policy, "target_speed_steps_mps"):
+        raise InputError(
+            "its attribute `target_speed_steps_mps` has no effect; expected `actions = "
+            "with_speed_steps(...)`, with the function of charms_bench"
+        )
     for name, lowest in (("history_length", 1), ("memory_width", 0), ("noise_draws", 0)):
         _require_number(policy, name, lowest)
     _require("rollouts_with", policy.rollouts_with, "the name of an agent", lambda found: True, str)
@@ -126,13 +127,3 @@ def _require(
 ) -> None:
     if type(found) not in kinds or not fits(found):
         raise InputError(f"its attribute `{name}` is {str(found)[:80]!r}; expected {expected}")
-
-
-def are_speed_steps(found: Any) -> bool:
-    """Whether a value can be a policy's `target_speed_steps_mps` and is not empty."""
-    return (
-        isinstance(found, tuple | list)
-        and 1 <= len(found) <= STEPS_LIMIT
-        and all(isinstance(step, Real) and not isinstance(step, bool) for step in found)
-        and all(0 < step <= float_info.max for step in found)
-    )

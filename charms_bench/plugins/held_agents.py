@@ -39,7 +39,6 @@ NEARBY = 1e-6
 """Relative changes of an observation that move a network's values about as much as rounding."""
 _DECLARED = (
     "decision_hz", "actions", "history_length", "memory_width", "noise_draws", "rollouts_with",
-    "target_speed_steps_mps",
 )  # fmt: skip
 VARIANTS = 64
 

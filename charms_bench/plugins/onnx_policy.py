@@ -16,7 +16,6 @@ from charms_bench.errors import InputError, ModelError
 from charms_bench.foundation.files import json_of, read_limited
 from charms_bench.foundation.workers import is_child
 from charms_bench.plugins.agent import Policy
-from charms_bench.plugins.deciding import SPEED_STEPS, are_speed_steps
 from charms_bench.plugins.onnx_file import problem_of
 from charms_bench.plugins.onnx_ports import (
     MASK_INPUT,
@@ -34,7 +33,19 @@ from charms_bench.plugins.onnx_session import (
     signature_of,
     tried,
 )
-from charms_bench.world.actions import ACTIONS, ActionKind, Actions, outputs_of
+from charms_bench.world.action_mask import masks_of
+from charms_bench.world.action_texts import actions_described
+from charms_bench.world.actions import (
+    ACTIONS,
+    DEFAULT_ACTIONS,
+    OWN_STEPS,
+    Actions,
+    ActionsLike,
+    MetaAction,
+    meta_actions_of,
+    outputs_of,
+    with_speed_steps,
+)
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, observation_described
 from charms_bench.world.scene import Floats, Observations
@@ -63,11 +74,12 @@ class OnnxPolicy(Policy):
     The network can only do arithmetic, in bounded memory and on one thread; see
     `onnx_file.OPERATORS`. A worker tries it before this process opens it; see `onnx_session`. The
     file's first input is `(batch, rows, columns)` of the observation or `(batch, rows * columns)`,
-    and its first output has the values; all are float32. The output is `(batch, 5)`, or
-    `(batch, 2)` if the file's metadata say `actions: continuous`; it is then clipped to [-1, 1].
-    The metadata also name the observation; the default is `neighbours`. With `history: K`, the
-    input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last. With
-    `target_speed_steps_mps`, a JSON list, FASTER and SLOWER add these steps.
+    and its first output has the values; all are float32. The output is `(batch, A)`, one value for
+    each of the meta-actions in the file's metadata `actions`, by default highway-env's five (see
+    `world.action_texts`), or `(batch, 2)` with `actions: continuous`; it is then clipped to
+    [-1, 1]. The metadata also name the observation; the default is `neighbours`. With `history: K`,
+    the input is `(batch, K, rows, columns)` or `(batch, K * rows * columns)`, the newest last.
+    `target_speed_steps_mps`, a JSON list, is short for `with_speed_steps` of these steps.
 
     Further inputs receive action masks and noise, or are states; see `onnx_ports`.
 
@@ -112,24 +124,18 @@ class OnnxPolicy(Policy):
             self.observation = observation_described(said.get("observation", "neighbours"))
         except InputError as error:
             raise ModelError(f"metadata: {error}") from error
-        if (actions := said.get("actions", "meta")) == "continuous":
-            self.actions = "continuous"
-        elif actions not in ("meta", ", ".join(ACTIONS)):
-            what = f"expected continuous, or meta for {', '.join(ACTIONS)}"
-            raise ModelError(f"metadata: actions is '{actions[:80]}'; {what}")
+        self.actions = _actions(said)
         self.history_length = _history(said.get("history", "1"))
         history = (self.history_length,) * (self.history_length > 1)
         shape = *history, *self.observation.shape
         self._rows = self.observation.shape[0]
-        self._roles = _roles(found, shape, outputs_of(self.actions))
+        self._roles = _roles(found, shape, self.actions)
         self.memory_width, self.noise_draws = self._roles.memory, self._roles.noise
-        if self._roles.takes_mask:
+        if self._roles.mask:
             self.observation = _with_mask(self.observation, self.actions)
         if decision_hz is None:
             decision_hz = _decision_hz(said.get("decision_hz", "3"))
         self.decision_hz = decision_hz
-        if (steps := said.get("target_speed_steps_mps")) is not None:
-            self.target_speed_steps_mps = _speed_steps(steps)
         if found.problem:
             raise ModelError(found.problem)
 
@@ -165,7 +171,7 @@ class OnnxPolicy(Policy):
         memory: Floats | None = None,
         noise: Floats | None = None,
     ) -> tuple[NDArray[np.float32], Floats]:
-        """The network's output, (M, 5) or (M, 2), and the memory (M, memory) that it leaves.
+        """The network's output, (M, A) or (M, 2), and the memory (M, memory) that it leaves.
 
         Args:
             observations: (M, rows, columns), or (M, history, rows, columns).
@@ -193,9 +199,10 @@ class OnnxPolicy(Policy):
     ) -> tuple[NDArray[np.float32], Floats]:
         roles, seen = self._roles, observations[..., : self._rows, :]
         inputs = {roles.seen: seen.reshape(-1, *roles.shape)}
-        if roles.takes_mask:
+        if roles.mask:
             newest = observations if self.history_length == 1 else observations[:, -1]
-            inputs[MASK_INPUT] = newest[:, ACTION_MASK]
+            actions = meta_actions_of(self.actions)
+            inputs[MASK_INPUT] = masks_of(newest[:, ACTION_MASK], actions)
         if roles.noise:
             inputs[NOISE_INPUT] = np.minimum(noise.astype(np.float32), _BELOW_ONE)
         try:
@@ -216,9 +223,9 @@ def _check_keys(said: Mapping[str, str]) -> None:
             raise ModelError(f"metadata: no key '{key[:80]}'. Did you mean '{close[0]}'?")
 
 
-def _with_mask(seen: Neighbours | Kinematics, kind: ActionKind) -> Neighbours:
+def _with_mask(seen: Neighbours | Kinematics, actions: ActionsLike) -> Neighbours:
     """The observation of a network that receives the action mask as an input of its own."""
-    if isinstance(seen, Kinematics) or kind != "meta":
+    if isinstance(seen, Kinematics) or not meta_actions_of(actions):
         raise ModelError(
             f"has the input {MASK_INPUT}, which a network has with meta-actions and the "
             "observation neighbours or paper_neighbours only; put the mask into the network instead"
@@ -233,11 +240,31 @@ def _decision_hz(said: str) -> float:
     raise ModelError(f"metadata: decision_hz is '{said}'; expected a positive rate")
 
 
-def _speed_steps(said: str) -> tuple[float, ...]:
-    with suppress(ValueError):
-        if are_speed_steps(found := json_of(said.encode())):
-            return tuple(map(float, found))
-    what = f"expected a JSON list of {SPEED_STEPS}"
+def _actions(said: Mapping[str, str]) -> ActionsLike:
+    """The actions that the metadata name."""
+    text, steps = said.get("actions", "meta"), said.get("target_speed_steps_mps")
+    if text == "continuous":
+        return "continuous"
+    if not text.startswith("[") and text not in ("meta", ", ".join(ACTIONS)):
+        what = f"expected continuous, meta for {', '.join(ACTIONS)}, or a JSON list of meta-actions"
+        raise ModelError(f"metadata: actions is '{text[:80]}'; {what}")
+    try:
+        actions = actions_described(text)
+    except InputError as error:
+        raise ModelError(f"metadata: actions: {error}") from error
+    if steps is None:
+        return actions
+    own = _speed_steps(steps)
+    if actions != DEFAULT_ACTIONS:
+        what = "the steps are part of the meta-actions in the list; expected one of both keys"
+        raise ModelError(f"metadata: actions and target_speed_steps_mps: {what}")
+    return own
+
+
+def _speed_steps(said: str) -> tuple[MetaAction, ...]:
+    with suppress(ValueError, TypeError, InputError):
+        return with_speed_steps(*json_of(said.encode()))
+    what = f"expected a JSON list of {OWN_STEPS}"
     raise ModelError(f"metadata: target_speed_steps_mps is '{said[:80]}'; {what}")
 
 
@@ -248,22 +275,28 @@ def _history(said: str) -> int:
     return int(said)
 
 
-def _roles(found: Signature, shape: tuple[int, ...], count: int) -> Roles:
+def _roles(found: Signature, shape: tuple[int, ...], actions: ActionsLike) -> Roles:
     """What the ports are for; refuses other shapes than these of an observation and the values."""
+    count, is_meta = outputs_of(actions), bool(meta_actions_of(actions))
+    masks = count if is_meta else len(ACTIONS)
     roles = roles_of(found)
-    if roles and roles.shape in ((math.prod(shape),), shape) and roles.outputs == count:
+    fits = roles and roles.shape in ((math.prod(shape),), shape) and roles.outputs == count
+    if roles and fits and (not is_meta or roles.mask in (0, count)):
         return roles
-    other = ", or (batch, 2) with the metadata 'actions: continuous'"
+    other = (
+        ", or (batch, 2) with the metadata 'actions: continuous', or (batch, A) with a JSON list "
+        "of A meta-actions as the metadata 'actions'"
+    )
     wanted = (
         f"one float32 input (batch, {math.prod(shape)}) or (batch, {', '.join(map(str, shape))}) "
         f"with a free batch, and one float32 output (batch, {count})"
-        f"{other if count == outputs_of('meta') else ''}"
+        f"{other if is_meta else ''}"
     )
     if len(found.inputs) + len(found.outputs) > 2:
         wanted += (
-            f"; beside them, an input {MASK_INPUT} (batch, 5), an input {NOISE_INPUT} (batch, "
-            "draws), and for each state an input such as (batch, width) or (layers, batch, width) "
-            "and, in the same order, an output of the same shape; all float32, with at most "
+            f"; beside them, an input {MASK_INPUT} (batch, {masks}), an input {NOISE_INPUT} "
+            "(batch, draws), and for each state an input such as (batch, width) or (layers, batch, "
+            "width) and, in the same order, an output of the same shape; all float32, with at most "
             f"{MEMORY_LIMIT:,} numbers of states and of draws"
         )
     has = f"inputs {_listed(found.inputs)}, outputs {_listed(found.outputs)}"

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Floats
 
 Port = tuple[str, str, tuple[Any, ...]]
@@ -30,9 +29,8 @@ WIDEST = 100_000
 MEMORY_LIMIT = 4_096
 """Most numbers in a vehicle's memory, and most random numbers for a decision: 32 KiB."""
 _FLOAT = "tensor(float)"
-_MASK = (len(ACTIONS),), 0
-"""The shape of one vehicle's mask, and the dimension that is the vehicles."""
-_NO_NOISE = (0,), 0
+_NOTHING = (0,), 0
+"""The shape of one vehicle's mask or noise that is not there, and which dimension is vehicles."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,8 @@ class Roles:
     """Of one observation in that input."""
     outputs: int
     """The number of values per vehicle."""
-    takes_mask: bool
+    mask: int
+    """The number of meta-actions in the mask that it receives; 0 without a mask."""
     noise: int
     """The number of random numbers per vehicle."""
     states: tuple[State, ...]
@@ -106,8 +105,8 @@ def roles_of(found: Signature) -> Roles | None:
         if port[0] in (MASK_INPUT, NOISE_INPUT)
     }
     others = [port for port in found.inputs if port[0] not in named]
-    mask, noise = named.get(MASK_INPUT, _MASK), named.get(NOISE_INPUT, _NO_NOISE)
-    if mask != _MASK or noise is None or len(noise[0]) != 1:
+    mask, noise = (named.get(name, _NOTHING) for name in (MASK_INPUT, NOISE_INPUT))
+    if mask is None or noise is None or len(mask[0]) != 1 or len(noise[0]) != 1:
         return None
     if not len(others) == len(found.outputs) > 0:
         return None
@@ -121,8 +120,8 @@ def roles_of(found: Signature) -> Roles | None:
         if one is None or not _is_next(state, following):
             return None
         remembered.append(State(state[0], *one))
-    takes_mask = MASK_INPUT in named
-    roles = Roles(seen[0], observed[0], valued[0], takes_mask, noise[0][0], tuple(remembered))
+    numbers = observed[0], valued[0], mask[0][0], noise[0][0]
+    roles = Roles(seen[0], *numbers, tuple(remembered))
     return roles if max(roles.memory, roles.noise) <= MEMORY_LIMIT else None
 
 

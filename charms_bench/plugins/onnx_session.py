@@ -30,7 +30,6 @@ from charms_bench.plugins.onnx_ports import (
     Signature,
     roles_of,
 )
-from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import observation_described
 from charms_bench.world.scene import Floats
 
@@ -110,8 +109,8 @@ def _question(
 ) -> tuple[Arrays, Floats]:
     """Random inputs and memory of this scale; for 0, those of the beginning of an episode."""
     inputs = {roles.seen: rng.normal(scale=scale, size=(rows, *roles.shape)).astype(np.float32)}
-    if roles.takes_mask:
-        inputs[MASK_INPUT] = np.ones((rows, len(ACTIONS)), dtype=np.float32)
+    if roles.mask:
+        inputs[MASK_INPUT] = np.ones((rows, roles.mask), dtype=np.float32)
     if roles.noise:
         inputs[NOISE_INPUT] = rng.random((rows, roles.noise), np.float32) * min(scale, 1)
     return inputs, rng.normal(scale=scale, size=(rows, roles.memory))

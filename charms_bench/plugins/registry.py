@@ -248,7 +248,7 @@ def _problem_of(made: object, *kinds: type) -> str:
         return f"is {found}, not a {expected}"
     if isinstance(made, Policy):
         # Properties may raise here.
-        _ = made.observation, made.actions, made.decision_hz, made.target_speed_steps_mps
+        _ = made.observation, made.actions, made.decision_hz
     for kind, texts in _TEXTS.items():
         for text in texts * isinstance(made, kind):
             value = getattr(made, text, _MISSING)

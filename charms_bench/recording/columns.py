@@ -43,8 +43,8 @@ STEP: Mapping[str, Column] = {
         "Lane that the ego steers to; with continuous actions, `lane`.", dtype=pl.Int8()
     ),
     "action": Column(
-        "Index of the last meta-action in `ACTIONS`; null under a driver model and with "
-        "continuous actions.",
+        "Index of the last meta-action among the ego's, by default `ACTIONS`; null under a driver "
+        "model and with continuous actions.",
         dtype=pl.Int8(),
     ),
     "leader": Column(

@@ -47,7 +47,7 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.roads.stepping import collide
 from charms_bench.roads.straightened import Ways, find_way, straighten
-from charms_bench.world.actions import Actions, controls_of
+from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Scene, SceneSettings, Vehicles
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
@@ -70,7 +70,7 @@ class RoadEngine(Shown):
         continuous: Collection[int] = (),
         memory: int = 0,
         prescribed: Collection[int] = (),
-        own_steps: Mapping[int, tuple[float, ...]] = MappingProxyType({}),
+        own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         assert settings.network is not None
         rates = {"simulation_frequency": settings.simulation_hz}
@@ -91,7 +91,7 @@ class RoadEngine(Shown):
         self._settings, self._models = settings, models
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._rule = command_rule(settings.profile)
-        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_steps.items()}
+        self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_actions.items()}
         self._views = self.scene
         """[B N, N] each scene as each of its vehicles sees it, if agents drive the traffic."""
         self._roads: dict[tuple[bool, int, float], Scene] = {}

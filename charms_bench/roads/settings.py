@@ -10,6 +10,7 @@ from charms_bench.plugins.agent import Agent, DriverModel
 from charms_bench.roads import OF_SUITES
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.scenes import OBSTACLE
+from charms_bench.world.actions import meta_actions_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import observation_of
 from charms_bench.world.scene import SceneSettings
@@ -80,7 +81,7 @@ def problem_of_driver(agent: Agent, settings: SceneSettings, is_ego: bool = True
             "the target speeds of the environment that it was trained in; its row would be of "
             "another task"
         )
-    if agent.actions == "meta" and speed < least:
+    if meta_actions_of(agent.actions) and speed < least:
         return (
             f"it commands target speeds from {least:g} m/s, and {whose} {speed:.3g} m/s; "
             "see scene.profile.target_speed_min_mps"

@@ -38,6 +38,8 @@ from charms_bench.runs.code_hashes import (
     library_versions,
 )
 from charms_bench.runs.intact import harness_names, problem_of
+from charms_bench.world.action_texts import described_actions
+from charms_bench.world.actions import DEFAULT_ACTIONS, meta_actions_of
 from charms_bench.world.scene import SceneSettings
 
 ShardFiles = Mapping[str, bytes]
@@ -237,8 +239,8 @@ def identify_agents(
         networks: The files of their networks; see `specs.networks_of`.
 
     Returns:
-        By `AgentSpec.origin`, the hash of a policy's weights and the plugin's distribution, version
-        and hash of its code.
+        By `AgentSpec.origin`, the hash of a policy's weights, its meta-actions if they have other
+        names than highway-env's, and the plugin's distribution, version and hash of its code.
     """
     drivers = drivers_of(ego, traffic_of(traffic))
     found = {
@@ -255,7 +257,15 @@ def identify_agents(
 def _identity(spec_json: str, network: Path | None) -> Mapping[str, str]:
     """What tells an agent from other versions; many cells share it, so it is found out once."""
     agent = _cached_agent(spec_json, network, 0)
-    weights = {"weights_sha256": agent.weights_sha256} if isinstance(agent, Policy) else {}
+    weights = {}
+    if isinstance(agent, Policy):
+        weights = {"weights_sha256": agent.weights_sha256}
+        actions = meta_actions_of(agent.actions)
+        meant, default = (
+            [(each.name, each.lanes) for each in some] for some in (actions, DEFAULT_ACTIONS)
+        )
+        if meant not in ([], default):
+            weights["actions"] = described_actions(actions)  # which rows are indices into
     if isinstance(agent, DriverModel) and agent.files_sha256:
         weights = {"files_sha256": agent.files_sha256}
     name = AgentSpec.model_validate_json(spec_json).name

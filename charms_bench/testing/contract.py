@@ -126,8 +126,8 @@ def policy_names_an_observation_and_a_rate(policy: Policy) -> None:
 def policy_returns_one_action_per_vehicle(policy: Policy) -> None:
     """`decide` returns one action of its kind per row, for many rows and for one.
 
-    A meta-action is an integer 0..4, a continuous action two floats from -1 to 1. With memory, it
-    also returns the new memory, which is finite.
+    A meta-action is an index into `actions`, a continuous action two floats from -1 to 1. With
+    memory, it also returns the new memory, which is finite.
     """
     asked = _question(policy)
     for rows in (np.arange(len(asked[0])), np.array([0])):

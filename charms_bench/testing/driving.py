@@ -8,6 +8,7 @@ from charms_bench.metrics.missing_lanes import missing_lanes
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.plugins.registry import make_agent
 from charms_bench.recording.recording import Recording
+from charms_bench.world.actions import meta_actions_of
 from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
 
 EPISODES = 50
@@ -33,4 +34,5 @@ def remark_on(name: str) -> str:
     while simulation.scene.active.any():
         simulation.step()
         recording.note()
-    return missing_lanes([recording.steps()], settings.lanes).remark()
+    actions = meta_actions_of(agent.actions)
+    return missing_lanes([recording.steps()], settings.lanes, actions).remark()

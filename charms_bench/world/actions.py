@@ -1,20 +1,102 @@
 """The actions by which a policy drives: meta-actions, or continuous ones."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from numbers import Real
+from sys import float_info
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled
 
+STEPS_LIMIT = 100
+"""Most steps by which repeated speed commands grow."""
+ACTIONS_LIMIT = 100
+"""Most meta-actions of a policy."""
+OWN_STEPS = f"1 to {STEPS_LIMIT} positive finite numbers"
+SPEED_STEPS = f"1 to {STEPS_LIMIT} finite numbers, all above or all below 0"
+
+
+@dataclass(frozen=True)
+class MetaAction:
+    """What a command does to the target lane and to the target speed of a vehicle.
+
+    At most one of the last three fields is given. Target speeds stay within the profile's bounds.
+    """
+
+    name: str
+    lanes: int = 0
+    """-1 changes to the lane to the left, 1 to the lane to the right."""
+    profile_step: int = 0
+    """1 raises the target speed and -1 lowers it, as the profile says: by its step, by one of its
+    growing steps, or to the next of its target speeds."""
+    speed_steps_mps: tuple[float, ...] = ()
+    """What the action adds to the target speed: the first step and, while actions that change the
+    target speed in this direction follow each other, the second one and so on to the last."""
+    speed_from_present_mps: float | None = None
+    """The target speed becomes the present speed plus this."""
+
+    def __post_init__(self) -> None:
+        steps, present = self.speed_steps_mps, self.speed_from_present_mps
+        is_name = type(self.name) is str and self.name.isprintable() and 1 <= len(self.name) <= 40
+        for field, fits, expected in (
+            ("name", is_name, "1 to 40 characters that can be printed"),
+            ("lanes", self.lanes in (-1, 0, 1), "-1, 0 or 1"),
+            ("profile_step", self.profile_step in (-1, 0, 1), "-1, 0 or 1"),
+            ("speed_steps_mps", steps == () or _are_steps(steps), SPEED_STEPS),
+            ("speed_from_present_mps", present is None or _is_number(present), "a finite number"),
+        ):
+            if not fits:
+                found = str(getattr(self, field))[:80]
+                what = f"meta-action {str(self.name)[:40]!r}"
+                raise InputError(f"{what}: {field} is {found!r}; expected {expected}")
+        if (self.profile_step != 0) + bool(steps) + (present is not None) > 1:
+            raise InputError(
+                f"meta-action '{self.name}': expected one of profile_step, speed_steps_mps and "
+                "speed_from_present_mps"
+            )
+        object.__setattr__(self, "speed_steps_mps", tuple(map(float, steps)))
+
+    @property
+    def changes_speed(self) -> bool:
+        """Whether it has an effect on the target speed."""
+        return bool(
+            self.profile_step or self.speed_steps_mps or self.speed_from_present_mps is not None
+        )
+
+
+def _is_number(found: Any) -> bool:
+    is_real = isinstance(found, Real) and not isinstance(found, bool)
+    return is_real and -float_info.max <= found <= float_info.max
+
+
+def _are_steps(found: Any) -> bool:
+    if not isinstance(found, tuple | list) or not 1 <= len(found) <= STEPS_LIMIT:
+        return False
+    return all(map(_is_number, found)) and (min(found) > 0 or max(found) < 0)
+
+
+DEFAULT_ACTIONS: tuple[MetaAction, ...] = (
+    MetaAction("LANE_LEFT", lanes=-1),
+    MetaAction("IDLE"),
+    MetaAction("LANE_RIGHT", lanes=1),
+    MetaAction("FASTER", profile_step=1),
+    MetaAction("SLOWER", profile_step=-1),
+)
+"""highway-env's meta-actions; an action is an index into a policy's tuple of them."""
+ACTIONS = tuple(action.name for action in DEFAULT_ACTIONS)
+"""Their names."""
+LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(len(DEFAULT_ACTIONS))
 ActionKind = Literal["meta", "continuous"]
-"""`meta`: one index into `ACTIONS` per vehicle. `continuous`: an acceleration and a steering angle
-per vehicle, each as a share of its range, from -1 to 1 [highway-env's `ContinuousAction`]."""
+"""`meta`: `DEFAULT_ACTIONS`. `continuous`: an acceleration and a steering angle per vehicle, each
+as a share of its range, from -1 to 1 [highway-env's `ContinuousAction`]."""
 ACTION_KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
-ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
-"""The meta-actions; an action is an index into this tuple."""
-LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(len(ACTIONS))
+ActionsLike = ActionKind | tuple[MetaAction, ...]
+"""The actions of a policy: meta-actions, or a kind of actions."""
 CONTROLS = ("acceleration", "steering")
 """The columns of continuous actions."""
 Actions = NDArray[np.integer | np.floating]
@@ -42,25 +124,75 @@ def controls_of(actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     return acceleration, steering
 
 
-def outputs_of(kind: ActionKind) -> int:
+def meta_actions_of(like: ActionsLike) -> tuple[MetaAction, ...]:
+    """The meta-actions of a policy; none if its actions are continuous."""
+    if isinstance(like, str):
+        return () if like == "continuous" else DEFAULT_ACTIONS
+    return tuple(like)
+
+
+def with_speed_steps(
+    *steps_mps: float, actions: Sequence[MetaAction] = DEFAULT_ACTIONS
+) -> tuple[MetaAction, ...]:
+    """Meta-actions with steps of their own, all above 0, in place of the profile's.
+
+    By default, these are highway-env's, of which FASTER and SLOWER have steps.
+    """
+    if not (_are_steps(steps_mps) and steps_mps[0] > 0):
+        raise InputError(f"speed steps {str(steps_mps)[:80]}; expected {OWN_STEPS}")
+    return tuple(
+        replace(action, profile_step=0, speed_steps_mps=tuple(sign * k for k in steps_mps))
+        if (sign := action.profile_step)
+        else action
+        for action in actions
+    )
+
+
+def check_actions(found: Any) -> None:
+    """Checks what a policy declares as its actions.
+
+    Raises:
+        InputError: It is neither a kind of actions nor a tuple of meta-actions.
+    """
+    if isinstance(found, str) and found in ACTION_KINDS:
+        return
+    what = f"is {str(found)[:80]!r}; expected {' or '.join(ACTION_KINDS)}, or meta-actions"
+    if not isinstance(found, tuple | list) or not 1 <= len(found) <= ACTIONS_LIMIT:
+        raise InputError(what)
+    for action in found:
+        if not isinstance(action, MetaAction):
+            raise InputError(f"has {str(action)[:80]!r}; expected a MetaAction of charms_bench")
+    names = [action.name for action in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"has two meta-actions named '{name}'; expected different names")
+
+
+def follows_profile(actions: Sequence[MetaAction]) -> bool:
+    """Whether a profile's target speeds are those of vehicles with these meta-actions."""
+    return any(action.profile_step for action in actions)
+
+
+def outputs_of(like: ActionsLike) -> int:
     """The numbers that a network returns per vehicle."""
-    return len(ACTIONS) if kind == "meta" else len(CONTROLS)
+    return len(meta_actions_of(like)) or len(CONTROLS)
 
 
-def problem_of(actions: NDArray[Any], kind: ActionKind, vehicles: int) -> tuple[str, int]:
+def problem_of(actions: NDArray[Any], like: ActionsLike, vehicles: int) -> tuple[str, int]:
     """What is wrong with the actions of M vehicles, and the first vehicle for which it is.
 
     The text is empty if nothing is wrong.
     """
-    expected_shape = (vehicles,) if kind == "meta" else (vehicles, len(CONTROLS))
-    is_type = actions.dtype.kind in ("iu" if kind == "meta" else "f")
+    count = len(meta_actions_of(like))
+    expected_shape = (vehicles,) if count else (vehicles, len(CONTROLS))
+    is_type = actions.dtype.kind in ("iu" if count else "f")
     if actions.shape != expected_shape or not is_type:
-        types = "integers" if kind == "meta" else "floats"
+        types = "integers" if count else "floats"
         found = f"{actions.dtype} of shape {actions.shape}"
         return f"{found}; expected {types} of shape {expected_shape}", 0
-    if kind == "meta":
-        first = _first_unknown(actions.astype(np.int64, copy=False))
-        expected = f"0 to {len(ACTIONS) - 1}"
+    if count:
+        first = _first_unknown(actions.astype(np.int64, copy=False), count)
+        expected = f"0 to {count - 1}"
     else:
         wrong = ~(np.abs(actions) <= 1).all(axis=1)
         first = int(wrong.argmax()) if wrong.any() else -1
@@ -69,9 +201,9 @@ def problem_of(actions: NDArray[Any], kind: ActionKind, vehicles: int) -> tuple[
 
 
 @compiled
-def _first_unknown(actions: NDArray[np.int64]) -> int:
-    """The index of the first of the meta-actions (M,) that does not exist, or -1."""
+def _first_unknown(actions: NDArray[np.int64], count: int) -> int:
+    """The index of the first of the meta-actions (M,) that is not below the count, or -1."""
     for m in range(actions.size):
-        if not 0 <= actions[m] < len(ACTIONS):
+        if not 0 <= actions[m] < count:
             return m
     return -1

@@ -19,8 +19,8 @@ A lane that does not exist looks like one without vehicles. Two options add a ro
   speed / 10 m/s, how often FASTER (or, negative, SLOWER) was its last meta-action in a row / 4, its
   target lane less its lane, its last acceleration / 10 m/s2, and 0. With target speeds that change
   by growing steps, the same scene calls for other actions at another place in the sequence.
-- `action_mask`: the last row, `ACTION_MASK`, is the vehicle's action mask, one column per
-  meta-action; see `charms_bench.world.action_mask`.
+- `action_mask`: the last row, `ACTION_MASK`, is the vehicle's action mask, one column for each of
+  `DEFAULT_ACTIONS`; see `charms_bench.world.action_mask`.
 
 `paper_neighbours` is the observation of the networks that the paper's authors released.
 

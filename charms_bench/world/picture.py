@@ -59,6 +59,8 @@ class Moment(Motion):
     """s, to the leader at constant speeds; NaN unless the ego closes in."""
     ahead_m: float = AHEAD_M
     """How far ahead of the ego a straight road is drawn."""
+    action_names: Sequence[str] = ACTIONS
+    """What `action` is an index into."""
     plan: Plan | None = None
     """Where the vehicles are on a network; without one, the road is straight."""
 
@@ -223,7 +225,7 @@ def status_of(moment: Moment) -> dict[str, str]:
     if moment.crashed[ego]:
         doing = "crashed"
     elif moment.has_action[ego]:
-        doing = ACTIONS[moment.action[ego]].replace("_", " ").lower()
+        doing = moment.action_names[moment.action[ego]].replace("_", " ").lower()
     else:  # before the first decision, and under a driver model, which takes no meta-actions
         doing = f"to the {'right' if aside > 0 else 'left'}" if aside else "keeps its lane"
     gap, ttc = moment.gap_ahead, moment.ttc

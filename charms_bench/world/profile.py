@@ -17,9 +17,7 @@ from pydantic import (
 )
 
 from charms_bench.foundation.fields import Finite, FrozenModel, NonNegative, Positive
-
-STEPS_LIMIT = 100
-"""Most steps by which repeated speed commands grow."""
+from charms_bench.world.actions import STEPS_LIMIT
 
 
 class IdmMobilParameters(NamedTuple):

@@ -337,8 +337,8 @@ class _Fields(NamedTuple):
     """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change. With
     continuous actions, it is `lane`."""
     repeats: Ints
-    """[B, N] how often FASTER, or SLOWER if it is negative, was the vehicle's last meta-action in a
-    row; counted up to the number of `Profile.target_speed_steps_mps`."""
+    """[B, N] how often meta-actions have raised the target speed in a row, as FASTER does, or have
+    lowered it by steps if it is negative; counted up to the number of the steps."""
     crashed: Bools
     """[B, N] whether the vehicle has collided."""
     timer_s: Floats

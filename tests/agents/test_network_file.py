@@ -2,26 +2,49 @@
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
-pytest.importorskip("onnx", reason="needs the extra 'train'")
+onnx = pytest.importorskip("onnx", reason="needs the extra 'train'")
 
 from charms_agents.training.network_file import export
 
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import ACTIONS, DEFAULT_ACTIONS, MetaAction, with_speed_steps
+
+BRAKE = MetaAction("BRAKE", speed_from_present_mps=-6.0)
 
 
-def test_speed_steps_are_read_as_they_were_written(tmp_path: Path) -> None:
-    network = torch.nn.Sequential(torch.nn.Linear(35, 5))
-    facts = {"target_speed_steps_mps": json.dumps([0.1, 0.25, 2])}
-    export(network, tmp_path / "policy.onnx", facts, np.zeros((1, 7, 5), dtype=np.float32))
-    assert OnnxPolicy(tmp_path / "policy.onnx").target_speed_steps_mps == (0.1, 0.25, 2.0)
+@pytest.mark.parametrize(
+    ("actions", "keys"),
+    [
+        (DEFAULT_ACTIONS, {"actions": ", ".join(ACTIONS)}),
+        (
+            with_speed_steps(0.1, 0.25, 2),
+            {"actions": ", ".join(ACTIONS), "target_speed_steps_mps": "[0.1, 0.25, 2.0]"},
+        ),
+        (
+            (*DEFAULT_ACTIONS, BRAKE),
+            {"actions": '["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER", '
+                        '{"name": "BRAKE", "speed_from_present_mps": -6.0}]'},
+        ),
+        (with_speed_steps(0.25, 0.5, actions=(*DEFAULT_ACTIONS, BRAKE)), None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("masked", [False, True])
+def test_actions_are_read_as_they_were_written(
+    tmp_path: Path, actions: tuple[MetaAction, ...], keys: dict[str, str] | None, masked: bool
+) -> None:
+    network = torch.nn.Sequential(torch.nn.Linear(35, len(actions)))
+    seen, path = np.zeros((1, 7 + masked, 5), dtype=np.float32), tmp_path / "policy.onnx"
+    export(network, path, {}, seen, masked=masked, stochastic=True, actions=actions)
+    assert OnnxPolicy(path).actions == actions
+    said = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
+    assert keys is None or {key: said.get(key) for key in said if key != "observation"} == keys
 
 
 @pytest.mark.parametrize(("value", "is_a_tie"), [(40.0, False), (400.0, True)])

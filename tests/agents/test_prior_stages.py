@@ -23,7 +23,9 @@ from charms_agents.training.stage_progress import Tell
 from charms_agents.training.suite_file import load_training
 from trios import busy_road, write_trio
 
+from charms_bench.errors import SuiteError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 from charms_bench.world.observations import COMMANDS, Neighbours
 
 SUITE = """\
@@ -142,7 +144,7 @@ def test_a_file_says_which_steps_it_has_learnt_and_draws_its_actions(
     assert [port.name for port in model.graph.input] == ["observations", "noise"]
     policy = OnnxPolicy(file)
     assert policy.observation == SEEN
-    assert policy.target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    assert policy.actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
 
 
 @pytest.mark.parametrize("name", ["people", "charms_style"])
@@ -217,3 +219,28 @@ def test_other_conditions_and_another_reward_are_another_stage(
         file.write_text(SUITE.replace(before, after))
         pipeline.run(file, tmp_path, workers=1, only="level_1")
         assert manifest(tmp_path, "level_1")["key"] != manifest(finished, "level_1")["key"]
+
+
+def test_all_networks_of_a_suite_have_its_actions(suite: Path, tmp_path: Path) -> None:
+    brake = "{name: BRAKE, speed_from_present_mps: -6.0}"
+    listed = f"actions: [LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER, {brake}]"
+    file = suite.with_name("six.yaml")
+    file.write_text(SUITE.replace("seed: 3\n", f"seed: 3\n{listed}\n"))
+    pipeline.run(file, tmp_path, workers=1)
+    six = (*DEFAULT_ACTIONS, MetaAction("BRAKE", speed_from_present_mps=-6.0))
+    for name in STAGES:
+        policy = OnnxPolicy(network_file(tmp_path, name))
+        assert policy.actions == with_speed_steps(0.25, 0.5, 1.0, 2.0, actions=six)
+        assert manifest(tmp_path, name)["actions"][5:] == [
+            {"name": "BRAKE", "speed_from_present_mps": -6.0}
+        ]
+
+
+def test_actions_that_people_cannot_be_learnt_by_are_refused(suite: Path) -> None:
+    file = suite.with_name("few.yaml")
+    file.write_text(SUITE.replace("seed: 3\n", "seed: 3\nactions: [LANE_LEFT, IDLE, FASTER]\n"))
+    with pytest.raises(SuiteError, match="no meta-action means only 'right'"):
+        load_training(file)
+    file.write_text(SUITE.replace("seed: 3\n", "seed: 3\nactions: [IDLE, {name: GO, lanes: 2}]\n"))
+    with pytest.raises(SuiteError, match=r"few.yaml:3: actions: meta-action 'GO': lanes is '2'"):
+        load_training(file)

@@ -22,6 +22,7 @@ from charms_bench.envs import ego_env  # noqa: F401  # registers the environment
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import neighbours, paper_neighbours
 
@@ -280,3 +281,14 @@ def test_a_continuous_ppos_file_has_the_clipped_mean(kind: str, tmp_path: Path) 
     assert policy.actions == "continuous"
     assert ((np.abs(expected) == 1).any(), (np.abs(expected) < 1).any()) == (True, True)
     assert "--stochastic is for" in refusal(tmp_path / "model.zip", "--stochastic")
+
+
+def test_a_network_has_the_meta_actions_of_its_environment(tmp_path: Path) -> None:
+    six = (*DEFAULT_ACTIONS, MetaAction("BRAKE", speed_from_present_mps=-6.0))
+    model, path = trained(made(actions=six), tmp_path)
+    export_zip(path, tmp_path / "out.onnx", {})
+    policy = OnnxPolicy(tmp_path / "out.onnx")
+    assert policy.actions == six
+    seen = np.random.default_rng(0).uniform(-1, 1, (90, 7, 5)).astype(np.float32)
+    expected, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_array_equal(policy.decide(seen), expected)

@@ -11,7 +11,15 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent, Policy
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER, Actions
+from charms_bench.world.actions import (
+    FASTER,
+    IDLE,
+    LANE_LEFT,
+    LANE_RIGHT,
+    SLOWER,
+    Actions,
+    with_speed_steps,
+)
 from charms_bench.world.observations import COMMANDS, EGO, Neighbours
 from charms_bench.world.profile import PROFILES
 from charms_bench.world.scene import Floats, Observations, SceneSettings
@@ -104,7 +112,7 @@ def test_the_labels_of_a_driver_model_drive_as_it_does() -> None:
         speeds.append(model.scene.speed[0, 0])
         model.step()
     labels = samples_of(driver, scene).labels.argmax(axis=1).reshape(-1, 2)[:, 0]
-    labelled = Simulation(scene, 1, None, OneAgent(""), {}, outside_steps_mps=STEPS)
+    labelled = Simulation(scene, 1, None, OneAgent(""), {}, actions=with_speed_steps(*STEPS))
     labelled.reset(np.zeros(1, dtype=np.uint64))
     scene_now = labelled.scene
     scene_now.speed[0, 0] = scene_now.target_speed[0, 0] = speeds[SETTLING]

@@ -19,6 +19,7 @@ from charms_bench.engine.endings import TIME
 from charms_bench.envs.vector_env import HighwayVectorEnv
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
+from charms_bench.world.actions import with_speed_steps
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -81,7 +82,7 @@ def test_the_saved_network_takes_plain_observations(
 def test_a_finished_seed_has_a_network_with_the_speed_steps_of_the_stage(tmp_path: Path) -> None:
     suite = load_training(ROOT / "suites/train.yaml", seed=7, steps=1000)
     tool.train(suite, "level_1", "dqn", "charms", tmp_path)
-    assert OnnxPolicy(tmp_path / "dqn.onnx").target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    assert OnnxPolicy(tmp_path / "dqn.onnx").actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
     manifest = json.loads((tmp_path / "dqn.json").read_text())
     assert (manifest["seed"], manifest["steps"]) == (7, 1000)
     assert len(manifest["conditions"]) == SCENES

@@ -22,7 +22,14 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.testing import verify
 from charms_bench.testing.verify import Case
-from charms_bench.world.actions import ACTIONS, FASTER, IDLE, LANE_LEFT, SLOWER
+from charms_bench.world.actions import (
+    ACTIONS,
+    FASTER,
+    IDLE,
+    LANE_LEFT,
+    SLOWER,
+    with_speed_steps,
+)
 from charms_bench.world.scene import Floats, Observations, SceneSettings
 
 GROWING = (0.25, 0.5, 1.0, 2.0)
@@ -38,7 +45,9 @@ class Scripted(Policy):
     memory_width = 1
 
     def __init__(self, script: list[int], steps: Any = ()) -> None:
-        self.script, self.target_speed_steps_mps = np.array(script), steps
+        self.script = np.array(script)
+        if steps:
+            self.actions = with_speed_steps(*steps)
 
     def decide(self, observations: Observations, memory: Floats, noise: Floats) -> Any:
         return self.script[memory[:, 0].astype(int) % self.script.size], memory + 1
@@ -170,20 +179,27 @@ def test_a_rollout_continues_the_planners_own_steps(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize(
     "steps",
-    [(0.0,), (1.0, -1.0), (float("nan"),), (float("inf"),), ("1",), (True,), 1.0, "1", None,
+    [(0.0,), (1.0, -1.0), (float("nan"),), (float("inf"),), ("1",), (True,), (None,), (-1.0,),
      (1.0,) * 101, (10**400,), ((1.0,),)],
 )  # fmt: skip
-def test_steps_that_are_not_possible_name_the_attribute(steps: Any) -> None:
-    what = "agent 'ego': its attribute `target_speed_steps_mps` is .*; expected 1 to 100 positive"
+def test_steps_that_are_not_possible_are_named(steps: Any) -> None:
+    with pytest.raises(InputError, match=r"speed steps \(.*; expected 1 to 100 positive"):
+        with_speed_steps(*steps)
+
+
+def test_steps_beside_the_actions_are_rejected() -> None:
+    policy = Scripted([IDLE])
+    policy.target_speed_steps_mps = GROWING  # type: ignore[attr-defined]
+    what = r"agent 'ego': its attribute `target_speed_steps_mps` .* `actions = with_speed_steps"
     with pytest.raises(InputError, match=what):
-        simulation("batched", Scripted([IDLE], steps))
+        simulation("batched", policy)
 
 
 def test_a_policy_that_is_held_to_its_word_keeps_its_steps() -> None:
     policies = Scripted([IDLE], GROWING), Scripted([IDLE], GROWING)
     held = hold(*policies, SceneSettings(), np.random.default_rng(0))
     assert isinstance(held, Policy)
-    assert held.target_speed_steps_mps == GROWING
+    assert held.actions == with_speed_steps(*GROWING)
 
 
 def network(

@@ -1,5 +1,6 @@
 """Episodes of a policy with speed steps of its own, looked at again."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +14,15 @@ from charms_bench.episodes.replay import replay
 from charms_bench.episodes.what_if import what_if
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
-from charms_bench.world.actions import ACTIONS, FASTER, SLOWER, Actions
+from charms_bench.world.actions import (
+    ACTIONS,
+    DEFAULT_ACTIONS,
+    FASTER,
+    SLOWER,
+    Actions,
+    meta_actions_of,
+    with_speed_steps,
+)
 from charms_bench.world.scene import Observations
 
 SCENE = {"duration_s": 6.0, "traffic_vehicles": 9, "density": 1.5, "ego_slots": 3}
@@ -95,16 +104,22 @@ def test_a_replaced_action_is_carried_out_with_the_steps_of_its_driver(
     decide, asked = _Always.decide, set()
 
     def noted(policy: _Always, observations: Observations) -> Actions:
-        asked.add(policy.target_speed_steps_mps)
+        asked.add(policy.actions)
         return decide(policy, observations)
 
     monkeypatch.setattr(_Always, "decide", noted)
     avoidability(cell, collisions(cell)[:3], agents=[])
-    assert asked == {(4.0, 3.0), ()}  # of the ego, and of level_0 in the traffic
+    assert asked == {
+        with_speed_steps(4.0, 3.0),
+        DEFAULT_ACTIONS,
+    }  # of the ego, and of level_0 in the traffic
 
 
-def test_no_environment_has_its_steps_beside_drivers_with_those_of_the_profile(
-    cell: RecordedCell,
-) -> None:
-    assert environment_of(cell.cell, check_policy(cell)) is None
-    check_policy(RecordedCell(cell.run, 1, Path()))
+def test_the_environment_of_its_dataset_has_its_actions(cell: RecordedCell) -> None:
+    policy = check_policy(cell)
+    spec = environment_of(cell.cell, policy)
+    assert spec is not None
+    slower = {"name": "SLOWER", "speed_steps_mps": [-4.0, -3.0]}
+    assert json.loads(json.dumps(spec.kwargs["actions"]))[SLOWER] == slower
+    own = spec.make().unwrapped.simulation.meta_actions[0]
+    assert own == meta_actions_of(policy.actions)

@@ -3,7 +3,7 @@
 import polars as pl
 
 from charms_bench.metrics.missing_lanes import MissingLanes, missing_lanes
-from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT
+from charms_bench.world.actions import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, MetaAction
 
 
 def rows(*decisions: tuple[int | None, int, int], episode: int = 0) -> pl.DataFrame:
@@ -37,3 +37,9 @@ def test_only_a_notable_proportion_is_worth_a_remark() -> None:
         "chose a lane that does not exist in 14 % of its decisions (LANE_LEFT 9 %, LANE_RIGHT 5 %)"
     )
     assert MissingLanes(100, 9, 5).remark() == said
+
+
+def test_the_lane_changes_are_those_of_the_policys_own_actions() -> None:
+    actions = MetaAction("STAY"), MetaAction("GO RIGHT AND FAST", lanes=1, profile_step=1)
+    steps = rows((0, 1, 1), (1, 1, 2), (1, 2, 2), (1, 2, 2))
+    assert missing_lanes([steps], 3, actions) == MissingLanes(3, 0, 1)

@@ -13,6 +13,7 @@ import pytest
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import ROWS_AT_ONCE, OnnxPolicy
 from charms_bench.testing import agent_rules
+from charms_bench.world.actions import DEFAULT_ACTIONS, with_speed_steps
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours, described, neighbours
 
@@ -189,13 +190,13 @@ def test_the_attention_of_pytorch_is_taken(tmp_path: Path) -> None:
 
 
 def test_it_has_the_speed_steps_that_the_file_says(network_file: NetworkFile) -> None:
-    assert OnnxPolicy(network_file()).target_speed_steps_mps == ()
+    assert OnnxPolicy(network_file()).actions == DEFAULT_ACTIONS
     path = with_metadata(network_file(), target_speed_steps_mps="[0.25, 0.5, 1, 2]")
     policy = OnnxPolicy(path)
-    assert policy.target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
-    assert pickle.loads(pickle.dumps(policy)).target_speed_steps_mps == (0.25, 0.5, 1.0, 2.0)
+    assert policy.actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
+    assert pickle.loads(pickle.dumps(policy)).actions == policy.actions
     path = with_metadata(network_file(), target_speed_steps_mps=json.dumps([1.0] * 100))
-    assert OnnxPolicy(path).target_speed_steps_mps == (1.0,) * 100
+    assert OnnxPolicy(path).actions == with_speed_steps(*[1.0] * 100)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from functools import cached_property
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -23,6 +23,7 @@ from charms_agents.human.drivers import drivers, moments
 from charms_agents.human.manoeuvres import manoeuvres
 from charms_agents.human.soft_labels import (
     Labels,
+    brakings,
     lateral_intents,
     longitudinal_intents,
     soft_labels,
@@ -33,11 +34,12 @@ from charms_bench.foundation.fields import FrozenModel, NonNegative, Positive
 from charms_bench.foundation.files import read_limited, write_bytes
 from charms_bench.people.situations import LANES, situations
 from charms_bench.people.survey import Learnable
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.action_texts import described_actions
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
 from charms_bench.world.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
-from charms_bench.world.scene import Bools, Observations
+from charms_bench.world.scene import Bools, Observations, SceneSettings
 
 REASONS = (
     "truck",
@@ -61,14 +63,33 @@ _DRIVER = {
     "driver": pl.Int64(),
     "held_out": pl.Boolean(),
 }
-_LABEL = pl.Array(pl.Float32, len(ACTIONS))
 
 
-def _columns(observation: Neighbours) -> pl.Schema:
+class Interface(NamedTuple):
+    """What labels are probabilities of."""
+
+    actions: tuple[MetaAction, ...] = DEFAULT_ACTIONS
+    scene: SceneSettings = SceneSettings()
+    """Where they are carried out; decides how hard an action brakes that sets the target speed."""
+
+    @property
+    def label(self) -> pl.Array:
+        """The type of labels."""
+        return pl.Array(pl.Float32, len(self.actions))
+
+    def brakings(self, decision_hz: float) -> dict[int, float]:
+        """See `soft_labels.brakings`."""
+        return brakings(self.actions, self.scene, decision_hz)
+
+
+DEFAULT_INTERFACE = Interface()
+
+
+def _columns(observation: Neighbours, interface: Interface) -> pl.Schema:
     """The columns of the Parquet file."""
     rows, columns = observation.shape
     observed = pl.Array(pl.Float32, rows * columns)
-    return pl.Schema({**_DRIVER, "observation": observed, "label": _LABEL})
+    return pl.Schema({**_DRIVER, "observation": observed, "label": interface.label})
 
 
 class SampleSettings(FrozenModel):
@@ -117,7 +138,7 @@ class Samples:
     observations: Observations
     """(M, 7, 5)"""
     labels: Labels
-    """(M, 5) probabilities of the actions."""
+    """(M, A) probabilities of the actions."""
     held_out: Bools
     """(M,) whether the sample is kept from training."""
     rows: pl.DataFrame
@@ -132,11 +153,13 @@ class SampleStore:
     cache: Path
     settings: SampleSettings
     observation: Neighbours = neighbours
+    interface: Interface = DEFAULT_INTERFACE
 
     @cached_property
     def fingerprint(self) -> str:
         """Hash of the recordings, the settings and this project's version; see `fingerprint`."""
-        return fingerprint(find_trios(self.recordings), self.settings, self.observation)
+        how = (self.settings, self.observation, self.interface)
+        return fingerprint(find_trios(self.recordings), *how)
 
     @property
     def path(self) -> Path:
@@ -150,16 +173,17 @@ class SampleStore:
             DataError: The recordings or the Parquet file cannot be used.
             RunFolderError: The Parquet file cannot be written.
         """
-        path = self.path
+        path, columns = self.path, _columns(self.observation, self.interface)
         if not path.exists():
-            samples = collect(self.recordings, self.settings, self.observation)
+            how = (self.settings, self.observation, self.interface)
+            samples = collect(self.recordings, *how)
             written = BytesIO()
-            _table(samples, _columns(self.observation)).write_parquet(written)
+            _table(samples, columns).write_parquet(written)
             write_bytes(path, written.getvalue())
         try:
             content = BytesIO(read_limited(path, SIZE_LIMIT_BYTES))
             table = pl.scan_parquet(content).head(ROW_LIMIT + 1).collect()
-            if table.schema != _columns(self.observation) or table.height > ROW_LIMIT:
+            if table.schema != columns or table.height > ROW_LIMIT:
                 raise DataError(
                     f"{path}: holds other columns or too many rows; delete it and try again"
                 )
@@ -175,12 +199,18 @@ class SampleStore:
 
 
 def fingerprint(
-    trios: Sequence[Trio], settings: SampleSettings, observation: Neighbours = neighbours
+    trios: Sequence[Trio],
+    settings: SampleSettings,
+    observation: Neighbours = neighbours,
+    interface: Interface = DEFAULT_INTERFACE,
 ) -> str:
     """SHA-256 of everything that the samples depend on; raises a `DataError`."""
     told = f"{version('charms-bench')} {_REVISION} {settings.model_dump_json()}"
     if observation != neighbours:
         told += f" {observation.name}"
+    if interface.actions != DEFAULT_ACTIONS:
+        braking = interface.brakings(settings.decision_hz)
+        told += f" {described_actions(interface.actions)} {braking}"
     digest = hashlib.sha256(told.encode())
     for trio in trios:
         for path in trio.paths:
@@ -194,10 +224,13 @@ def fingerprint(
 
 
 def collect(
-    folder: Path, settings: SampleSettings | None = None, observation: Neighbours = neighbours
+    folder: Path,
+    settings: SampleSettings | None = None,
+    observation: Neighbours = neighbours,
+    interface: Interface = DEFAULT_INTERFACE,
 ) -> Samples:
     """The samples of a folder of recordings, of which one is in memory; raises a `DataError`."""
-    sampler = CharmsSampler(settings)
+    sampler = CharmsSampler(settings, interface)
     for recording in read_folder(folder):
         sampler.add(recording, *situations(recording, sampler.settings.decision_hz, observation))
     return sampler.samples(sampler.decisions())
@@ -206,8 +239,10 @@ def collect(
 class CharmsSampler:
     """Takes samples from recordings, one after another; by default as `charms-bench data` does."""
 
-    def __init__(self, settings: SampleSettings | None = None) -> None:
-        self.settings = settings or SampleSettings()
+    def __init__(
+        self, settings: SampleSettings | None = None, interface: Interface = DEFAULT_INTERFACE
+    ) -> None:
+        self.settings, self._interface = settings or SampleSettings(), interface
         self._trios: list[Trio] = []
         self._decisions: list[pl.DataFrame] = []
         self._observations: list[Observations] = []
@@ -254,16 +289,19 @@ class CharmsSampler:
         )
         accepted = decisions["rejected"].is_null()
         rows = decisions.filter(accepted)
-        labels = np.zeros((decisions.height, 5), dtype=np.float32)
+        actions = self._interface.actions
+        labels = np.zeros((decisions.height, len(actions)), dtype=np.float32)
         if self.settings.step_mps is None:
-            measured = rows["longitudinal", "lateral", "acceleration", "lateral_speed"]
-            found = soft_labels(*(column.to_numpy() for column in measured))
+            measured = ("longitudinal", "lateral", "acceleration", "lateral_speed")
+            columns = {name: rows[name].to_numpy() for name in measured}
+            found = soft_labels(**columns, actions=actions)
         else:
             strongest = self.settings.step_mps * self.settings.decision_hz
             lateral, acceleration = (rows[name].to_numpy() for name in ("lateral", "acceleration"))
-            found = step_labels(lateral, acceleration, strongest)
+            braking = self._interface.brakings(self.settings.decision_hz)
+            found = step_labels(lateral, acceleration, strongest, actions, braking)
         labels[accepted.to_numpy()] = found
-        label = pl.Series(labels, dtype=_LABEL)
+        label = pl.Series(labels, dtype=self._interface.label)
         return decisions.with_columns(label=pl.when(accepted).then(label))
 
     def samples(self, decisions: pl.DataFrame) -> Samples:
@@ -290,17 +328,18 @@ class CharmsSampler:
         two_intents = (accepted["longitudinal"] != 0) & (accepted["lateral"] != 0)
         labelled = {"accepted": accepted["label"].to_numpy(), "sampled": samples.labels}
         held_out = int(samples.held_out.sum())
+        names = [action.name for action in self._interface.actions]
         return Learnable(
             accepted=accepted.height,
             rejected={reason: int((reasons == reason).sum()) for reason in REASONS},
             two_actions=float(two_intents.to_numpy().mean()),
             label_shares={
-                name: dict(zip(ACTIONS, labels.mean(0, np.float64).tolist(), strict=True))
+                name: dict(zip(names, labels.mean(0, np.float64).tolist(), strict=True))
                 for name, labels in labelled.items()
             },
             training=len(samples.labels) - held_out,
             held_out=held_out,
-            fingerprint=fingerprint(self._trios, self.settings),
+            fingerprint=fingerprint(self._trios, self.settings, interface=self._interface),
         )
 
 
@@ -363,5 +402,5 @@ def _table(samples: Samples, columns: pl.Schema) -> pl.DataFrame:
     return samples.rows.with_columns(
         pl.Series("held_out", samples.held_out),
         pl.Series("observation", flat, dtype=columns["observation"]),
-        pl.Series("label", samples.labels, dtype=_LABEL),
+        pl.Series("label", samples.labels, dtype=columns["label"]),
     )

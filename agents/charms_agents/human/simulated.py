@@ -14,10 +14,11 @@ import polars as pl
 
 from charms_agents.human.interface import through_interface
 from charms_agents.human.samples import Samples
+from charms_agents.human.soft_labels import columns_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS, LANE_LEFT, LANE_RIGHT
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.observations import (
     CHANGE_SCALE,
     COMMANDS,
@@ -40,6 +41,7 @@ def simulated_samples(
     episodes: int,
     first_seed: int,
     observation: Neighbours,
+    actions: Sequence[MetaAction] = DEFAULT_ACTIONS,
 ) -> Samples:
     """The samples of each of the drivers in each of the places.
 
@@ -49,18 +51,20 @@ def simulated_samples(
         others: All agents that the traffics name, by name.
         episodes: Of each driver in each place; their seeds follow `first_seed`.
         observation: What the samples have.
+        actions: The meta-actions.
     """
-    observed, actions, held_out = [], [], []
+    observed, chosen, held_out = [], [], []
     for driver in drivers:
         for scene, traffic in places:
             seeds = np.arange(first_seed, first_seed + episodes, dtype=np.uint64)
-            seen, taken, running = _driven(driver, scene, traffic, others, seeds, observation)
+            where = (scene, traffic, others, seeds)
+            seen, taken, running = _driven(driver, *where, observation, actions)
             last = np.arange(episodes) >= episodes - max(1, round(HELD_OUT * episodes))
             observed.append(seen[running])
-            actions.append(taken[running])
+            chosen.append(taken[running])
             held_out.append(np.broadcast_to(last, running.shape)[running])
             first_seed += episodes
-    labels = np.eye(len(ACTIONS), dtype=np.float32)[np.concatenate(actions)]
+    labels = np.eye(len(actions), dtype=np.float32)[np.concatenate(chosen)]
     return Samples(np.concatenate(observed), labels, np.concatenate(held_out), pl.DataFrame())
 
 
@@ -71,6 +75,7 @@ def _driven(
     others: Mapping[str, Agent],
     seeds: np.ndarray[tuple[int], np.dtype[np.uint64]],
     observation: Neighbours,
+    actions: Sequence[MetaAction],
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
     """Observations (D, B, rows, columns), actions (D, B), and which of them are samples (D, B)."""
     agents = {name: others[name] for name in traffic.agents} | {_EGO: driver}
@@ -85,15 +90,16 @@ def _driven(
         simulation.step()
         speeds.append(now.speed[egos])
         targets.append(now.target_lane[egos])
-    driven = through_interface(np.array(speeds), scene.profile)
+    driven = through_interface(np.array(speeds), scene.profile, actions)
     observed, lane, target = np.array(seen), np.array(lanes), np.array(targets)
     if observation.commands:
         commands = observed[:, :, COMMANDS]
         commands[..., 0] = (driven.target_speed - driven.speed[:-1]) / CHANGE_SCALE
         commands[..., 1] = driven.repeats / REPEATS_SCALE
         commands[..., 3] = driven.acceleration / CHANGE_SCALE
-    actions = np.where(target < lane, LANE_LEFT, driven.actions)
-    actions = np.where(target > lane, LANE_RIGHT, actions)
+    columns = columns_of(actions)
+    taken = np.where(target < lane, columns.left, driven.actions)
+    taken = np.where(target > lane, columns.right, taken)
     is_sample = np.array(running)
     is_sample[: round(SETTLING_S * scene.decision_hz)] = False
-    return observed, actions, is_sample
+    return observed, taken, is_sample

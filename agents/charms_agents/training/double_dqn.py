@@ -47,6 +47,7 @@ class DoubleDQN:
         total: Number of steps of the training, which the schedules follow.
         prior: Gives the logits of the actions that people take, from observations in the form that
             the network takes; it has as many layers. None leaves the policy to the values alone.
+        actions: A, the number of the actions.
     """
 
     def __init__(
@@ -56,12 +57,14 @@ class DoubleDQN:
         seed: int,
         total: int,
         prior: Sequential | None = None,
+        actions: int = len(ACTIONS),
     ) -> None:
         self.h, self.total, self.prior, self._episodes = h, total, prior, episodes
+        self._actions = actions
         self.observed = episodes.reset()
         """(B, rows, columns) the last observations."""
         self.rng = np.random.default_rng([seed, 2])
-        self.online = untrained(h.hidden_layers, seed, self.observed[0].size)
+        self.online = untrained(h.hidden_layers, seed, self.observed[0].size, actions)
         self.target = deepcopy(self.online)
         self.optimizer = torch.optim.Adam(self.online.parameters(), fused=True)
         self.steps = self.gradient_steps = self.stored = 0
@@ -100,7 +103,7 @@ class DoubleDQN:
 
         With a prior, they are drawn from the policy, and random ones are not needed at the start.
         """
-        actions = self.rng.integers(len(ACTIONS), size=self.h.scenes)
+        actions = self.rng.integers(self._actions, size=self.h.scenes)
         if self.prior is not None:
             logits = self.logits(self.observed)
             chosen = (logits + self.rng.gumbel(size=logits.shape)).argmax(axis=1)
@@ -201,13 +204,13 @@ class DoubleDQN:
         return 1 - self.steps / self.total
 
     def values(self, observations: Observations) -> NDArray[np.float32]:
-        """The online network's values (M, 5) of M observations."""
+        """The online network's values (M, A) of M observations."""
         with torch.no_grad():
             values: NDArray[np.float32] = self.online(self._seen(observations)).numpy()
         return values
 
     def logits(self, observations: Observations) -> NDArray[np.float32]:
-        """The logits (M, 5) of the policy that has a prior."""
+        """The logits (M, A) of the policy that has a prior."""
         assert self.prior is not None
         seen = self._seen(observations)
         with torch.no_grad():
@@ -257,9 +260,9 @@ def regularised(online: Tensor, target: Tensor, log_prior: Tensor, weight: float
     """The values (M,) of observations under the policy that a prior regularises.
 
     Args:
-        online: (M, 5) the values that decide the policy.
-        target: (M, 5) the values of the actions.
-        log_prior: (M, 5) logarithms of the probabilities of the prior.
+        online: (M, A) the values that decide the policy.
+        target: (M, A) the values of the actions.
+        log_prior: (M, A) logarithms of the probabilities of the prior.
         weight: lambda.
     """
     log_policy = log_softmax(online / weight + log_prior, dim=1)

@@ -25,7 +25,11 @@ from charms_bench.foundation.files import write_bytes
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.registry import is_network
 from charms_bench.plugins.specs import by_content
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.scene import Observations
+
+INTERFACE = {"observation", "actions"}
+"""What a suite says of the networks' inputs and outputs."""
 
 
 def title_of(seed_folder: str, name: str) -> str:
@@ -50,8 +54,8 @@ class Job:
     """Everything that decides the resulting network, ready for JSON."""
     make_learner: Callable[[], Reinforcement | Fit]
     """Makes the learner, before it has learnt anything."""
-    speed_steps_mps: tuple[float, ...] = ()
-    """The speed steps with which the network has learnt; empty for those of its profile."""
+    actions: tuple[MetaAction, ...] = DEFAULT_ACTIONS
+    """The meta-actions with which the network has learnt."""
     draws: bool = False
     """Whether the network's values are logits, by which its actions are drawn."""
 
@@ -106,7 +110,7 @@ def reinforcement_job(
     options = _conditions(suite, stage)
     if stage.reward is not None:
         options["reward"] = stage.reward.model_dump(mode="json")
-    observation = suite.model_dump(include={"observation"}, exclude_defaults=True)
+    interface = suite.model_dump(include=INTERFACE, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     if prior is not None:
         options["prior_sha256"] = hashlib.sha256(prior.read_bytes()).hexdigest()
@@ -121,7 +125,7 @@ def reinforcement_job(
         "scene": stage.scene.model_dump(mode="json"),
         "traffic": _traffic_inputs(stage, drivers),
         "charms_bench": version("charms-bench"),
-        **observation,
+        **interface,
         **options,
     }
     return Job(
@@ -134,7 +138,7 @@ def reinforcement_job(
         decision_hz=Policy.decision_hz,
         inputs=inputs,
         make_learner=partial(_reinforcement, suite, stage, drivers, first_seed, prior),
-        speed_steps_mps=stage.scene.profile.target_speed_steps_mps,
+        actions=suite.actions_in(stage.scene),
         draws=prior is not None,
     )
 
@@ -193,7 +197,7 @@ def human_job(
     layers = stage.hidden_layers or suite.hyperparameters.hidden_layers
     starts_from: dict[str, Any] = {"hidden_layers": list(layers)}
     style, standardised, draws = "human", True, settings.loss == "cross_entropy"
-    steps: tuple[float, ...] = ()
+    actions = suite.actions
     learnt: dict[str, Any] = {}
     drive: Callable[[Sequential], Observations] | None = None
     if stage.fine_tunes is not None and start is not None:
@@ -202,7 +206,7 @@ def human_job(
         tuned = suite.stages[stage.fine_tunes]
         style = f"{tuned.weights}, {tuned.svo}, fine-tuned on human driving"
         standardised = suite.hyperparameters_of(tuned).standardised
-        steps = tuned.scene.profile.target_speed_steps_mps
+        actions = suite.actions_in(tuned.scene)
         draws = tuned.prior is not None
         if settings.rehearsal:
             first_seed = suite.first_episode_seed
@@ -220,6 +224,7 @@ def human_job(
                 drivers=drivers,
                 first_seed=first_seed,
                 observation=suite.observed,
+                meta_actions=suite.actions,
             )
     if samples is not None:
         load: Callable[[], Samples] = samples.load
@@ -230,7 +235,7 @@ def human_job(
         decision_hz = samples.settings.decision_hz
     else:
         assert suite.human.simulated is not None
-        steps = suite.human.simulated.scene.profile.target_speed_steps_mps
+        actions = suite.actions_in(suite.human.simulated.scene)
         load, decision_hz = (
             partial(_simulated, suite, drivers),
             suite.human.simulated.scene.decision_hz,
@@ -248,7 +253,7 @@ def human_job(
         "seed": suite.seed,
         "supervised": settings.model_dump(mode="json"),
         "standardised": standardised,
-        **suite.model_dump(include={"observation"}, exclude_defaults=True),
+        **suite.model_dump(include=INTERFACE, exclude_defaults=True),
         **learnt,
         "charms_bench": version("charms-bench"),
     }
@@ -262,7 +267,7 @@ def human_job(
         decision_hz=decision_hz,
         inputs=inputs,
         make_learner=partial(_fit, start, layers, load, settings, suite, standardised, drive),
-        speed_steps_mps=steps,
+        actions=actions,
         draws=draws,
     )
 
@@ -283,6 +288,7 @@ def _simulated(suite: TrainingSuite, drivers: Mapping[str, Agent]) -> Samples:
         simulated.episodes,
         suite.first_simulated_seed,
         suite.observed,
+        suite.actions,
     )
 
 
@@ -296,7 +302,7 @@ def _fit(
     drive: Callable[[Sequential], Observations] | None,
 ) -> Fit:
     rows, columns = suite.observed.shape
-    fresh = folded(untrained(layers, suite.seed, rows * columns))
+    fresh = folded(untrained(layers, suite.seed, rows * columns, len(suite.actions)))
     network = read_network(start) if start else fresh
     driven = drive(network) if drive else None
     return Fit(network, load(), settings, suite.seed, standardised, driven)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch.nn import Linear, Module, ReLU, Sequential, Tanh
 from torch.optim import Optimizer
 
-from charms_bench.world.actions import ACTIONS, ActionKind, outputs_of
+from charms_bench.world.actions import ACTIONS
 
 ACTIVATIONS: dict[str, type[Module]] = {"Relu": ReLU, "Tanh": Tanh}
 """The activations that are trained here, by their ONNX name."""
@@ -21,9 +21,11 @@ Arrays = dict[str, NDArray[Any]]
 """The content of a checkpoint: plain arrays, which are read without running any code."""
 
 
-def untrained(hidden_layers: Sequence[int], seed: int, inputs: int = 35) -> Sequential:
+def untrained(
+    hidden_layers: Sequence[int], seed: int, inputs: int = 35, outputs: int = len(ACTIONS)
+) -> Sequential:
     """A network with torch's initial weights for a seed."""
-    sizes = (inputs, *hidden_layers, len(ACTIONS))
+    sizes = (inputs, *hidden_layers, outputs)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return _alternating([Linear(before, after) for before, after in pairwise(sizes)], ReLU)
@@ -68,12 +70,6 @@ def side_by_side(network: Sequential, factor: float, other: Sequential) -> Seque
             whole[:rows, :columns], whole[rows:, columns:] = weight, other_weight
         joined.append((whole, np.concatenate([bias, other_bias])))
     return network_of(joined)
-
-
-def kind_of(network: Sequential) -> ActionKind:
-    """The kind of a network's actions, which follows from the number of its outputs."""
-    outputs = len(layers_of(network)[-1][1])
-    return "continuous" if outputs == outputs_of("continuous") else "meta"
 
 
 def layers_of(network: Sequential) -> Layers:

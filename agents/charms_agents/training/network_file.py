@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from onnx import NodeProto, TensorProto, ValueInfoProto, helper, numpy_helper
 from torch.nn import LSTM, Module, ReLU, Sequential
 
-from charms_agents.training.network import ACTIVATIONS, kind_of, layers_of, network_of
+from charms_agents.training.network import ACTIVATIONS, layers_of, network_of
 from charms_agents.training.onnx_input import Given
 from charms_bench.errors import ModelError
 from charms_bench.foundation.files import write_atomically
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.onnx_ports import MASK_INPUT, NOISE_INPUT
-from charms_bench.world.actions import ACTIONS, outputs_of
+from charms_bench.world.action_mask import masks_of
+from charms_bench.world.action_texts import metadata_of
+from charms_bench.world.actions import ActionsLike, meta_actions_of, outputs_of
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import ACTION_MASK, Neighbours, described, neighbours
 from charms_bench.world.scene import Observations
@@ -99,6 +101,7 @@ def export(
     lstm: LSTM | None = None,
     stochastic: bool = False,
     given: Given | None = None,
+    actions: ActionsLike = "meta",
 ) -> dict[str, int]:
     """Writes a network as an ONNX file that `OnnxPolicy` runs.
 
@@ -116,6 +119,7 @@ def export(
         stochastic: Whether the file has an input of random numbers, by which it draws its actions;
             the network's values are the logits.
         given: What the network is given of the observations; by default, the observations.
+        actions: What the network's outputs are the values of, or continuous actions.
 
     Returns:
         observations, the number compared; ties, the number in which the file chose a different
@@ -131,19 +135,21 @@ def export(
     if history > 1:
         facts["history"] = str(history)
     shape = (*(history,) * (history > 1), rows, columns)
-    data = _serialised(network, facts, shape, masked, lstm, stochastic, given)
+    data = _serialised(network, facts, shape, masked, lstm, stochastic, given, actions)
     seen = observations[..., :rows, :].reshape(len(observations), history, -1)
     flat = torch.tensor(given.of(seen))  # writable
     newest = observations if history == 1 else observations[:, -1]
-    noise = np.random.default_rng(0).random((len(flat), len(ACTIONS) * stochastic), np.float32)
+    draws = outputs_of(actions) * stochastic
+    noise = np.random.default_rng(0).random((len(flat), draws), np.float32)
     with torch.no_grad():
         hidden = lstm(flat.reshape(steps, -1, flat.shape[1]))[0].flatten(0, 1) if lstm else flat
         expected: NDArray[np.float32] = network(hidden).numpy()
     if masked:
-        expected += (newest[:, ACTION_MASK] - 1) * MASKED
+        masks = masks_of(newest[:, ACTION_MASK], meta_actions_of(actions))
+        expected += (masks - 1) * MASKED
     if stochastic:
         expected -= np.log(-np.log(noise))
-    continuous = kind_of(network) == "continuous"
+    continuous = actions == "continuous"
     if continuous:
         expected = np.clip(expected, -1.0, 1.0)
     checked: dict[str, int] = {}
@@ -182,12 +188,13 @@ def _serialised(
     lstm: LSTM | None,
     stochastic: bool,
     given: Given,
+    actions: ActionsLike,
 ) -> bytes:
     layers = layers_of(network)
     after = [type(module) for module in network if type(module) in _STEPS]
-    kind = kind_of(network)
+    width = outputs_of(actions)
     inputs = [_port("observations", "batch", *shape)]
-    outputs = [_port("values", "batch", outputs_of(kind))]
+    outputs = [_port("values", "batch", width)]
     nodes = [helper.make_node("Flatten", ["observations"], ["flat"], axis=1)]
     arrays: dict[str, NDArray[Any]] = {}
     constants: dict[str, float] = {}
@@ -213,14 +220,14 @@ def _serialised(
             last = ends[0] if final else f"hidden_{index}"
             nodes += _activated(after[index], out, last, constants)
     if masked:
-        inputs.append(_port(MASK_INPUT, "batch", len(ACTIONS)))
+        inputs.append(_port(MASK_INPUT, "batch", width))
         constants |= {"one": 1.0, "masked": MASKED}
         nodes.append(helper.make_node("Sub", [MASK_INPUT, "one"], ["closed"]))
         nodes.append(helper.make_node("Mul", ["closed", "masked"], ["lost"]))
         nodes.append(helper.make_node("Add", [ends[0], "lost"], [ends[1]]))
     if stochastic:
         # With -log(-log(u)) added, each logit is the largest with its probability (Gumbel-max).
-        inputs.append(_port(NOISE_INPUT, "batch", len(ACTIONS)))
+        inputs.append(_port(NOISE_INPUT, "batch", width))
         constants |= DRAW_RANGE
         nodes.append(helper.make_node("Clip", [NOISE_INPUT, "smallest", "largest"], ["drawn"]))
         nodes.append(helper.make_node("Log", ["drawn"], ["log_drawn"]))
@@ -233,8 +240,9 @@ def _serialised(
     exported = helper.make_model(
         graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )
-    actions = ", ".join(ACTIONS) if kind == "meta" else kind
-    helper.set_model_props(exported, {"actions": actions, **facts})
+    own = meta_actions_of(actions)
+    said = metadata_of(own) if own else {"actions": "continuous"}
+    helper.set_model_props(exported, {"actions": said.pop("actions"), **facts, **said})
     onnx.checker.check_model(exported, full_check=True)
     data: bytes = exported.SerializeToString(deterministic=True)
     return data

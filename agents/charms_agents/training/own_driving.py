@@ -9,7 +9,7 @@ from torch.nn import Sequential
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import Traffic
-from charms_bench.world.actions import ACTIONS
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.observations import Neighbours, neighbours
 from charms_bench.world.scene import Observations, SceneSettings
 
@@ -24,6 +24,7 @@ def own_driving(
     drivers: Mapping[str, Agent],
     first_seed: int,
     observation: Neighbours = neighbours,
+    meta_actions: tuple[MetaAction, ...] = DEFAULT_ACTIONS,
 ) -> Observations:
     """(M, rows, columns) the observations at all decisions of `EPISODES` episodes.
 
@@ -34,13 +35,14 @@ def own_driving(
         places: Scenes, and traffics that assign one of `drivers` to each of the other vehicles.
         drivers: All agents that the traffics name, by name.
         first_seed: Seed of the first episode; each further episode adds 1.
+        meta_actions: What the network chooses from.
     """
     rng = np.random.default_rng(first_seed)
     observed: list[Observations] = []
     for scene, traffic in places:
         episodes = EPISODES // len(places)
         agents = {name: drivers[name] for name in traffic.agents}
-        simulation = Simulation(scene, episodes, None, traffic, agents)
+        simulation = Simulation(scene, episodes, None, traffic, agents, actions=meta_actions)
         simulation.reset(np.arange(first_seed, first_seed + episodes, dtype=np.uint64))
         first_seed += episodes
         running = simulation.scene.active
@@ -51,7 +53,8 @@ def own_driving(
                 best = network(torch.from_numpy(seen).flatten(1)).numpy().argmax(axis=1)
             explores = rng.random(best.size) < EXPLORATION
             actions = np.zeros(running.size, dtype=np.int64)
-            actions[rows] = np.where(explores, rng.integers(len(ACTIONS), size=best.size), best)
+            explored = rng.integers(len(meta_actions), size=best.size)
+            actions[rows] = np.where(explores, explored, best)
             simulation.step(actions)
             observed.append(seen)
     return np.concatenate(observed)

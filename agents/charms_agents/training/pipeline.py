@@ -98,7 +98,8 @@ def _sample_store(
             raise InputError(f"--recordings: no folder '{folder}'; {what}")
         what = f"no folder '{folder}'; name one in highD's format with --recordings"
         raise Document(suite_file).error(("human", "recordings"), what)
-    store = SampleStore(folder, output / "samples", suite.human.samples, suite.observed)
+    seen = suite.observed, suite.interface
+    store = SampleStore(folder, output / "samples", suite.human.samples, *seen)
     store.fingerprint  # noqa: B018  # names unusable recordings before the run folder is made
     return store
 

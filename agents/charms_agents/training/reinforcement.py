@@ -52,10 +52,12 @@ class Reinforcement:
                     reward,
                     first_seed + k * (EPISODES_OF_A_SEED // len(places)),
                     suite.observed,
+                    suite.actions,
                 )
             )
         self._episodes = Episodes(environments)
-        self._agent = DoubleDQN(self._episodes, h, suite.seed, stage.steps, prior)
+        count = len(suite.actions)
+        self._agent = DoubleDQN(self._episodes, h, suite.seed, stage.steps, prior, count)
 
     @property
     def done(self) -> int:

@@ -24,11 +24,18 @@ from charms_agents.training.sb3_checkpoint import (
     read_checkpoint,
     tensors_of,
 )
-from charms_agents.training.sb3_space import input_of, read_statistics, trained_on
+from charms_agents.training.sb3_space import actions_of, input_of, read_statistics, trained_on
 from charms_bench.errors import ModelError
 from charms_bench.plugins.onnx_policy import NOT_STATED
 from charms_bench.testing import example_scene
-from charms_bench.world.actions import ACTIONS, CONTROLS, ActionKind, outputs_of
+from charms_bench.world.actions import (
+    CONTROLS,
+    ActionKind,
+    ActionsLike,
+    MetaAction,
+    meta_actions_of,
+    outputs_of,
+)
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import Neighbours
 from charms_bench.world.scene import Observations
@@ -59,7 +66,7 @@ class _Deciding(NamedTuple):
     layers: Numbered
     activation: str
     """The default of its algorithm."""
-    actions: ActionKind
+    actions: ActionsLike
     samples: bool = False
     """Whether its values are logits, from which it draws actions in training."""
     squashed: bool = False
@@ -73,6 +80,7 @@ def export_zip(
     observation: Neighbours | Kinematics | None = None,
     stochastic: bool = False,
     normalise: Path | None = None,
+    actions: tuple[MetaAction, ...] | None = None,
 ) -> dict[str, Any]:
     """Writes the network that decides for a DQN, PPO, A2C, SAC or TD3 as an ONNX file.
 
@@ -96,6 +104,7 @@ def export_zip(
             training; by default, they are the most probable ones.
         normalise: A NumPy archive with the mean, var and clip of a `VecNormalize`, which a
             checkpoint does not hold; `NOT_OBSERVATIONS` if it normalised rewards only.
+        actions: The meta-actions; by default, those that the checkpoint states, or highway-env's.
 
     Returns:
         sizes (inputs, units of each hidden layer, outputs), activation, sha256 of the
@@ -118,11 +127,13 @@ def export_zip(
         if found.actions == "continuous":
             check_action_space(data)
             check_squashed(data)
-        if stochastic and (not found.samples or found.actions != "meta"):
+        if stochastic and (not found.samples or found.actions == "continuous"):
             raise Refusal(
                 "does not draw its actions; --stochastic is for a PPO or A2C with meta-actions"
             )
         trained, width = trained_on(data), _width(tensors, found)
+        if found.actions == "meta":
+            found = found._replace(actions=actions or actions_of(trained))
         if normalise == NOT_OBSERVATIONS:
             trained, normalise = trained._replace(has_original=False), None
         seen = input_of(trained, observation, width, normalise is not None)
@@ -155,7 +166,8 @@ def export_zip(
     if given.history > 1:
         scenes = _stacked(scenes, given.history)
     facts = {**provenance, "decision_hz": f"{seen.decision_hz:g}", **facts}
-    checked = export(network, output, facts, scenes, observation, masked, lstm, stochastic, given)
+    how = (observation, masked, lstm, stochastic, given, found.actions)
+    checked = export(network, output, facts, scenes, *how)
     hidden = [lstm.hidden_size] * lstm.num_layers if lstm else []
     sizes = [width, *hidden, *(bias.size for _, bias in layers_of(network))]
     found_facts = {
@@ -293,7 +305,7 @@ def _layers(deciding: _Deciding, width: int, source: str) -> Layers:
         layers.append((_array(weight, f"layer {index}"), _array(bias, f"layer {index}")))
         width = weight.shape[0]
     if width != outputs_of(deciding.actions):
-        names = ACTIONS if deciding.actions == "meta" else CONTROLS
+        names = tuple(each.name for each in meta_actions_of(deciding.actions)) or CONTROLS
         raise Refusal(f"has {width} actions; expected {len(names)}: {names}")
     return layers
 

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from charms_agents.training.sb3_checkpoint import Refusal
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import json_of, read_limited
+from charms_bench.world.action_texts import actions_described
+from charms_bench.world.actions import MetaAction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
     TRAINED_IN,
@@ -213,6 +215,18 @@ def _stated(where: Mapping[str, Any]) -> tuple[Neighbours | Kinematics | None, f
         return observation_described(str(where["observation"])), float(where["decision_hz"])
     except (InputError, LookupError, ValueError, TypeError, AttributeError) as error:
         raise Refusal(f"was trained on an observation that no agent receives: {error}") from error
+
+
+def actions_of(trained: Trained) -> tuple[MetaAction, ...]:
+    """The meta-actions of the environment in which a network was trained.
+
+    Raises:
+        Refusal: What the checkpoint says of them cannot be read.
+    """
+    try:
+        return actions_described(str(trained.where.get("actions", "meta")))
+    except InputError as error:
+        raise Refusal(f"was trained with meta-actions that cannot be read: {error}") from error
 
 
 def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinematics) -> None:

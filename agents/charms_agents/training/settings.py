@@ -10,7 +10,8 @@ from pydantic import (
     model_validator,
 )
 
-from charms_agents.human.samples import SampleSettings
+from charms_agents.human.samples import Interface, SampleSettings
+from charms_agents.human.soft_labels import columns_of
 from charms_agents.training.completed_reward import CompletedReward, RewardScales
 from charms_agents.training.hyperparameters import Count, Hyperparameters, Supervised, Width
 from charms_agents.training.rewards import SVO_ANGLES_RAD, StyleReward, Svo, Weights
@@ -19,6 +20,8 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.fields import FilePath, FrozenModel, Line, Positive
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
+from charms_bench.world.action_texts import MetaActionsField
+from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 from charms_bench.world.observations import Neighbours, named_observation
 from charms_bench.world.scene import SceneSettings
 
@@ -145,6 +148,10 @@ class TrainingSuite(FrozenModel):
     observation: Annotated[str | dict[str, Any], AfterValidator(_learnt)] = "neighbours"
     """What the networks observe: `paper_neighbours`, as in the paper, or `neighbours`, each with
     the option `commands`."""
+    actions: MetaActionsField = DEFAULT_ACTIONS
+    """The meta-actions of all networks: names of highway-env's, and objects with a `name` and what
+    the action does, such as `{name: BRAKE, speed_from_present_mps: -6.0}`; see
+    `charms_bench.world.actions.MetaAction`. Steps of the profile become the network's own."""
     hyperparameters: Hyperparameters = Hyperparameters()
     variants: dict[Name, Hyperparameters] = Field(default={})
     """Further hyperparameters, which stages can name."""
@@ -166,6 +173,26 @@ class TrainingSuite(FrozenModel):
         if len(set(self.seeds)) < len(self.seeds):
             raise ValueError("a seed is given twice in seeds")
         return self
+
+    @model_validator(mode="after")
+    def _people_take_the_actions(self) -> "TrainingSuite":
+        if self.human is not None:
+            try:
+                columns_of(self.actions)
+            except InputError as error:
+                raise ValueError(str(error)) from error
+        return self
+
+    def actions_in(self, scene: SceneSettings) -> tuple[MetaAction, ...]:
+        """The meta-actions of a network that learns in a scene, with the profile's steps."""
+        steps = scene.profile.target_speed_steps_mps
+        return with_speed_steps(*steps, actions=self.actions) if steps else self.actions
+
+    @property
+    def interface(self) -> Interface:
+        """The meta-actions of recorded drivers, carried out as in the scene of the first stage."""
+        first = next(iter(self.stages.values()))
+        return Interface(self.actions, first.scene)
 
     @property
     def observed(self) -> Neighbours:

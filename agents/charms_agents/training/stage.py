@@ -48,8 +48,6 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
     life = _Life(job, learner, tell, stop)
     life.run()
     facts = {"stage": job.name, "style": job.style, "decision_hz": f"{job.decision_hz:g}"}
-    if job.speed_steps_mps:
-        facts["target_speed_steps_mps"] = json.dumps(job.speed_steps_mps)
     checked = export(
         learner.network,
         network,
@@ -57,6 +55,7 @@ def train_stage(job: Job, suite_sha256: str, tell: Tell, stop: Callable[[], bool
         learner.observations,
         job.suite.observed,
         stochastic=job.draws,
+        actions=job.actions,
     )
     manifest = {
         **job.inputs,

@@ -27,7 +27,6 @@ from charms_agents.training.hyperparameters import Supervised
 from charms_agents.training.network import Arrays, load_state, state_arrays
 from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.temperature import fitted_temperature, log_likelihood
-from charms_bench.world.actions import ACTIONS
 from charms_bench.world.scene import Observations
 
 REHEARSED = 1024
@@ -166,10 +165,10 @@ def divergence(logits: Tensor, labels: Tensor, floor: float) -> Tensor:
     """KL(softmax(logits) || y), the first term of eq. 11, mean over rows.
 
     The divergence is infinite where a label is 0. So every label is mixed with the uniform
-    distribution until no probability is below `floor`: y (1 - 5 floor) + floor.
+    distribution until no probability is below `floor`: y (1 - A floor) + floor for A actions.
     """
     log_p = log_softmax(logits, dim=1)
-    floored = labels * (1 - len(ACTIONS) * floor) + floor
+    floored = labels * (1 - labels.shape[1] * floor) + floor
     return (log_p.exp() * (log_p - floored.log())).sum(dim=1).mean()
 
 
@@ -180,7 +179,7 @@ def squared_distance(parameters: Sequence[Tensor], pretrained: Sequence[Tensor])
 
 
 def spread(values: Tensor) -> float:
-    """Mean over rows of the standard deviation over the actions of values (M, 5), at least 1.
+    """Mean over rows of the standard deviation over the actions of values (M, A), at least 1.
 
     At most 1 is the spread of an untrained network, whose values have no scale yet.
     """

@@ -15,13 +15,13 @@ at which all actions are equally probable."""
 def log_likelihood(
     values: NDArray[np.float32], labels: NDArray[np.float32], temperature: float
 ) -> float:
-    """Mean over rows of the sum of y log softmax(Q / T), for values and labels (M, 5)."""
+    """Mean over rows of the sum of y log softmax(Q / T), for values and labels (M, A)."""
     log_p = log_softmax(values.astype(np.float64) / temperature, axis=1)
     return float((labels * log_p).sum(axis=1).mean())
 
 
 def fitted_temperature(values: NDArray[np.float32], labels: NDArray[np.float32]) -> float:
-    """The temperature at which the labels (M, 5) are the most likely, given the values (M, 5).
+    """The temperature at which the labels (M, A) are the most likely, given the values (M, A).
 
     The log-likelihood is concave in 1 / T, so its only maximum over log T is found.
     """

@@ -12,7 +12,6 @@ import numpy as np
 
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
-from charms_bench.world.actions import ACTIONS
 from charms_bench.world.picture import BRAKE_LIGHT_MPS2
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -64,7 +63,7 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
         "ego": ego,
         "agents": agents,
         "agent": [agents.index(name) for name in replay.agents],
-        "actions": [action.replace("_", " ").lower() for action in ACTIONS],
+        "actions": [action.replace("_", " ").lower() for action in replay.action_names],
         **_packed(columns),
         "ghosts": None if ghosts is None else _packed(_of_vehicles(ghosts)),
     }

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from charms_bench import FASTER, IDLE, LANE_LEFT, LANE_RIGHT, SLOWER, DriverModel, Policy
-from charms_bench.world.actions import Actions
+from charms_bench.world.actions import Actions, with_speed_steps
 from charms_bench.world.scene import Floats, Ints, Observations, Scene, Vehicles
 
 WEIGHTS = np.random.default_rng(0).integers(-8, 9, (35, 5)) / 8
@@ -75,7 +75,7 @@ class Steering(Policy):
 class Canny(Policy):
     """Changes its target speed by steps that grow when it repeats itself."""
 
-    target_speed_steps_mps = (0.5, 1.0, 2.5)
+    actions = with_speed_steps(0.5, 1.0, 2.5)
 
     def decide(self, observations: Observations) -> Actions:
         slow = observations[:, 0, 3] < 0.72
