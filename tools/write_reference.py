@@ -121,6 +121,8 @@ def kind(schema: dict[str, Any]) -> str:
 def bounds(schema: dict[str, Any]) -> str:
     """The limits of a number; limits that only keep a simulation finite are left out."""
     low, high = schema.get("minimum"), schema.get("maximum")
+    if schema.get("type") == "integer" and "exclusiveMaximum" in schema:
+        high = schema["exclusiveMaximum"] - 1
     if low == 1e-9 or schema.get("exclusiveMinimum") == 0:
         return " above 0" if high is None or high >= 1e9 else f" above 0, up to {high:,g}"
     low = None if low is None or low <= -1e9 else low

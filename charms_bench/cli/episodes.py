@@ -3,6 +3,7 @@
 from dataclasses import asdict
 from io import BytesIO
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -314,4 +315,4 @@ def search(
         for record, names in zip(records, made.preventable_by, strict=True):
             record["preventable by"] = " and ".join(names)
     print_records("failure", records, forms)
-    say(f"Written: {found}; run it with `charms-bench run {found}`")
+    say(f"Written: {found}; run it with `charms-bench run {quote(str(found))}`")

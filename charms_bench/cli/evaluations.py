@@ -18,6 +18,7 @@ from charms_bench.cli.terminal import (
     SuiteFolder,
     Workers,
     app,
+    as_word,
     interruptible,
     out,
     print_json,
@@ -70,7 +71,7 @@ def suites(
                 file.write(found[copy].read_bytes())
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-        say(f"Written: {shown(path)}; charms-bench run {shown(path)}")
+        say(f"Written: {shown(path)}; charms-bench run {as_word(path)}")
         return
     titles = {name: str(Document(path).data["title"]) for name, path in found.items()}
     if as_json:
@@ -210,7 +211,7 @@ def _print_result(run: Any, as_json: bool, table: Any = None) -> None:
         with suppress(InputError):  # the tables do not need the networks
             for line in run.interfaces():
                 say(line)
-    folder = shown(run.path)
+    folder = as_word(run.path)
     say(f"All tables: charms-bench show {folder}; as a page: charms-bench report {folder}")
 
 

@@ -11,6 +11,7 @@ from charms_bench.cli.terminal import (
     FigurePath,
     Json,
     app,
+    as_word,
     out,
     print_json,
     print_records,
@@ -165,7 +166,8 @@ def new_agent(
     folder = folder or Path(name)
     for path in write(name, folder, kind):
         say(str(path))
-    say(f"Next: cd {folder} && pip install . pytest && pytest && charms-bench run suite.yaml")
+    tried = "pip install . pytest && pytest && charms-bench run suite.yaml"
+    say(f"Next: cd {as_word(folder)} && {tried}")
 
 
 @app.command(rich_help_panel=AGENTS)

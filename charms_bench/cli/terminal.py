@@ -11,6 +11,7 @@ from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from select import select
+from shlex import quote
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
@@ -308,6 +309,11 @@ def shown(path: Path) -> str:
         return str(path.relative_to(Path.cwd()))
     except (OSError, ValueError):  # the current folder is another one, or has been deleted
         return str(path)
+
+
+def as_word(path: Path) -> str:
+    """A path as a word of a command of the shell."""
+    return quote(shown(path))
 
 
 def say(text: str, console: "Console | None" = None) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Mapping, 
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TypeVar
 
 from charms_bench.engine import EngineName
@@ -28,7 +29,7 @@ from charms_bench.runs.shard import (
     simulate,
     traffic_of,
 )
-from charms_bench.runs.shards import Shard, blocks
+from charms_bench.runs.shards import Shard, blocks, places_of, shard_named
 from charms_bench.runs.suite import Cell, Suite
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS
@@ -148,8 +149,11 @@ def run(
                 kept = f"finished shards are in {output}"
                 error.add_note(f"{kept}; the same command continues there")
             raise
-        if not failed:
-            folder.drop_others(tasks)
+        # A cell that could not be planned keeps its rows; another that failed has none of before.
+        places, planned = places_of(suite, engine), {shard.cell for shard in tasks}
+        named = (shard_named(name, places) for name in folder.finished())
+        unplanned = [shard for shard in named if shard and shard.cell not in planned]
+        folder.drop_others([*tasks, *unplanned])
     return run
 
 
@@ -306,8 +310,9 @@ def _check_road(suite: Suite, cell: Cell, engine: EngineName, networks: Mapping[
 
 def unfinished(failed: int, cells: int, folder: Path) -> str:
     """Returns the note on a run of which some cells have failed."""
+    shown = f"`charms-bench show {quote(str(folder))}`"
     return (
-        f"{cells - failed} of {counted(cells, 'cell')} are finished; `charms-bench show {folder}` "
+        f"{cells - failed} of {counted(cells, 'cell')} are finished; {shown} "
         "prints their tables, and the same command continues there"
     )
 

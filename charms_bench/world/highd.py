@@ -234,6 +234,8 @@ def read_recording(trio: Trio) -> Recording:
     if "laneId" in tracks.columns:
         _refuse(trio.tracks, tracks, ~pl.col("laneId").is_between(1, last), "laneId", outside)
     tracks = _joined(trio, tracks, meta)
+    if tracks.is_empty():
+        raise DataError(f"{trio.tracks}: has no rows; expected a row for each vehicle and frame")
     parts = [_normalised(trio, tracks, direction, markings) for direction in lanes]
     every = pl.concat(part for part, _ in parts).sort("vehicle", "frame")
     wrong = sum(count for _, count in parts)

@@ -42,6 +42,15 @@ def _replaced(name: str, content: bytes) -> Callable[[Path], object]:
     return make
 
 
+def _no_rows(folder: Path) -> None:
+    """Announces no number of vehicles, and has no row of any."""
+    (folder / "01_recordingMeta.csv").write_text(
+        "frameRate,upperLaneMarkings,lowerLaneMarkings\n25,10;14;18,30;34\n"
+    )
+    (folder / "01_tracksMeta.csv").write_text("id,class\n1,Car\n")
+    (folder / "01_tracks.csv").write_text("frame,id,x,y,width,height\n")
+
+
 def _special(name: str, make_file: Callable[[Path], object]) -> Callable[[Path], object]:
     def make(folder: Path) -> None:
         _recording(folder)
@@ -89,6 +98,7 @@ FOLDERS: dict[str, Callable[[Path], object]] = {
     "nothing": _replaced("tracks", b""),
     "only names": _replaced("tracks", b"frame,id,x,y,width,height,xVelocity,yVelocity,"
                             b"xAcceleration,yAcceleration,laneId\n"),
+    "only names, of no announced vehicles": _no_rows,
     "a header of 2 MB": _replaced("tracks", b"frame,id," + b"x," * 2**20 + b"\n"),
     "a line of 2 MB": _replaced("tracks", b"frame,id,x,y,width,height,xVelocity,yVelocity,"
                                 b"xAcceleration,yAcceleration,laneId\n" + b"," * 2**21 + b"\n"),

@@ -30,6 +30,27 @@ def test_the_tables_of_a_run_hold_the_cells_that_are_finished(
     assert set(table["agent"]) == {"IDM"}
 
 
+def test_a_cell_that_fails_has_no_rows_of_the_agent_of_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suite = tmp_path / "suite.yaml"
+    options = ("run", suite, "--workers", 1, "--output", tmp_path / "run")
+    good = [{"agent": "stackelberg", "label": "Raising"}, EGOS[1]]
+    suite.write_text(yaml.safe_dump({**SUITE, "egos": good}))
+    assert charms_bench(*options).returncode == 0
+
+    def decide(*_: object) -> None:
+        raise RuntimeError("out of petrol")
+
+    monkeypatch.setattr("charms_baselines.stackelberg.Stackelberg.drive", decide)
+    monkeypatch.setattr("charms_bench.runs.shard.code_sha256", lambda module: "changed")
+    assert charms_bench(*options).returncode == 2
+    compared = charms_bench("compare", tmp_path / "run", "--egos", "Raising", "IDM")
+    assert (compared.returncode, compared.stdout) == (2, "")
+    shown = charms_bench("show", tmp_path / "run")
+    assert "0 of 2 episodes of Raising in idm_mobil" in shown.stderr
+
+
 def test_rare_events_of_the_other_cells_are_estimated(tmp_path: Path) -> None:
     suite = tmp_path / "suite.yaml"
     suite.write_text(yaml.safe_dump({**SUITE, "scene": {"duration_s": 1, "traffic_vehicles": 5}}))
