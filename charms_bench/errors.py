@@ -171,7 +171,9 @@ def _without_alternatives(problems: "list[ErrorDetails]") -> "list[ErrorDetails]
     for each in problems:
         loc = each["loc"]
         union = next((loc[:k] for k in range(len(loc)) if loc[:k] in unions), None)
-        each["loc"] = tuple(part for k, part in enumerate(loc) if loc[:k] not in unions)
+        each["loc"] = tuple(
+            part for k, part in enumerate(loc) if loc[:k] not in unions and part != "[key]"
+        )
         if union is not None:
             unions[union].append(each)
     unlikely = set()

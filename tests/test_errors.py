@@ -38,6 +38,7 @@ def test_a_wrong_entry_is_not_also_said_to_be_missing(egos: list[object], said: 
         ("length_m", "a", "length_m: Input should be a valid number or a valid mapping, found 'a'"),
         ("length_m", {"rage": 1}, "length_m.rage: unknown key. Did you mean 'range'? Known: "),
         ("desired_speed_mps", [3, 1], "desired_speed_mps: 3 exceeds 1, found [3, 1]"),
+        ("driver_parameters", {"": [1, 2]}, "driver_parameters.: String should have at least 1"),
         ("driver_parameters", {"T": [2, 1]}, "driver_parameters.T: 2 exceeds 1, found [2, 1]"),
     ],
 )
