@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
 
 
 TEXT_LIMIT = 500
@@ -134,7 +135,7 @@ def suggestion(name: str, known: Mapping[str, object]) -> str:
 
 def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     """The location and the description of the first problem that a model reports."""
-    problems = error.errors(include_url=False)
+    problems = _without_alternatives(error.errors(include_url=False))
     wrong = [each["loc"] for each in problems]
     # Pydantic also counts only the entries that are right.
     problems = [
@@ -153,6 +154,41 @@ def first_problem(error: "ValidationError") -> tuple[Sequence[str | int], str]:
     others = [f"{'.'.join(map(str, each['loc']))}: {_plain(each['msg'])}" for each in problems[1:3]]
     others += [f"{len(problems) - 3} more"] if len(problems) > 3 else []
     return first["loc"], "; also ".join([what, *others])
+
+
+_ALTERNATIVE = re.compile(r"constrained-\w+|[\w-]+\[.*\]")
+"""What pydantic calls an alternative of a union in the location of a problem."""
+
+
+def _without_alternatives(problems: "list[ErrorDetails]") -> "list[ErrorDetails]":
+    """The problems of each union's likeliest alternatives, and all others, without their names."""
+    unions: dict[tuple[int | str, ...], list[ErrorDetails]] = {
+        each["loc"][:k]: []
+        for each in problems
+        for k, part in enumerate(each["loc"])
+        if _ALTERNATIVE.fullmatch(str(part))
+    }
+    for each in problems:
+        loc = each["loc"]
+        union = next((loc[:k] for k in range(len(loc)) if loc[:k] in unions), None)
+        each["loc"] = tuple(
+            part for k, part in enumerate(loc) if loc[:k] not in unions and part != "[key]"
+        )
+        if union is not None:
+            unions[union].append(each)
+    unlikely = set()
+    for place, several in unions.items():
+        likely = [each for each in several if each["loc"] != place or not _is_of_type(each)]
+        if several and not likely:
+            others = (each["msg"].removeprefix("Input should be") for each in several[1:])
+            several[0]["msg"] = " or".join([several[0]["msg"], *others])
+            likely = several[:1]
+        unlikely |= {id(each) for each in several} - {id(each) for each in likely}
+    return [each for each in problems if id(each) not in unlikely]
+
+
+def _is_of_type(problem: "ErrorDetails") -> bool:
+    return problem["type"].endswith("_type") or problem["type"] == "literal_error"
 
 
 def problem_in(error: Exception) -> str:

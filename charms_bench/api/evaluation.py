@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.results import Run
-from charms_bench.api.warming import warm_up
+from charms_bench.api.warming import note_roads, warm_up
 from charms_bench.engine import ENGINES, EngineName
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.files import absolute
@@ -90,6 +90,7 @@ def run(
     folder = place if output else place / name
     if engine == "batched" and cluster is None:
         warm_up()
+        note_roads(loaded)
     on_dask = None
     if cluster is not None:
         from charms_bench.runs.cluster import on_cluster

@@ -9,7 +9,7 @@ import polars as pl
 
 from charms_bench.api.arguments import PathLike, check_positive
 from charms_bench.api.evaluation import add_egos
-from charms_bench.api.warming import warm_up
+from charms_bench.api.warming import note_roads, warm_up
 from charms_bench.errors import InputError
 from charms_bench.foundation.files import absolute
 from charms_bench.foundation.names import name_of_agent
@@ -114,6 +114,7 @@ def rare(
     )
     folder = place if output else place / name
     warm_up()
+    note_roads(loaded)
     try:
         with progress("pilots and runs", (runs + 1) * len(loaded.cells)) as tell:
             cells, failed = run_rare(

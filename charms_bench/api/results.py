@@ -1,6 +1,7 @@
 """The results of a run: rows, tables, comparisons, episodes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -235,13 +236,22 @@ class Run:
         from charms_bench.episodes.criticality import IS_OF_KIND
         from charms_bench.episodes.edge_cases import edge_cases
         from charms_bench.episodes.recorded_cell import find_cells
+        from charms_bench.report.preventable_table import verdicts
 
         if kind is not None and kind not in IS_OF_KIND:
             known = {str(each): each for each in IS_OF_KIND}
             raise InputError(f"no kind of episode named '{kind}'. {suggestion(kind, known)}")
         cells = find_cells(self._finished, self._suite_folder, ego, traffic)
         warm_up()
-        return Lines(edge_cases(cells, top, kind))
+        found = edge_cases(cells, top, kind)
+        if self.suite.preventable_by:
+            egos = {*self.suite.preventable_by, *(each.ego for each in found)}
+            judged = verdicts(self.suite, [cell for cell in self.cells if cell.agent in egos])
+            found = [
+                replace(each, preventable=judged.get((each.ego, each.traffic, each.episode)))
+                for each in found
+            ]
+        return Lines(found)
 
     def replay(
         self, episode: int, ego: str | None = None, traffic: str | None = None

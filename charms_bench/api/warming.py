@@ -1,6 +1,11 @@
 """Compiles the engine ahead of its first use."""
 
+from typing import TYPE_CHECKING
+
 from charms_bench.report.progress import note, progress
+
+if TYPE_CHECKING:
+    from charms_bench.runs.suite import Suite
 
 
 def warm_up() -> bool:
@@ -17,3 +22,13 @@ def warm_up() -> bool:
     with progress("parts", len(engine.PARTS)) as tell:
         engine.compile_parts(tell)
     return True
+
+
+def note_roads(suite: "Suite") -> None:
+    """Says that a suite's first run on highway-env's roads compiles, if it does."""
+    if any(each.traffic.road for each in suite.traffics):
+        from charms_bench.foundation.compiled import is_kept
+        from charms_bench.roads.engine import advance
+
+        if not is_kept(advance):
+            note("compiling the engine of highway-env's roads (once, one or two minutes)")

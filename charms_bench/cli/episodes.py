@@ -76,7 +76,13 @@ def edge_cases(
         say(f"No {kind} in {run}.")
         return
     forms = {"ego": "", "traffic": "", "episode": ".0f", "criticality": ".2f", "what happened": ""}
-    print_records("rank", [{**case, "what happened": case["what"]} for case in found], forms)
+    if opened.suite.preventable_by:
+        forms["preventable"] = ""
+    records = [
+        {**case, "what happened": case["what"], "preventable": case["preventable"] or "–"}
+        for case in found
+    ]
+    print_records("rank", records, forms)
     hz = opened.suite.scene.decision_hz
     say(f"{hz} decision{'s' * (hz != 1)} per second, which `what-if --at` counts from 1.")
     for remark in opened.remarks(ego, traffic):
@@ -113,8 +119,8 @@ def _print_avoidability(
     if not found:
         say(f"No collision in {opened.path}.")
         return
-    for table in (avoidability_table(found, opened.suite.scene), rescuers_table(found)):
-        print_table(table)
+    print_table(avoidability_table(found, opened.suite.scene))
+    print_table(rescuers_table(found, opened.suite.preventable_by))
 
 
 @app.command(rich_help_panel=FAILURES)

@@ -234,6 +234,7 @@ def export(
     from charms_bench.plugins.registry import EXPORTERS, load
     from charms_bench.runs.document import value_of
     from charms_bench.world.observations import named_observation
+    from charms_bench.world.scene import SceneSettings
 
     files, to = [absolute(file) for file in files], to and absolute(to)
     if to is not None:
@@ -272,5 +273,9 @@ def export(
                 f"decides at {made['decision_hz']:g} Hz"
                 f"{f'; {ASSUMED}' if made['trained_in'] == NOT_STATED else ''}"
             )
+            hz, scene = made["decision_hz"], SceneSettings()
+            rate = scene.simulation_hz_for(hz)
+            if rate not in (None, scene.simulation_hz):
+                say(f"At {hz:g} Hz, it drives in suites with `simulation_hz: {rate}` in `scene`.")
     if as_json:
         print_json(records[0] if to is None else records)

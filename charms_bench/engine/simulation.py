@@ -421,9 +421,12 @@ def _check_agent(name: str, agent: Agent, settings: SceneSettings) -> None:
     hz = agent.decision_hz
     steps = settings.simulation_hz / hz if isinstance(hz, Real) and hz > 0 else 0.5
     if not 1 <= steps <= 1e9 or steps != round(steps):
+        fitting = settings.simulation_hz_for(float(hz)) if isinstance(hz, Real) else None
         raise InputError(
             f"agent '{name}' decides {hz} times per second; simulation_hz "
             f"{settings.simulation_hz} is not a multiple of this rate"
+            + f"; `simulation_hz: {fitting}` in the scene is"
+            * (fitting is not None)
         )
 
 

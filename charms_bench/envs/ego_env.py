@@ -22,7 +22,7 @@ from charms_bench.envs.rendering import RENDER_MODES
 from charms_bench.envs.seeds import checked_seed
 from charms_bench.envs.torch_threads import warn_of_torch_threads
 from charms_bench.envs.vector_env import HighwayVectorEnv, state_in
-from charms_bench.errors import InputError, first_problem
+from charms_bench.errors import InputError, problem_in
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.traffic import Mixture, Traffic
@@ -222,8 +222,7 @@ def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSetting
     try:
         return SceneSettings.model_validate(scene)
     except ValidationError as error:
-        location, what = first_problem(error)
-        raise InputError(f"{environment}: {'.'.join(map(str, location))}: {what}") from error
+        raise InputError(f"{environment}: {problem_in(error)}") from error
 
 
 def made_traffic(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:

@@ -16,12 +16,18 @@ def checked_seed(seed: Any) -> int:
         InputError: It is not an integer from 0 to 2**64 - 1.
     """
     try:
-        found = index(seed)
+        found = _integer(seed)
     except TypeError:
         found = -1
     if not 0 <= found < 2**64:
         raise InputError(f"seed {seed!r}; expected an integer from 0 to 2**64 - 1")
     return found
+
+
+def _integer(value: Any) -> int:
+    if isinstance(value, bool):
+        raise TypeError
+    return index(value)
 
 
 def seeds_of(seed: Any, count: int) -> list[int | None]:
@@ -33,7 +39,7 @@ def seeds_of(seed: Any, count: int) -> list[int | None]:
     if seed is None:
         return [None] * count
     try:
-        first = index(seed)
+        first = _integer(seed)
     except TypeError:
         pass
     else:

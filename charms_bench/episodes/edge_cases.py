@@ -37,6 +37,9 @@ class EdgeCase:
     """How many lane changes the ego abandoned because another vehicle took the gap."""
     what: str
     """One sentence about what happened."""
+    preventable: str | None = None
+    """Whether the suite's reference drivers, which drive the same episode, avoid the collision:
+    `yes`, `no` or `only by NAME`; None without reference drivers, and if there is none."""
 
     def __repr__(self) -> str:
         where = f"{self.ego} in {self.traffic}, episode {self.episode}"

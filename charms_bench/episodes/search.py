@@ -28,7 +28,7 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.episodes.severity import margins
 from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.words import counted
-from charms_bench.plugins.registry import AGENTS, plugins
+from charms_bench.plugins.registry import AGENTS, is_network, plugins
 from charms_bench.plugins.specs import AgentSpec, drivers_of, networks_of
 from charms_bench.runs.checked_result import read_result, write_result
 from charms_bench.runs.code_hashes import harness_sha256
@@ -245,6 +245,9 @@ def ego_of(path: Path, suite: Suite, name: str | None) -> EgoEntry:
         raise InputError(f"{path}: {what}. {suggestion('', known)}")
     if name is None or name in known:
         return known[name] if name is not None else next(iter(known.values()))
+    if is_network(name):
+        what = "is not the label of an ego; give a network's file with --agent"
+        raise InputError(f"{path}: --ego {name} {what}")
     if name not in plugins(AGENTS):
         everyone = {**known, **plugins(AGENTS)}
         raise InputError(f"{path}: no agent named '{name}'. {suggestion(name, everyone)}")

@@ -6,7 +6,7 @@ The entering vehicle is the one that leaves the ramp of a merge, and the ego in 
 
 import polars as pl
 
-from charms_bench.metrics.collisions import ENDING
+from charms_bench.metrics.collisions import ENDING, IS_JUDGED
 from charms_bench.metrics.metric import Metric, MetricSet, per_episode
 
 REACHED = ENDING == "goal"
@@ -27,6 +27,7 @@ ROADS = MetricSet(
             "",
             REACHED,
             "proportion of episodes in which the ego reaches the goal of its road",
+            counts=~IS_JUDGED,  # a straight road has no goal
             interval="wilson",
         ),
         per_episode(

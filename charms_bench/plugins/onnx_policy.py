@@ -107,7 +107,9 @@ class OnnxPolicy(Policy):
         try:
             data = read_limited(self.path, SIZE_LIMIT_BYTES)
         except OSError as error:
-            command = f"charms-bench export {self.path.stem}.zip --to {self.path.parent}"
+            checkpoint = self.path.with_suffix(".zip")
+            source = checkpoint if checkpoint.is_file() else "CHECKPOINT.zip"
+            command = f"charms-bench export {source} --to {self.path.parent}"
             remedy = f"; `{command}` makes it from a checkpoint of Stable-Baselines3"
             remedy *= isinstance(error, FileNotFoundError)
             raise ModelError(f"cannot be read: {error.strerror}{remedy}") from error

@@ -39,8 +39,11 @@ def avoidability_table(found: Sequence[Avoidability], settings: SceneSettings) -
     )
 
 
-def rescuers_table(found: Sequence[Avoidability]) -> Table:
-    """How many of the avoidable collisions each agent avoids from the last decision on."""
+def rescuers_table(found: Sequence[Avoidability], references: Sequence[str] = ()) -> Table:
+    """How many of the avoidable collisions each agent avoids from the last decision on.
+
+    `references` are the suite's drivers by which collisions are preventable.
+    """
     tried = sorted({name for each in found for name in (*each.avoided_by, *each.hit_by)})
     records: list[dict[str, object]] = []
     for name in tried:
@@ -53,7 +56,14 @@ def rescuers_table(found: Sequence[Avoidability]) -> Table:
         Column("of", "", "Collisions that it was tried on", form=".0f"),
     )
     title = "Who avoids them, driving the ego from the last decision with an escape"
-    return Table.from_records(records, "avoidability-agents", title, ("agent",), columns)
+    avoid = "avoid" if len(references) > 1 else "avoids"
+    note = (
+        f"A collision is preventable, in contrast, if {' and '.join(references)} {avoid} it when "
+        "driving the ego from the start of the episode."
+    )
+    return Table.from_records(
+        records, "avoidability-agents", title, ("agent",), columns, note=note * bool(references)
+    )
 
 
 def in_words(found: Sequence[Avoidability]) -> str:

@@ -68,6 +68,21 @@ def kinds_of(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str], K
     return found
 
 
+def verdicts(suite: Suite, cells: Sequence[CellRows]) -> dict[tuple[str, str, int], str]:
+    """Whether each collision is preventable, by ego, traffic and episode: `yes`, `no` or by whom.
+
+    The cells are as in `kinds_of`.
+    """
+    seeds = {(each.agent, each.traffic): each.episodes["episode"].sort() for each in cells}
+    words = {"preventable": "yes", "not_preventable": "no"}
+    return {
+        (*cell, seed): words.get(name, name.removeprefix("preventable "))
+        for cell, kinds in kinds_of(suite, cells).items()
+        for name, has_it in kinds.items()
+        for seed in seeds[cell].filter(pl.Series(has_it))
+    }
+
+
 def preventable_table(suite: Suite, cells: Sequence[CellRows]) -> Table:
     """The proportions of preventable and other collisions of every cell, with 95 % intervals."""
     records: list[tuple[object, ...]] = []

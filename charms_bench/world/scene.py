@@ -49,6 +49,7 @@ EVALUATION_SEEDS = 1_000_000_000
 """Seeds of evaluation episodes lie below this number; those of training episodes do not."""
 VACANT_X_M = -1e7
 """Where the vehicles of empty places stand, each 1 km further: on no lane, and near nobody."""
+SIMULATION_HZ_LIMIT = 1000
 DECISIONS_LIMIT = 20_000
 """The most decisions of an episode: almost two hours at the usual 3 Hz."""
 
@@ -104,7 +105,7 @@ class SceneSettings(FrozenModel):
     """The distances between vehicles at the start are proportional to 1 / density."""
     ego_slots: Annotated[int, Field(ge=1)] = 6
     """How many of the first vehicles can be the ego; each is equally likely."""
-    simulation_hz: Annotated[int, Field(ge=1, le=1000)] = 15
+    simulation_hz: Annotated[int, Field(ge=1, le=SIMULATION_HZ_LIMIT)] = 15
     """Simulation steps per second."""
     decision_hz: Annotated[int, Field(ge=1, le=1000)] = 3
     """Rows per second: how often the ego's decisions are recorded and, with the `ego_control_rate`
@@ -185,6 +186,12 @@ class SceneSettings(FrozenModel):
         if self.decisions < 1:
             raise ValueError("duration_s is shorter than one decision")
         return self
+
+    def simulation_hz_for(self, hz: float) -> int | None:
+        """The lowest `simulation_hz`, from this one on, with whole steps between an agent's
+        decisions, too; None if there is none."""
+        rates = range(self.simulation_hz, SIMULATION_HZ_LIMIT + 1, self.decision_hz)
+        return next((rate for rate in rates if hz > 0 and (rate / hz).is_integer()), None)
 
     def _check_types(self) -> None:
         names = [each.name for each in self.vehicle_types]

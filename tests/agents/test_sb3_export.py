@@ -463,6 +463,7 @@ def test_the_command_line_exports_and_the_file_drives_in_a_suite(tmp_path: Path)
         ),
         (["--observation", "Kinematics", "--decision-hz", "5"], Kinematics(), 5.0),
         ([], neighbours, 3.0),
+        (["--decision-hz", "2"], neighbours, 2.0),
     ],
 )
 def test_the_file_sees_what_the_command_line_says(
@@ -472,6 +473,7 @@ def test_the_file_sees_what_the_command_line_says(
     output = tmp_path / "out.onnx"
     done = CliRunner().invoke(app, ["export", str(path), str(output), *arguments])
     assert f"observes {observation.name}, decides at {hz:g} Hz" in done.stdout
+    assert ("`simulation_hz: 18`" in done.stdout) == (hz == 2)
     policy = OnnxPolicy(output)
     assert (policy.observation, policy.decision_hz) == (observation, hz)
 
@@ -481,7 +483,7 @@ def test_the_file_sees_what_the_command_line_says(
     [
         ("kinematics", "no observation named 'kinematics'. Did you mean 'Kinematics'"),
         ("{type: Kinematics", "--observation {type: Kinematics: is not YAML"),
-        ("neighbours", "takes 25 numbers; expected 35, .* name the observation"),
+        ("neighbours", "takes 25 numbers; expected 35, .* name the observation.* suites have ne"),
     ],
 )
 def test_what_it_cannot_have_been_trained_on_is_one_message(

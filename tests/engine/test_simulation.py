@@ -217,8 +217,10 @@ def test_an_agent_decides_at_its_own_rate() -> None:
 
 
 def test_a_rate_that_does_not_fit_the_simulation_is_refused() -> None:
-    with pytest.raises(InputError, match=r"'ego' decides 4\.0 times per second; simulation_hz 15"):
+    said = r"'ego' decides 4\.0 times per second; simulation_hz 15 .*; `simulation_hz: 24` in the"
+    with pytest.raises(InputError, match=said):
         simulate(Always(hz=4.0), SceneSettings())
+    simulate(Always(hz=4.0), SceneSettings(simulation_hz=24))
 
 
 def test_an_observation_that_does_not_exist_is_refused() -> None:

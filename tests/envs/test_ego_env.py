@@ -253,6 +253,7 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
     [
         ({"lane": 3}, "charms_bench/Ego-v0: lane: unknown key"),
         ({"lanes": 1}, "charms_bench/Ego-v0: lanes: Input should be greater.*found 1"),
+        ({"duration_s": 0.01}, "charms_bench/Ego-v0: duration_s is shorter than one decision"),
         ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
         ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
         ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),

@@ -106,6 +106,7 @@ def test_seeds_are_integers_of_any_kind_or_one_for_each(kind: str) -> None:
         (2**64 - 1, r"integer from 0 to 2\*\*64 - 2"),
         ([0, 2**64], r"integer from 0 to 2\*\*64 - 1"),
         (1.5, "expected an integer, or 2 seeds"),
+        (True, "expected an integer, or 2 seeds"),
         ("34", "expected an integer, or 2 seeds"),
         ([1, 2, 3], "expected an integer, or 2 seeds"),
     ],
@@ -118,7 +119,7 @@ def test_a_seed_out_of_range_is_rejected_with_the_range(
 
 
 @pytest.mark.parametrize("make", [KINDS["Ego-v0"][0], KINDS["merge-v1"][0]])
-@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, "3", [3]])
+@pytest.mark.parametrize("seed", [-1, 2**64, 1.5, True, "3", [3]])
 def test_a_single_environment_names_the_range_of_seeds(make: Any, seed: Any) -> None:
     with pytest.raises(InputError, match=r"expected an integer from 0 to 2\*\*64 - 1"):
         make().reset(seed=seed)

@@ -270,7 +270,11 @@ def test_a_file_that_sees_what_is_not_there_is_refused(
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"none\.onnx: cannot be read: No such file"):
+    with pytest.raises(ModelError, match=r"none\.onnx: cannot be read: No such.*CHECKPOINT\.zip"):
+        OnnxPolicy(tmp_path / "none.onnx")
+    checkpoint = tmp_path / "none.zip"
+    checkpoint.touch()
+    with pytest.raises(ModelError, match=f"charms-bench export {checkpoint} --to {tmp_path}"):
         OnnxPolicy(tmp_path / "none.onnx")
 
 

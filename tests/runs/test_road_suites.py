@@ -63,6 +63,14 @@ def test_tables_have_the_goals_of_every_ego_on_every_road(made: Any) -> None:
     assert (made.path / "tables" / "small-roads-matrix.md").exists()
 
 
+def test_a_straight_road_has_no_goal_to_reach() -> None:
+    reached = next(each for each in ROADS.metrics if each.name == "goal_reached")
+    rows = pl.DataFrame({"ending": ["time", "time", "goal"], "traffic_vehicles": [9, None, None]})
+    sums = [row.select(*reached.sums).row(0) for row in rows.iter_slices(1)]
+    values = reached.value(np.array([sums[0], np.sum(sums[1:], axis=0)], dtype=float))
+    np.testing.assert_array_equal(values, [np.nan, 0.5])
+
+
 def test_a_run_is_read_again_from_its_folder(made: Any) -> None:
     again = open_run(made.path)
     assert again.suite.fingerprint() == made.suite.fingerprint()

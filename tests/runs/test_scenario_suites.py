@@ -147,6 +147,17 @@ def test_preventable_collisions_are_those_that_the_careful_driver_avoids(
     assert (run.path / "figures" / "small-preventable.png").stat().st_size > 10_000
 
 
+def test_of_each_collision_it_is_said_whether_it_is_preventable(run: charms_bench.Run) -> None:
+    found = run.edge_cases(50, ego="Level 0", traffic="Braking")
+    cells = {(cell.agent, cell.traffic): crashed(cell) for cell in run.cells}
+    careful, other = cells["Careful", "Braking"], cells["Level 0", "Braking"]
+    words = {True: {True: "no", False: "yes"}, False: {True: None, False: None}}
+    expected = [words[bool(other[k])][bool(careful[k])] for k in range(12)]
+    assert {case.episode: case.preventable for case in found} == dict(enumerate(expected))
+    shown = command_line("edge-cases", run.path, "--ego", "Level 0", "--traffic", "Braking")
+    assert "preventable" in shown.stdout.lower()
+
+
 PILE_UPS = """\
 suite: blocked
 episodes: 3
@@ -325,6 +336,7 @@ def test_an_agent_beside_the_egos_is_searched_and_shown(tmp_path: Path) -> None:
         ("Level 9", "Braking", "no agent named 'Level 9'.*Did you mean 'Level 0'"),
         ("Level 0", "Brakes", "no scenario called 'Brakes'.*Known: Braking"),
         ("Level 0", "Traffic", "no scenario called 'Traffic'"),
+        ("mine.onnx", "Braking", "--ego mine.onnx .*; give a network's file with --agent"),
     ],
 )
 def test_a_search_names_what_it_can_search(

@@ -23,6 +23,7 @@ from charms_bench.world.action_texts import actions_described
 from charms_bench.world.actions import MetaAction
 from charms_bench.world.kinematics_observation import Kinematics
 from charms_bench.world.observations import (
+    OBSERVATIONS,
     TRAINED_IN,
     Neighbours,
     PaperNeighbours,
@@ -32,6 +33,10 @@ from charms_bench.world.observations import (
 
 DECISION_HZ = {"neighbours": 3.0, "paper_neighbours": 3.0, "Kinematics": 1.0}
 """The usual decision rate of networks trained on an observation: here, and in highway-env."""
+_NAME_IT = (
+    "name the observation that it was trained on with --observation; suites have "
+    f"{', '.join(OBSERVATIONS)} and no other"
+)
 STATISTICS_LIMIT_BYTES = 2**22
 FRAMES_LIMIT = 100
 _OWN = "charms_bench/"
@@ -167,8 +172,7 @@ def input_of(
     if width != frames * size:
         raise Refusal(
             f"layer 0 takes {width} numbers; expected {size}, the observation "
-            f"'{observation.name}' of {rows} rows of {columns}; name the observation that it was "
-            "trained on with --observation"
+            f"'{observation.name}' of {rows} rows of {columns}; {_NAME_IT}"
         )
     order = np.arange(width)
     if across:
@@ -238,8 +242,7 @@ def _check_bounds(bounds: NDArray[np.float64], observation: Neighbours | Kinemat
     if isinstance(observation, Kinematics):
         if not is_unbounded:
             raise Refusal(
-                "was trained on an observation with bounds, and Kinematics has none; name the "
-                "observation that it was trained on with --observation"
+                f"was trained on an observation with bounds, and Kinematics has none; {_NAME_IT}"
             )
         return
     if is_unbounded and isinstance(observation, PaperNeighbours):
