@@ -124,7 +124,7 @@ def run(
             measured = [cells[index].result() for index in sorted(cells)]
             write_run(loaded, folder, measured, following, references)
         if finished.failed:
-            error = runner.combined(finished.failed)
+            error = runner.combined(loaded, finished.failed)
             error.add_note(runner.unfinished(len(finished.failed), len(loaded.cells), folder))
             raise error
     except KeyboardInterrupt as interrupt:

@@ -134,7 +134,7 @@ def rare(
         with locked(folder):
             write_table(folder, table)
         if failed:
-            error = combined(failed)
+            error = combined(loaded, failed)
             error.add_note(unfinished(len(failed), len(loaded.cells), folder))
             raise error
     except KeyboardInterrupt as interrupt:

@@ -160,7 +160,8 @@ def calibrate(
     recordings: Annotated[
         Path,
         typer.Argument(
-            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
+            "of I-24 or I-75."
         ),
     ],
     to: Annotated[
@@ -177,7 +178,7 @@ def calibrate(
     from charms_bench.foundation.files import absolute, write_bytes
     from charms_bench.people.calibrated import calibrate as calibrated
     from charms_bench.people.held_out import HORIZONS_S
-    from charms_bench.people.lane_choices import fit_choices, read_choices
+    from charms_bench.people.lane_choices import FEWEST_CHANGES, fit_choices, read_choices
     from charms_bench.people.trips import read_trips
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.predictive import draw
@@ -204,7 +205,11 @@ def calibrate(
         return
     forms = dict.fromkeys(("median", "spread", "identified"), "")
     print_records("parameter", found.parameters(), forms)
-    lane_changes = "not fitted" if changes is None else f"{counted(changes.changes, 'lane change')}"
+    if changes is None:
+        made = counted(int(choices.changed.sum()), "lane change")
+        lane_changes = f"{made}, too few to fit: {FEWEST_CHANGES} are needed"
+    else:
+        lane_changes = f"fitted to {counted(changes.changes, 'lane change')}"
     say(
         f"Model {population.model}, lag {population.lag_s:g} s, noise {population.noise_mps2:z.2f} "
         f"m/s2 over {population.noise_s:z.1f} s; {population.drivers_at_bound} of "
@@ -213,10 +218,14 @@ def calibrate(
     forms = {name: "" for name in found.records()[0] if name != "predicted by"}
     print_records("predicted by", found.records(), forms)
     value, low, high = found.gap_ratio
-    say(f"Gap error, of the better uncalibrated IDM: {value:z.2f} [{low:z.2f}, {high:z.2f}]")
+    say(
+        "Ratios; below 1, the fitted population is better:\n"
+        "Gap error, to that of the better uncalibrated IDM: "
+        f"{value:z.2f} [{low:z.2f}, {high:z.2f}]"
+    )
     for horizon_s, (value, low, high) in zip(HORIZONS_S, found.energy_ratios, strict=True):
         say(
-            f"Energy score after {horizon_s} s, of the pooled point: {value:z.2f} "
+            f"Energy score after {horizon_s} s, to that of the pooled point: {value:z.2f} "
             f"[{low:z.2f}, {high:z.2f}]"
         )
     for path in filter(None, (to, figure)):
@@ -229,7 +238,8 @@ def likeness(
     recordings: Annotated[
         Path,
         typer.Argument(
-            help="Folder of recordings in highD's format, or the Parquet table of I-24 or I-75."
+            help="Folder of recordings in highD's format, CSV table of NGSIM, or the Parquet table "
+            "of I-24 or I-75."
         ),
     ],
     population: Annotated[

@@ -309,8 +309,8 @@ def search(
         say(f"{where}: no failure in {episodes}")
         return
     say(
-        f"{where}: {counted(len(made.failures), 'failure')} in {episodes}, the first after "
-        f"{made.simulations_to_first:,}"
+        f"{where}: {counted(len(made.failures), 'failure')} in {episodes}, the first in the "
+        f"batch that ended after {made.simulations_to_first:,}"
     )
     forms = dict.fromkeys(made.failures[0], ".3f")
     records: list[dict[str, Any]] = [

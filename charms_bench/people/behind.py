@@ -67,7 +67,7 @@ def fitting(parts: Sequence[Trip], profile: Profile) -> list[Trip]:
         raise DataError(
             f"{drivers} held-out drivers keep to the profile's speeds, {low:g} to {high:g} m/s, "
             f"for {SECONDS} s; expected {FEWEST_DRIVERS} or more, so choose a profile with a wider "
-            "range of speeds, or longer recordings"
+            "range of speeds, or recordings of more drivers"
         )
     return found
 

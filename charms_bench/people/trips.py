@@ -63,7 +63,8 @@ def read_trips(path: Path) -> list[Trip]:
     if not trips:
         raise DataError(
             f"{path}: no driver follows one leader for {SHORTEST_S:g} s with a gap of "
-            f"{GAPS_M[0]:g} to {GAPS_M[1]:g} m; longer recordings are needed"
+            f"{GAPS_M[0]:g} to {GAPS_M[1]:g} m. The recorded section must be long enough to see a "
+            f"driver for {SHORTEST_S:g} s: at 30 m/s, {30 * SHORTEST_S:g} m"
         )
     return trips
 

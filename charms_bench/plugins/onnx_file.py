@@ -115,7 +115,10 @@ def _problems_of_node(node: Message) -> Iterator[str]:
 
 def _problems_of_tensor(tensor: Message) -> Iterator[str]:
     if tensor["external"] or any(tensor["location"]):
-        yield "keeps tensors in other files; save it as a single file"
+        yield (
+            "keeps tensors in other files; save it as a single file, in PyTorch with "
+            "torch.onnx.export(..., external_data=False)"
+        )
     if _STRING in tensor["type"]:
         yield "has texts among its tensors"
 

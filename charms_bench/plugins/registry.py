@@ -151,7 +151,10 @@ def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic
     if not is_network(name) and name not in agents:
         raise RegistryError(_unknown("traffic", name, {**installed, **agents}))
     if options:
-        raise RegistryError(f"'{name}' is an agent; as a traffic, it takes no options")
+        raise RegistryError(
+            f"'{name}' is an agent; as a traffic, it takes no options. A plugin can give it a name "
+            "of its own with these options: subclass it, as docs/recordings.md shows"
+        )
     if not is_network(name):
         _unrivalled(agents[name])
     return OneAgent(name)

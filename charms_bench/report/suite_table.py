@@ -31,8 +31,10 @@ MATRICES = {
 }
 """Metrics of the sets `roads` and `standard` that are shown as a matrix: title, and factor for its
 unit."""
-HIGHER_IS_BETTER = ("goal_reached", "speed_mean")
-"""Of these metrics; lower values of all others are better."""
+HIGHER_IS_BETTER = ("goal_reached",)
+"""Of these metrics."""
+NO_DIRECTION = ("speed_mean", "lane_changes_per_km")
+"""Neither higher nor lower values of these are better; lower values of all others are."""
 
 
 def suite_table(

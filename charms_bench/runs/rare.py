@@ -121,7 +121,7 @@ def run_rare(
             pilots = finished(tasks)
             made = finished(_runs(tasks, pilots, runs))
             if len(failed) == len(suite.cells):
-                raise combined(failed)
+                raise combined(suite, failed)
         except CharmsBenchError as error:
             if any(_file(output, *pilot).exists() for pilot in tasks.items()):
                 error.add_note(f"finished runs are in {output}; the same command continues there")

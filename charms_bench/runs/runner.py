@@ -93,8 +93,8 @@ def run(
     folder, failed = RunFolder(output), dict[int, CharmsBenchError]()
     with folder.opened_for(suite, engine):
         tasks = plan(suite, engine, failed)
-        for error in failed.values():
-            notice(f"{error}; the other cells are run")
+        for what in _reasons(suite, failed):
+            notice(f"{what}; the other cells are run")
         agents = {
             name: identity
             for task in tasks.values()
@@ -143,7 +143,7 @@ def run(
                     folder.write(missing[task], files)
                     finish(missing[task])
             if len(failed) == len(suite.cells):
-                raise combined(failed)
+                raise combined(suite, failed)
         except CharmsBenchError as error:
             if folder.finished():
                 kept = f"finished shards are in {output}"
@@ -212,7 +212,7 @@ def plan(
         except SuiteError as error:
             failed[index] = error
     if not tasks:
-        raise combined(failed)
+        raise combined(suite, failed)
     return tasks
 
 
@@ -235,14 +235,30 @@ def note_failure(
         notice(f"{error}; the other cells are run")
 
 
-def combined(failed: Mapping[int, CharmsBenchError]) -> CharmsBenchError:
+def combined(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> CharmsBenchError:
     """Returns the first of the errors of cells, with notes on the others."""
-    first, *others = {str(error): error for error in failed.values()}.values()
+    first = next(iter(failed.values()))
+    what, *others = _reasons(suite, failed)
+    first.args = (what,)
     for other in others[:LISTED]:
-        first.add_note(str(other))
+        first.add_note(other)
     if len(others) > LISTED:
         first.add_note(f"and {len(others) - LISTED} more errors")
     return first
+
+
+def _reasons(suite: Suite, failed: Mapping[int, CharmsBenchError]) -> list[str]:
+    """Each error once, also if it differs only by the name of the road, with its other cells."""
+    alike: dict[str, list[int]] = {}
+    for index, error in failed.items():
+        road = f"the road '{suite.cells[index].scene.network}'"
+        alike.setdefault(str(error).replace(road, ""), []).append(index)
+    found = []
+    for first, *others in alike.values():
+        titles = [suite.cells[index].title for index in others[:LISTED]]
+        titles += [f"{len(others) - LISTED} more cells"] * (len(others) > LISTED)
+        found.append(f"{failed[first]}" + f" (also {', '.join(titles)})" * bool(others))
+    return found
 
 
 def plan_cell(

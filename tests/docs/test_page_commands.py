@@ -27,6 +27,7 @@ ELSEWHERE = {
 CODE_OF = {
     "README.md": "tests/docs/test_python_page.py",
     "python.md": "tests/docs/test_python_page.py",
+    "recordings.md": "tests/docs/test_recordings_page.py",
     "highway-env-roads.md": "tests/docs/test_python_page.py",
     "run-folders.md": "tests/docs/test_data_out_page.py",
     **ELSEWHERE,
@@ -43,8 +44,6 @@ NOT_RUN = {
     "tox": "tox runs this test",
     "charms-bench calibrate FOLDER --to my-road.json --figure my-road.png": "takes minutes, and "
     "recordings that are not public",
-    "charms-bench run suites/recorded.yaml": "tests/runs/test_recorded_suite.py runs one like it "
-    "with recordings that are public",
     "charms-bench likeness suites/likeness.yaml RECORDINGS --population my-road.json "
     "--figure likeness.png": "takes minutes, and recordings that are not public",
     "charms-bench likeness suites/seeds/likeness.yaml i24_car_following.parquet --population i24 "

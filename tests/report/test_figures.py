@@ -11,7 +11,7 @@ from charms_bench.episodes.ego_view import ego_view
 from charms_bench.episodes.replay import Replay
 from charms_bench.errors import InputError
 from charms_bench.report.figures.drawing import save
-from charms_bench.report.figures.heat_map import draw_matrices
+from charms_bench.report.figures.heat_map import draw_matrices, reading
 from charms_bench.report.figures.human_driving import draw_quantity
 from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.figures.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
@@ -106,7 +106,7 @@ def test_a_matrix_has_egos_down_and_traffics_across(tmp_path: Path) -> None:
     assert all(f"<!-- {name} -->" in svg for name in ("B|C", "busy", "28.0", "3.0"))
 
 
-def test_a_darker_field_is_worse_and_equal_proportions_are_equally_dark() -> None:
+def test_a_darker_field_is_higher_and_equal_proportions_are_equally_dark() -> None:
     names = ("crashed_episodes", "traffic_crashed", "speed_mean", "conflicts_per_1000km")
     rows = {"A": (0.5, 0.25, 25.0, 900.0), "B": (0.1, 0.5, 20.0, 1_900.0)}
     of_busy = {"A": (0.25, 0.1, 33.0, 0.0), "B": (0.2, 0.2, 30.0, 0.0)}
@@ -125,8 +125,10 @@ def test_a_darker_field_is_worse_and_equal_proportions_are_equally_dark() -> Non
     crashed, traffic, speed = (light[f"s-{name}"] for name in names[:3])
     assert crashed[50.0] < crashed[25.0] < crashed[10.0]
     assert all(traffic[each] == crashed[each] for each in (10.0, 20.0, 25.0, 50.0))
-    assert speed[20.0] < speed[25.0] < speed[33.0]
+    assert speed[33.0] < speed[25.0] < speed[20.0]
     assert "1,900.0" in "".join(map(markdown, found))
+    worse = {each.name for each in found if "worse: higher" in reading(each)}
+    assert worse == {f"s-{name}" for name in names if name != "speed_mean"}
 
 
 def test_the_timelines_of_two_futures_share_their_axes_up_to_the_later_end() -> None:

@@ -187,6 +187,14 @@ def test_a_planner_is_rejected_by_name() -> None:
         plan(suite("mpc", "merge-v0"), "batched")
 
 
+def test_a_planner_is_rejected_once_for_several_roads() -> None:
+    roads = [suite("mpc", road).traffics[0] for road in ("merge-v0", "u-turn-v0")]
+    both = suite("mpc", "merge-v0").model_copy(update={"traffics": tuple(roads)})
+    with pytest.raises(SuiteError, match=r"copies of a straight road \(also mpc in u-t") as raised:
+        plan(both, "batched")
+    assert not hasattr(raised.value, "__notes__")
+
+
 def test_an_unknown_road_is_rejected_by_name() -> None:
     with pytest.raises(InputError, match=r"no road named 'merge-v9'.*merge-v0"):
         plan(suite("idm_mobil", "merge-v9"), "batched")

@@ -9,17 +9,19 @@ from matplotlib.figure import Figure
 
 from charms_bench.report.figures.drawing import heat_map, panels
 from charms_bench.report.formatting import write_cells
-from charms_bench.report.suite_table import HIGHER_IS_BETTER, MATRICES
+from charms_bench.report.suite_table import HIGHER_IS_BETTER, MATRICES, NO_DIRECTION
 from charms_bench.report.table import Table
 
-COLOURS = "Reds"
-"""Of all heat maps; darker is worse."""
+COLOURS, WITHOUT_DIRECTION = "Reds", "Blues"
+"""Of heat maps in which darker is worse, and of those in which it is only higher."""
 SIDE_BY_SIDE = 3
 
 
 def reading(matrix: Table) -> str:
     """What the colours of a matrix mean."""
     metric = _metric(matrix)
+    if metric in NO_DIRECTION:
+        return "Darker is higher, which is neither better nor worse."
     scale = " All proportions have one scale of colours." if _is_proportion(metric) else ""
     return f"Darker is worse: {'lower' if metric in HIGHER_IS_BETTER else 'higher'} values.{scale}"
 
@@ -51,5 +53,6 @@ def _is_proportion(metric: str) -> bool:
 
 def _colours(metric: str) -> dict[str, Any]:
     """Options of `heat_map`; proportions are in percent, roots of which tell small ones apart."""
-    colours = f"{COLOURS}{'_r' if metric in HIGHER_IS_BETTER else ''}"
+    colours = WITHOUT_DIRECTION if metric in NO_DIRECTION else COLOURS
+    colours += "_r" * (metric in HIGHER_IS_BETTER)
     return {"cmap": colours, "norm": PowerNorm(0.5, 0, 100) if _is_proportion(metric) else None}

@@ -166,7 +166,9 @@ def _pictures(source: Evaluation, folder: Path) -> list[Picture]:
     if len(suite.cells) > 1 and table.places(tradeoff.across, tradeoff.share):
         of_egos = tradeoff is OF_EGOS
         title = f"{'Speed' if of_egos else 'Density'} against safety"
-        caption = "With 95 % intervals." + " Further right and further down is better." * of_egos
+        caption = (
+            "With 95 % intervals." + " Further right is faster, further down is safer." * of_egos
+        )
         figure = draw_tradeoff(table, tradeoff, 9.6, 4.4)
         picture = _picture(f"{key}-tradeoff", title, caption, figure, wide=True)
         small = draw_tradeoff(table, tradeoff, *NARROW_INCHES, is_narrow=True)
