@@ -25,7 +25,7 @@ from charms_bench.runs.suite import Suite
 from charms_bench.testing import verify
 from charms_bench.testing.verify import Case
 from charms_bench.world.actions import DEFAULT_ACTIONS, FASTER, MetaAction
-from charms_bench.world.observations import FRONT, neighbours
+from charms_bench.world.observations import FRONT
 from charms_bench.world.picture import status_of
 from charms_bench.world.scene import SceneSettings
 
@@ -103,7 +103,7 @@ def test_searches_try_every_action_of_the_driver(cell: RecordedCell) -> None:
 def test_a_dataset_has_its_space_and_its_environment(cell: RecordedCell) -> None:
     policy = check_policy(cell)
     assert policy.actions == SIX
-    spec = environment_of(cell.cell, neighbours, SIX)
+    spec = environment_of(cell.cell, policy)
     assert spec is not None
     assert json.dumps(spec.kwargs["actions"]) == TEXT
     environment = spec.make()
