@@ -209,7 +209,8 @@ def test_the_report_does_not_say_that_a_road_has_the_lanes_of_the_scene(made: An
 
 def test_the_time_to_the_goal_counts_episodes_with_the_goal_only() -> None:
     rows = {"episode": [0, 1, 2], "ending": ["goal", "time", "goal"], "steps": [3, 9, 6]}
-    episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0]})
+    on_roads = {"traffic_vehicles": pl.Series([None] * 3, dtype=pl.Int64)}
+    episodes = pl.DataFrame({**rows, "duration_s": [1.0, 3.0, 2.0], **on_roads})
     reached, time = ROADS.metrics[:2]
     sums = episodes.group_by("episode", maintain_order=True).agg(
         *(
