@@ -156,7 +156,10 @@ def test_a_moved_run_folder_has_the_networks_of_its_traffic(
             "nets/none.onnx",
             "suite.yaml:5: traffic_models[0].traffic: {0}/nets/none.onnx: cannot be read: No",
         ),
-        ("nets/none.onnx", "directory; `charms-bench export CHECKPOINT.zip --to {0}/nets` makes it"),
+        (
+            "nets/none.onnx",
+            "directory; `charms-bench export CHECKPOINT.zip --to {0}/nets` makes it",
+        ),
         (
             "\n      mixture:\n        idm_mobil: 0.5\n        nets/bad.onnx: 0.5",
             "suite.yaml:8: traffic_models[0].traffic.mixture.nets/bad.onnx: {0}/nets/bad.onnx: is",
