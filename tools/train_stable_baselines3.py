@@ -89,7 +89,7 @@ class Conditions(EpisodesVecEnv):
                 scene,
                 scenes // len(places),
                 traffic,
-                {name: drivers[name] for name in traffic.agents},
+                drivers,
                 stage.reward_of(suite.weights[stage.weights]),
                 suite.first_episode_seed + k * (EPISODES_OF_A_SEED // len(places)),
                 suite.observed,

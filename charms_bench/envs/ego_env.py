@@ -25,13 +25,15 @@ from charms_bench.envs.vector_env import HighwayVectorEnv, state_in
 from charms_bench.errors import InputError, problem_in
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
+from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, Traffic
 from charms_bench.world.observations import ObservationLike, observation_of
+from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
-TrafficLike = str | Mapping[str, float] | Traffic
-"""A traffic, the name of a traffic or of an agent, or shares of agents. The path of an ONNX file is
-the name of an agent."""
+TrafficLike = str | Mapping[str, Any] | Traffic
+"""A traffic, the name of a traffic or of an agent, shares of agents, or a scenario as in a suite,
+`{"scenario": {...}}`. The path of an ONNX file is the name of an agent."""
 
 
 class EgoEnv(gymnasium.Env[Observations, Any]):
@@ -73,11 +75,13 @@ class EgoEnv(gymnasium.Env[Observations, Any]):
         lateral: bool = True,
         **scene: Any,
     ) -> None:
+        settings, around, agents = surroundings(traffic, scene, ID)
         self._learners = Learners(
-            scene_settings(scene),
+            settings,
             1,
             (0,),
-            *made_traffic(traffic),
+            around,
+            agents,
             reward or reward_of(actions),
             observation_of(observation),
             render_mode,
@@ -193,10 +197,12 @@ def ego_vector_env(
     **scene: Any,
 ) -> HighwayVectorEnv[Any]:
     """Many episodes simulated together; see `EgoEnv` and `HighwayVectorEnv`."""
+    settings, around, agents = surroundings(traffic, scene, ID)
     return HighwayVectorEnv(
-        scene_settings(scene),
+        settings,
         num_envs,
-        *made_traffic(traffic),
+        around,
+        agents,
         reward or reward_of(actions),
         first_seed,
         observation_of(observation),
@@ -213,22 +219,30 @@ def reward_of(actions: GivenLike) -> Reward[Any]:
     return ProgressReward() if actions == "continuous" else HighwayReward()
 
 
-def scene_settings(scene: dict[str, Any], environment: str = ID) -> SceneSettings:
-    """The settings with the keys of a suite's `scene`.
+def surroundings(
+    traffic: TrafficLike, scene: dict[str, Any], environment: str
+) -> tuple[SceneSettings, Traffic, dict[str, Agent]]:
+    """The settings with the keys of a suite's `scene`, a traffic, and its agents by name.
 
     Raises:
-        InputError: A key or a value is wrong; the message begins with the environment's name.
+        InputError: The traffic is not installed, or a key or a value is wrong; the message begins
+            with the environment's name.
     """
     try:
-        return SceneSettings.model_validate(scene)
+        settings = SceneSettings.model_validate(scene)
+        if isinstance(traffic, Mapping) and "scenario" in traffic:
+            placed = TrafficSpec.model_validate(traffic)
+            settings, traffic = settings.of_scenario(placed.scenario), placed.make()
     except ValidationError as error:
         raise InputError(f"{environment}: {problem_in(error)}") from error
+    return settings, *made_traffic(traffic)
 
 
-def made_traffic(traffic: TrafficLike) -> tuple[Traffic, dict[str, Agent]]:
+def made_traffic(traffic: str | Mapping[str, float] | Traffic) -> tuple[Traffic, dict[str, Agent]]:
     """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)
     elif not isinstance(traffic, Traffic):
         traffic = Mixture(traffic)
-    return traffic, {name: make_agent(name) for name in traffic.agents}
+    driving = (name for name in traffic.agents if name != PRESCRIBED)
+    return traffic, {name: make_agent(name) for name in driving}

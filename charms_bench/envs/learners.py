@@ -1,6 +1,7 @@
 """L vehicles in each of B scenes that the caller drives: what every environment steps."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from operator import index
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -16,7 +17,7 @@ from charms_bench.envs import ID
 from charms_bench.envs.given_actions import GivenActions, GivenLike
 from charms_bench.envs.rendering import Frame, Renderer, frame_of, moment_of
 from charms_bench.envs.spaces import spaces_of
-from charms_bench.errors import InputError
+from charms_bench.errors import InputError, ScenarioError
 from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.traffic import OneAgent, Traffic, assigned
 from charms_bench.world.action_mask import ActionMasks, action_masks
@@ -107,7 +108,9 @@ class Learners:
         if len(self.numbers) == settings.vehicles > 1:
             driven = OneAgent("")
         like = self.actions.like
-        self.simulation = Simulation(settings, scenes, None, driven, agents, actions=like)
+        self._title = title
+        with self._placing():
+            self.simulation = Simulation(settings, scenes, None, driven, agents, actions=like)
         self.returns = np.zeros(self.scene_of.size)
         """(B L,) sums of the rewards so far."""
         self._are_egos = len(self.numbers) == 1
@@ -118,7 +121,6 @@ class Learners:
         self.renderer = Renderer(scenes, settings.decision_hz, render_mode, title)
         self.observation = observation
         self._reward: Any = reward
-        self._title = title
         self._has_started = False
 
     @property
@@ -140,7 +142,8 @@ class Learners:
 
     def reset(self, seeds: NDArray[np.uint64], rows: Ints) -> None:
         """Starts an episode in each of the scenes `rows`, in which all learners drive."""
-        self.simulation.reset(seeds, rows)
+        with self._placing():
+            self.simulation.reset(seeds, rows)
         self._has_started = True
         which = self.of_scenes(rows)
         self.returns[which] = 0.0
@@ -148,6 +151,15 @@ class Learners:
             ego, others = self.simulation.scene.ego[rows, None], np.array(self.numbers) - 1
             self._places[which] = np.where(others < 0, ego, others + (others >= ego)).ravel()
             self._alive[which] = True
+
+    @contextmanager
+    def _placing(self) -> Iterator[None]:
+        """Says where in a scenario the mistake is because of which it cannot be placed."""
+        try:
+            yield
+        except ScenarioError as error:
+            at = ".".join(map(str, ("scenario", *error.location)))
+            raise InputError(f"{self._title}: {at}: {error}") from error
 
     def of_scenes(self, rows: Ints) -> Ints:
         """The indices (R L,) of the learners of R scenes."""

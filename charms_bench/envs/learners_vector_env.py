@@ -5,7 +5,7 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
+from charms_bench.envs.ego_env import TrafficLike, surroundings
 from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
@@ -58,7 +58,7 @@ class LearnersVectorEnv(ScenesVectorEnv):
         **scene: Any,
     ) -> None:
         title = type(self).__name__
-        settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
+        settings, around, agents = surroundings(traffic, scene, title)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
         made = Learners(settings, scenes, learners, *how, actions, longitudinal, lateral)

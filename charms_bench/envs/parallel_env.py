@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.endings import ENDINGS, RUNNING
 from charms_bench.engine.simulation import Simulation
-from charms_bench.envs.ego_env import TrafficLike, made_traffic, scene_settings
+from charms_bench.envs.ego_env import TrafficLike, surroundings
 from charms_bench.envs.given_actions import MetaLike
 from charms_bench.envs.highway_reward import highway_rewards
 from charms_bench.envs.learners import Learners, VehicleReward
@@ -121,7 +121,7 @@ class HighwayParallelEnv(NamedAgents):
         **scene: Any,
     ) -> None:
         title = type(self).__name__
-        settings, (around, agents) = scene_settings(scene, title), made_traffic(traffic)
+        settings, around, agents = surroundings(traffic, scene, title)
         seen = observation_of(observation)
         how = (around, agents, reward, seen, render_mode, title)
         self._learners = Learners(settings, 1, learners, *how, actions, longitudinal, lateral)

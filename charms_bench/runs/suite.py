@@ -23,8 +23,8 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
 from charms_bench.world.moments import moments_of
 from charms_bench.world.placement import driver_parameters, place
-from charms_bench.world.scenario import PRESCRIBED
-from charms_bench.world.scene import EVALUATION_SEEDS, SceneSettings
+from charms_bench.world.scenario import PRESCRIBED, Scenario
+from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
 from charms_bench.world.vehicle_types import check_driver_parameters
 
 EPISODES_LIMIT = 10_000_000
@@ -286,16 +286,30 @@ def check_scenarios(document: Document, suite: Suite) -> None:
             assert scenario is not None
             last = min(first + PLACED_AT_ONCE, suite.episodes)
             numbers = np.arange(suite.seed + first, suite.seed + last)
-            try:
-                settings = suite.scene.of_scenario(scenario)
-                place(scenario, settings, numbers)
-                for k, vehicle in enumerate(scenario.vehicles):
-                    if vehicle.driver_parameters:
-                        ranges = _ranges_of(str(vehicle.agent))
-                        driver_parameters(scenario, k, settings, ranges, numbers)
-            except ScenarioError as error:
-                at = ("traffic_models", index, "traffic", "scenario", *error.location)
-                raise document.error(at, str(error)) from error
+            at = ("traffic_models", index, "traffic", "scenario")
+            check_placement(document, at, scenario, suite.scene, numbers)
+
+
+def check_placement(
+    document: Document, at: Location, scenario: Scenario, scene: SceneSettings, numbers: Ints
+) -> None:
+    """Checks that the vehicles of a scenario, which a document has at `at`, can be placed.
+
+    Args:
+        numbers: (R,) the numbers of the scenario's points.
+
+    Raises:
+        SuiteError: They cannot; names the line, and the values of the parameters.
+    """
+    settings = scene.of_scenario(scenario)
+    try:
+        place(scenario, settings, numbers)
+        for k, vehicle in enumerate(scenario.vehicles):
+            if vehicle.driver_parameters:
+                ranges = _ranges_of(str(vehicle.agent))
+                driver_parameters(scenario, k, settings, ranges, numbers)
+    except ScenarioError as error:
+        raise document.error((*at, *error.location), str(error)) from error
 
 
 def _check_types(document: Document, suite: Suite) -> None:

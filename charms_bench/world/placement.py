@@ -108,7 +108,7 @@ def _check_points(scenario: Scenario, numbers: NDArray[Any]) -> None:
     if count is not None and last >= count:
         raise ScenarioError(
             ("points",), f"has {count:,} points; episode {last} needs {last + 1:,}, because its "
-            "seed is the number of its point"
+            "seed is the number of its point; `points: random` have no end"
         )  # fmt: skip
 
 

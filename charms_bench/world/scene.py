@@ -92,10 +92,14 @@ _OF_TRAFFIC = {"network": {"what": "a `road`"}, "scenario": {"what": "the scenar
 """Fields that the traffic model of a cell decides, and no key of a scene."""
 
 
+ProfileLike = Annotated[Profile, BeforeValidator(_with_overrides)]
+"""A profile, its name, or its name and other values for some of its fields."""
+
+
 class SceneSettings(FrozenModel):
     """What every scene of a suite has in common."""
 
-    profile: Annotated[Profile, BeforeValidator(_with_overrides)] = CHARMS
+    profile: ProfileLike = CHARMS
     """A profile, its name, or its name and other values for some of its fields."""
     lanes: Annotated[int, Field(ge=2, le=8)] = 3
     """Lanes of the road; lane 0 is the leftmost."""
@@ -223,9 +227,15 @@ class SceneSettings(FrozenModel):
         """The same settings for the vehicles of a scenario; for None, these settings.
 
         A scenario gives its vehicles' sizes itself, so types have no effect on it.
+
+        Raises:
+            InputError: Something else places vehicles, too.
         """
         if scenario is None:
             return self
+        for name in ("inflow", "recording"):
+            if getattr(self, name):
+                raise InputError(f"scene.{name}: a scenario places all vehicles; remove one")
         changes = {"scenario": scenario, "traffic_vehicles": len(scenario.vehicles), "ego_slots": 1}
         changes |= {"vehicle_types": (), "ego_type": None, "inflow": None}
         return self.model_copy(update=changes)

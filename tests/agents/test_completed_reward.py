@@ -26,9 +26,14 @@ SAFE = Weights(safety=1.0, efficiency=0.8, comfort=0.2)
 HZ = SceneSettings().decision_hz
 
 
-def reward_of(simulation: Simulation, weights: Weights, angle_rad: float = 0.0) -> float:
+def reward_of(
+    simulation: Simulation,
+    weights: Weights,
+    angle_rad: float = 0.0,
+    scales: RewardScales | None = None,
+) -> float:
     """The reward of a decision in which nothing changes."""
-    reward = CompletedReward(weights, angle_rad, RewardScales())
+    reward = CompletedReward(weights, angle_rad, scales or RewardScales())
     return float(reward(simulation, reward.prepare(simulation, IDLING))[0])
 
 
@@ -95,6 +100,15 @@ def test_efficiency_is_1_at_the_desired_speed_and_falls_on_both_sides(
     speed_mps: float, expected: float
 ) -> None:
     assert reward_of(simulation_of((500.0, 1, speed_mps)), EFFICIENCY) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("speed_mps", "expected"), [(8.0, 0.0), (10.0, 0.0), (20.0, 0.5)])
+def test_efficiency_is_0_at_a_slow_speed_that_can_be_given(
+    speed_mps: float, expected: float
+) -> None:
+    scales = RewardScales(slow_speed_mps=10.0)
+    simulation = simulation_of((500.0, 1, speed_mps))
+    assert reward_of(simulation, EFFICIENCY, scales=scales) == pytest.approx(expected)
 
 
 def comfort(gained_mps: float, acceleration: float, target_lane: int | None = None) -> float:
@@ -255,5 +269,5 @@ def test_the_page_has_the_values_of_its_examples() -> None:
 
 def test_the_page_has_the_defaults_of_all_scales() -> None:
     page = (Path(__file__).parents[2] / "docs" / "reward.md").read_text(encoding="utf-8")
-    for name, value in RewardScales().model_dump().items():
+    for name, value in RewardScales().model_dump(exclude_none=True).items():
         assert f"`{name}` ({value:g}" in page

@@ -12,9 +12,10 @@ from charms_agents.training.rewards import StyleReward, Weights
 from handmade_scene import Idle
 
 from charms_bench.envs.vector_env import HighwayVectorEnv
-from charms_bench.plugins.traffic import OneAgent
+from charms_bench.plugins.traffic import OneAgent, Placed
 from charms_bench.world.actions import ACTIONS
 from charms_bench.world.observations import Neighbours
+from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 
 COUNTS, LANES = (2, 3), (2, 4)
@@ -31,6 +32,35 @@ def environment(which: int) -> HighwayVectorEnv[Any]:
     return HighwayVectorEnv(
         settings, COUNTS[which], OneAgent("idle"), agents, reward, first_seed, seen
     )
+
+
+CUT_OUT = Scenario.model_validate(
+    {
+        "parameters": {"gap_m": [20, 60]},
+        "points": "random",
+        "ego": {"lane": 1, "speed_mps": 28.0},
+        "vehicles": [
+            {
+                "name": "leader",
+                "lane": 1,
+                "ahead_of": "ego",
+                "gap_m": 30,
+                "speed_mps": 28.0,
+                "actions": [{"at_s": 0, "lane": 0, "duration_s": 2}],
+            },
+            {"name": "standing", "lane": 1, "ahead_of": "leader", "gap_m": "gap_m", "speed_mps": 0},
+        ],
+    }
+)
+
+
+def hazards() -> HighwayVectorEnv[Any]:
+    settings = SceneSettings.model_validate(
+        {"duration_s": 4.0, "profile": {"name": "charms", "speed_min_mps": 0.0}}
+    ).of_scenario(CUT_OUT)
+    reward = StyleReward(Weights(safety=1.0, efficiency=1.0, comfort=1.0), 0.0)
+    seen = Neighbours(commands=True)
+    return HighwayVectorEnv(settings, 4, Placed(CUT_OUT.agents), {}, reward, 2**40, seen)
 
 
 def both() -> Episodes:
@@ -85,6 +115,21 @@ def test_saved_episodes_go_on_in_environments_that_are_made_anew() -> None:
     np.testing.assert_array_equal(resumed.load_arrays(stored), step.observed)
     for actions in decisions(30, seed=1):
         assert_same(resumed.step(actions), whole.step(actions))
+
+
+def test_saved_episodes_of_a_scenario_go_on_in_an_environment_that_is_made_anew() -> None:
+    whole = Episodes([hazards()])
+    whole.reset()
+    for actions in decisions(9)[:, :4]:
+        step = whole.step(actions)
+    stored = {name: array.copy() for name, array in whole.arrays().items()}
+    resumed, ended = Episodes([hazards()]), 0
+    np.testing.assert_array_equal(resumed.load_arrays(stored), step.observed)
+    for actions in decisions(30, seed=1)[:, :4]:
+        step = whole.step(actions)
+        assert_same(resumed.step(actions), step)
+        ended += int(step.ended.sum())
+    assert ended > 4
 
 
 def test_one_environment_alone_is_stepped_as_it_is() -> None:

@@ -224,6 +224,64 @@ def test_what_is_wrong_with_priors_and_conditions_is_named_with_its_place(
         load_training(file)
 
 
+STANDING: dict[str, Any] = {
+    "parameters": {"gap_m": [40, 150]},
+    "points": "random",
+    "ego": {"lane": 1, "speed_mps": 26.0},
+    "vehicles": [
+        {"name": "standing", "lane": 1, "ahead_of": "ego", "gap_m": "gap_m", "speed_mps": 0},
+        {"name": "beside", "lane": 0, "x_m": 80, "speed_mps": 26.0, "agent": "human"},
+    ],
+}
+SLOW = {
+    "name": "charms",
+    "speed_min_mps": 0.0,
+    "target_speed_min_mps": 0.0,
+    "target_speed_steps_mps": [0.25, 0.5, 1.0, 2.0],
+}
+
+
+def test_a_scenario_and_another_profile_can_be_a_condition(tmp_path: Path) -> None:
+    conditions = [{"lanes": 3}, {"traffic": {"scenario": STANDING}, "profile": SLOW}]
+    file = changed(tmp_path, "conditions", "level_0", value=conditions, suite=SHIPPED)
+    suite = load_training(file)
+    stage = suite.stages["level_1"]
+    assert suite.drivers_of(stage) == ("human",)
+    (plain, _), (placed, traffic) = suite.places_of(stage)
+    assert plain.scenario is None
+    assert plain.profile.speed_min_mps == 22.0
+    assert placed.scenario is not None
+    assert placed.vehicles == 3
+    assert placed.profile.speed_min_mps == placed.profile.target_speed_min_mps == 0.0
+    assert traffic.agents == ("prescribed", "human")
+
+
+@pytest.mark.parametrize(
+    ("condition", "message"),
+    [
+        (
+            {"traffic": {"scenario": {**STANDING, "points": "sobol"}}},
+            "scenario.points: expected random, for episodes of a training",
+        ),
+        (
+            {"traffic": {"scenario": STANDING}},
+            r"level_0\[0\].traffic.scenario.vehicles\[0\].speed_mps: 0 is out of range; expected",
+        ),
+        ({"traffic": {"road": "merge-v0"}}, "networks learn on the straight road; remove the road"),
+        (
+            {"profile": "charms"},
+            r"profile: target_speed_steps_mps: found \[\]; expected those of the stage 'level_1', ",
+        ),
+    ],
+)
+def test_conditions_in_which_networks_cannot_learn_are_named(
+    tmp_path: Path, condition: dict[str, Any], message: str
+) -> None:
+    file = changed(tmp_path, "conditions", "level_0", value=[condition], suite=SHIPPED)
+    with pytest.raises(SuiteError, match=rf"train\.yaml:\d+: .*{message}"):
+        load_training(file)
+
+
 @pytest.mark.parametrize(
     ("remaining", "expected"), [(1.0, 1e-3), (0.5, 1e-3), (0.25, 5e-4), (0.0, 0.0)]
 )

@@ -29,6 +29,32 @@ from charms_bench.world.scene import EVALUATION_SEEDS, Floats, SceneSettings
 SHORT = {"duration_s": 2.0, "traffic_vehicles": 8}
 
 
+CUT_IN = {
+    "scenario": {
+        "parameters": {"gap_m": [5, 50], "closing_mps": [2, 6]},
+        "ego": {"lane": 1, "speed_mps": 28.0},
+        "vehicles": [
+            {
+                "name": "cutter",
+                "lane": 0,
+                "ahead_of": "ego",
+                "gap_m": "gap_m",
+                "speed_mps": "28 - closing_mps",
+                "actions": [{"at_s": 0.5, "lane": 1, "duration_s": 3.0}],
+            },
+            {
+                "name": "behind",
+                "lane": 1,
+                "behind": "ego",
+                "gap_m": 40,
+                "speed_mps": 28.0,
+                "agent": "idm_mobil",
+            },
+        ],
+    }
+}
+
+
 class Forward:
     """The ego's speed, m/s."""
 
@@ -103,6 +129,33 @@ def test_an_episode_is_that_of_a_simulation_with_the_same_seed() -> None:
                 simulation.step(np.array([next(actions)]))
         assert steps[-1][4]["ending"] == ENDINGS[simulation.ending[0]]
         assert simulation.ending[0] != RUNNING
+
+
+def test_the_traffic_can_be_a_scenario_whose_points_are_the_seeds() -> None:
+    env, many = made(traffic=CUT_IN), ego_vector_env(4, CUT_IN)
+    together, _ = many.reset(seed=20)
+    gaps = []
+    for seed in range(20, 24):
+        steps = until_over(env, seed, whims(seed))
+        np.testing.assert_array_equal(together[seed - 20], steps[0][0])
+        simulation = env.unwrapped.simulation
+        assert simulation.drivers.tolist() == [["", "prescribed", "idm_mobil"]]
+        env.reset(seed=seed)
+        front = simulation.scene.x[0, 0] + 5.0
+        gaps.append(simulation.scene.x[0, 1] - front)
+        assert simulation.scene.x[0, 2] == simulation.scene.x[0, 0] - 45.0
+    assert min(gaps) >= 5.0
+    assert max(gaps) <= 50.0
+    assert len(set(gaps)) == 4
+
+
+def test_episodes_of_a_scenario_without_a_seed_need_points_without_end() -> None:
+    with pytest.raises(InputError, match=r"has 1,073,741,824 points; .*`points: random`"):
+        made(traffic=CUT_IN).reset()
+    drawn = {"scenario": {**CUT_IN["scenario"], "points": "random"}}
+    many = ego_vector_env(3, drawn)
+    seen, _ = many.reset()
+    assert len(np.unique(seen[:, 1, 1])) == 3
 
 
 def test_the_vector_environment_has_the_same_episodes() -> None:
@@ -257,6 +310,15 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
         ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
         ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),
+        ({"traffic": {"scenario": {}}}, "charms_bench/Ego-v0: scenario.ego: Field required"),
+        (
+            {"traffic": CUT_IN, "inflow": {"vehicles_per_hour_and_lane": 900, "capacity": 9}},
+            "scene.inflow: a scenario places all vehicles; remove one",
+        ),
+        (
+            {"traffic": {"scenario": {**CUT_IN["scenario"], "ego": {"lane": 4, "speed_mps": 28}}}},
+            "charms_bench/Ego-v0: scenario.ego.lane: lane 4 is not on the road",
+        ),
     ],
 )
 def test_what_cannot_be_is_one_message(arguments: dict[str, Any], message: str) -> None:

@@ -78,8 +78,7 @@ def _driven(
     actions: Sequence[MetaAction],
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
     """Observations (D, B, rows, columns), actions (D, B), and which of them are samples (D, B)."""
-    agents = {name: others[name] for name in traffic.agents} | {_EGO: driver}
-    simulation = Simulation(scene, seeds.size, _EGO, traffic, agents)
+    simulation = Simulation(scene, seeds.size, _EGO, traffic, {**others, _EGO: driver})
     simulation.reset(seeds)
     egos, now = simulation.ego_vehicles, simulation.scene
     speeds, seen, running, lanes, targets = [now.speed[egos]], [], [], [], []

@@ -47,7 +47,9 @@ class RewardScales(FrozenModel):
     leader_loses_mps: NonNegative = 5.0
     """The speed that a vehicle ahead may lose."""
     desired_speed_mps: Positive = 30.0
-    """r_e is 1 at this speed, and 0 at the profile's lowest target speed."""
+    """r_e is 1 at this speed."""
+    slow_speed_mps: NonNegative | None = None
+    """r_e is 0 at this speed and below; by default, it is the profile's lowest target speed."""
     acceleration_mps2: Positive = 0.6
     """A mean acceleration of this over a decision takes 1 off r_c, twice this takes 4."""
     jerk_mps3: Positive = 3.0
@@ -114,8 +116,9 @@ class CompletedReward:
     def _efficiency(self, simulation: Simulation) -> Floats:
         """r_e (B,), at most 1."""
         scene, egos = simulation.scene, simulation.ego_vehicles
-        slowest = simulation.settings.profile.target_speed_min_mps
-        desired = self.scales.desired_speed_mps
+        slowest, desired = self.scales.slow_speed_mps, self.scales.desired_speed_mps
+        if slowest is None:
+            slowest = simulation.settings.profile.target_speed_min_mps
         forward = scene.speed[egos] * scene.direction_x[egos]
         return 1 - np.abs(desired - forward.clip(slowest)) / (desired - slowest)
 

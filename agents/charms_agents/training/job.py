@@ -109,7 +109,7 @@ def reinforcement_job(
     # An option at the paper's value is left out, so that stages without it keep their keys.
     options = _conditions(suite, stage)
     if stage.reward is not None:
-        options["reward"] = stage.reward.model_dump(mode="json")
+        options["reward"] = stage.reward.model_dump(mode="json", exclude_none=True)
     interface = suite.model_dump(include=INTERFACE, exclude_defaults=True)
     angle = stage.model_dump(include={"svo_angle_rad"}, exclude_defaults=True)
     if prior is not None:

@@ -41,8 +41,7 @@ def own_driving(
     observed: list[Observations] = []
     for scene, traffic in places:
         episodes = EPISODES // len(places)
-        agents = {name: drivers[name] for name in traffic.agents}
-        simulation = Simulation(scene, episodes, None, traffic, agents, actions=meta_actions)
+        simulation = Simulation(scene, episodes, None, traffic, drivers, actions=meta_actions)
         simulation.reset(np.arange(first_seed, first_seed + episodes, dtype=np.uint64))
         first_seed += episodes
         running = simulation.scene.active

@@ -48,7 +48,7 @@ class Reinforcement:
                     scene,
                     h.scenes // len(places),
                     traffic,
-                    {name: drivers[name] for name in traffic.agents},
+                    drivers,
                     reward,
                     first_seed + k * (EPISODES_OF_A_SEED // len(places)),
                     suite.observed,

@@ -23,7 +23,8 @@ from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.world.action_texts import MetaActionsField
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
 from charms_bench.world.observations import Neighbours, named_observation
-from charms_bench.world.scene import SceneSettings
+from charms_bench.world.scenario import PRESCRIBED
+from charms_bench.world.scene import ProfileLike, SceneSettings
 
 FIRST_TRAINING_SEED = 2**40
 """Trainings use seeds from here on; evaluations use seeds below 10^9, so none coincide."""
@@ -40,11 +41,22 @@ class Condition(FrozenModel):
     lanes: Annotated[int, Field(ge=2, le=8)] | None = None
     density: Positive | None = None
     duration_s: Positive | None = None
+    profile: ProfileLike | None = None
     traffic: TrafficSpec | None = None
+    """A scenario's `points` are `random`, because training episodes have other seeds than the
+    episodes of evaluations."""
+
+    @model_validator(mode="after")
+    def _points_are_drawn(self) -> "Condition":
+        scenario = self.traffic and self.traffic.scenario
+        if scenario and scenario.points != "random":
+            raise ValueError("traffic.scenario.points: expected random, for episodes of a training")
+        return self
 
     def applied(self, scene: SceneSettings) -> SceneSettings:
-        """The scene of these episodes."""
-        changes = self.model_dump(include={"lanes", "density", "duration_s"}, exclude_none=True)
+        """The scene of these episodes, without a scenario."""
+        names = {"lanes", "density", "duration_s", "profile"}
+        changes = self.model_dump(include=names, exclude_none=True)
         return SceneSettings.model_validate({**scene.model_dump(), **changes})
 
 
@@ -251,15 +263,18 @@ class TrainingSuite(FrozenModel):
 
     def places_of(self, stage: Stage | SimulatedDrivers) -> list[tuple[SceneSettings, Traffic]]:
         """The scenes and traffics in which a stage learns; see `traffic_of`."""
-        return [
-            (each.applied(stage.scene), self.traffic_of(each.traffic or stage.traffic))
-            for each in self.conditions_of(stage)
-        ]
+        found = []
+        for each in self.conditions_of(stage):
+            traffic = each.traffic or stage.traffic
+            scene = each.applied(stage.scene).of_scenario(traffic.scenario)
+            found.append((scene, self.traffic_of(traffic)))
+        return found
 
     def drivers_of(self, stage: Stage | SimulatedDrivers) -> tuple[str, ...]:
         """The names of all agents in the traffics of a stage; see `traffic_of`."""
         agents = (traffic.agents for _, traffic in self.places_of(stage))
-        return tuple(dict.fromkeys(name for names in agents for name in names))
+        named = dict.fromkeys(name for names in agents for name in names)
+        return tuple(name for name in named if name != PRESCRIBED)
 
     @property
     def needs(self) -> dict[str, tuple[str, ...]]:

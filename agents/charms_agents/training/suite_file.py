@@ -3,12 +3,18 @@
 from graphlib import CycleError
 from pathlib import Path
 
+import numpy as np
+
 from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
 from charms_agents.training.settings import TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
-from charms_bench.runs.document import Document
+from charms_bench.runs.document import Document, Location
+from charms_bench.runs.suite import check_placement
+
+PLACED = 1_000
+"""Points of a scenario that are tried before a network learns in it."""
 
 
 def load_training(path: Path, seed: int | None = None, steps: int | None = None) -> TrainingSuite:
@@ -54,6 +60,7 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         if stage.weights not in suite.weights:
             there = f"this file has: {', '.join(suite.weights) or 'none'}"
             raise document.error((*at, "weights"), f"no weights named '{stage.weights}'; {there}")
+        _check_conditions(document, suite, name)
         try:
             for driver in suite.drivers_of(stage):
                 if is_network(driver):
@@ -81,6 +88,31 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         what = f"stages depend on each other: {' <- '.join(error.args[1])}"
         raise document.error(("stages",), what) from error
     return suite
+
+
+def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> None:
+    """Refuses roads, other steps of the target speed, and scenarios that cannot be placed."""
+    stage = suite.stages[name]
+    for index, condition in enumerate(suite.conditions_of(stage)):
+        at: Location = ("stages", name)
+        if stage.conditions is not None:
+            at = ("conditions", stage.conditions, index)
+        traffic, scene = condition.traffic or stage.traffic, condition.applied(stage.scene)
+        if traffic.road is not None:
+            raise document.error(
+                (*at, "traffic", "road"), "networks learn on the straight road; remove the road"
+            )
+        steps, expected = (each.profile.target_speed_steps_mps for each in (scene, stage.scene))
+        if steps != expected:
+            what = f"{[*steps]}; expected those of the stage '{name}', {[*expected]}"
+            where = (*at, "profile")
+            raise document.error(where, f"target_speed_steps_mps: found {what}")
+        if traffic.scenario is not None:
+            first = suite.first_episode_seed
+            numbers = np.arange(first, first + PLACED)
+            check_placement(
+                document, (*at, "traffic", "scenario"), traffic.scenario, scene, numbers
+            )
 
 
 def _check_prior(document: Document, suite: TrainingSuite, name: str) -> None:
