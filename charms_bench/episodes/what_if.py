@@ -9,6 +9,7 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, Seat, replay, simulate
 from charms_bench.episodes.what_happened import what_happened
 from charms_bench.errors import InputError
+from charms_bench.foundation.names import shown_agent
 from charms_bench.world.scene import Floats
 from charms_bench.world.thresholds import HARSH_MPS2
 
@@ -51,7 +52,7 @@ class WhatIf:
 
     def __repr__(self) -> str:
         who = "the ego" if self.vehicle == self.recorded.ego else f"vehicle {self.vehicle}"
-        what = f"{self.agent} drives {who} from decision {self.step} on"
+        what = f"{shown_agent(self.agent)} drives {who} from decision {self.step} on"
         return f"<WhatIf of episode {self.recorded.episode}: {what}>"
 
     def __str__(self) -> str:

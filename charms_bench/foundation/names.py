@@ -65,3 +65,8 @@ def name_of_agent(agent: str) -> str:
     if slug(agent) == agent:
         return agent
     return f"{slug(Path(agent).stem)}-{sha256(agent.encode()).hexdigest()[:8]}"
+
+
+def shown_agent(agent: str) -> str:
+    """Returns what tables and pictures call an agent: its name, or the file of a network."""
+    return Path(agent).name if agent.endswith(".onnx") else agent

@@ -31,10 +31,10 @@ def new_agent(name: str, folder: Path, kind: Kind = "policy") -> tuple[Path, ...
         InputError: The name is invalid or taken, or the folder is not empty or cannot be written.
     """
     _check_name(name)
-    is_traffic = kind == "traffic"
+    is_traffic, title = kind == "traffic", "".join(map(str.capitalize, name.split("_")))
     words = {
         "name": name,
-        "policy": "".join(map(str.capitalize, name.split("_"))) + _CLASSES[kind],
+        "policy": title.removesuffix(_CLASSES[kind]) + _CLASSES[kind],
         "group": TRAFFIC if is_traffic else AGENTS,
         "make": "make_traffic" if is_traffic else "make_agent",
         "rules": "traffic_rules" if is_traffic else "agent_rules",
@@ -63,9 +63,12 @@ def new_agent(name: str, folder: Path, kind: Kind = "policy") -> tuple[Path, ...
 
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or iskeyword(name):
+        close = name.lower().replace("-", "_")
+        like = f", such as '{close}'" if _NAME.fullmatch(close) and not iskeyword(close) else ""
         raise InputError(
             f"'{name}' cannot be the name of a module; expected up to 50 lower-case letters, "
             "digits and underscores, starting with a letter and not ending with an underscore"
+            f"{like}"
         )
     if name in _OF_PYTEST:
         raise InputError(f"'{name}' has a special meaning to pytest; choose another name")

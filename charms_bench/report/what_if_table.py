@@ -3,6 +3,7 @@
 from dataclasses import asdict
 
 from charms_bench.episodes.what_if import WhatIf
+from charms_bench.foundation.names import shown_agent
 from charms_bench.report.table import Column, Table
 
 COLUMNS = (
@@ -29,16 +30,21 @@ def what_if_table(found: WhatIf) -> Table:
         for name, future in zip(("recorded", "what if"), pair, strict=True):
             who = "ego" if future.vehicle == found.recorded.ego else f"vehicle {future.vehicle}"
             records.append(
-                {"vehicle": who, "future": name, "driver": future.agent, **asdict(future)}
+                {
+                    "vehicle": who,
+                    "future": name,
+                    "driver": shown_agent(future.agent),
+                    **asdict(future),
+                }
             )
             records[-1]["vehicle"] = who
+    driver = shown_agent(found.agent)
     since_s = found.recorded.t_s[found.start]
     seated = "the ego" if found.vehicle == found.recorded.ego else f"vehicle {found.vehicle}"
     return Table.from_records(
         records,
         "what-if",
-        f"Episode {found.recorded.episode}: {found.agent} drives {seated} from decision "
-        f"{found.step} on",
+        f"Episode {found.recorded.episode}: {driver} drives {seated} from decision {found.step} on",
         ("vehicle", "future", "driver"),
         COLUMNS,
         note=f"Measured from decision {found.step}, at t = {since_s:z.1f} s, until the "

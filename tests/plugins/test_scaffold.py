@@ -86,6 +86,16 @@ def test_a_name_of_several_words_becomes_a_class(tmp_path: Path) -> None:
     assert "class TwoSecondRulePolicy(Policy):" in (tmp_path / "two_second_rule.py").read_text()
 
 
+def test_a_name_that_says_the_kind_says_it_once(tmp_path: Path) -> None:
+    new_agent("slow_policy", tmp_path)
+    assert "class SlowPolicy(Policy):" in (tmp_path / "slow_policy.py").read_text()
+
+
+def test_a_name_with_a_hyphen_brings_one_with_an_underscore(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not ending with an underscore, such as 'my_planner'"):
+        new_agent("my-planner", tmp_path)
+
+
 def test_an_empty_folder_is_filled_and_any_other_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="is not empty; give another folder with --folder"):

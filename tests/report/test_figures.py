@@ -13,6 +13,7 @@ from charms_bench.errors import InputError
 from charms_bench.report.figures.drawing import save
 from charms_bench.report.figures.heat_map import draw_matrices, reading
 from charms_bench.report.figures.human_driving import draw_quantity
+from charms_bench.report.figures.preventable import in_words
 from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.figures.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
 from charms_bench.report.markdown import markdown
@@ -149,6 +150,19 @@ def test_one_ego_or_one_traffic_needs_no_matrix() -> None:
 def test_a_figure_of_an_unknown_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected a name that ends in \.pdf, \.png, \.svg"):
         save(draw_tradeoff(cells(("A", "calm")), OF_EGOS), tmp_path / "t.jpeg")
+
+
+@pytest.mark.parametrize(
+    ("parameter", "expected"),
+    [
+        ("gap_m", "gap, m"),
+        ("braking_mps2", "braking, m/s²"),
+        ("side_gap", "side gap"),
+        ("s", "s"),
+    ],
+)
+def test_an_axis_has_the_parameter_in_words_and_its_unit(parameter: str, expected: str) -> None:
+    assert in_words(parameter) == expected
 
 
 def test_human_drivers_are_drawn_beside_every_traffic(tmp_path: Path) -> None:

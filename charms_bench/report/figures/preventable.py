@@ -28,6 +28,8 @@ OF_ONLY: tuple[dict[str, Any], ...] = (
     {"color": "#5b3fa0", "marker": "v"},
 )
 """Of collisions that only the first or only the second reference driver avoids."""
+UNITS = {"mps2": "m/s²", "mps": "m/s", "m": "m", "s": "s"}
+NO_EPISODE = "#e3e5e8"
 
 
 def survivors(suite: Suite) -> str:
@@ -78,17 +80,31 @@ def draw_preventable(suite: Suite, cells: Sequence[CellRows]) -> Figure | None:
         of_ego = kinds[ego, title]
         for name in sorted(of_ego, key=list(looks).index):
             chosen = of_ego[name]
-            axes.plot(x[chosen], y[chosen], linestyle="", markersize=2.5, **looks[name])
+            dots = {"linestyle": "", "markersize": 2.5, "clip_on": False, **looks[name]}
+            (line,) = axes.plot(x[chosen], y[chosen], **dots)
+            line.set_in_layout(False)  # else points on the edge take the room of the titles
         axes.set_title(f"{ego}: {title}", fontsize=8)
         axes.tick_params(labelsize=7)
-        axes.set_xlabel(across, fontsize=8)
-        axes.set_ylabel(up, fontsize=8)
-    dots = [
+        axes.set_facecolor(NO_EPISODE)
+        axes.set_xlabel(in_words(across), fontsize=8)
+        axes.set_ylabel(in_words(up), fontsize=8)
+    markers = [
         Line2D([], [], linestyle="", label=name.replace("_", " "), **looks[name])
         for name in next(iter(kinds.values()))
     ]
-    field = Patch(color=REGION, label=survivors(suite))
-    columns = 3 if len(dots) == 2 else 2
-    figure.legend(handles=[field, *dots], loc="outside upper center", ncols=columns, frameon=False,
+    fields = [
+        Patch(color=REGION, label=survivors(suite)),
+        Patch(facecolor="white", edgecolor=REGION, label="white: no reference driver survives"),
+        Patch(color=NO_EPISODE, label="no episode"),
+    ]
+    figure.legend(handles=[*fields, *markers], loc="outside upper center", ncols=2, frameon=False,
                   fontsize=8)  # fmt: skip
     return figure
+
+
+def in_words(parameter: str) -> str:
+    """A parameter's name as the title of an axis, such as `gap, m` for `gap_m`."""
+    name, _, unit = parameter.rpartition("_")
+    if not name or unit not in UNITS:
+        name, unit = parameter, ""
+    return name.replace("_", " ") + (f", {UNITS[unit]}" if unit else "")

@@ -12,6 +12,7 @@ import numpy as np
 
 from charms_bench.episodes.ego_view import EgoView, ego_view
 from charms_bench.episodes.replay import Replay
+from charms_bench.foundation.names import shown_agent
 from charms_bench.world.picture import BRAKE_LIGHT_MPS2
 from charms_bench.world.scene import Bools, Floats, Ints
 
@@ -61,7 +62,7 @@ def pack(replay: Replay, view: EgoView, ghosts: Replay | None = None) -> dict[st
         "length_m": replay.length[0].tolist(),
         "width_m": replay.width[0].tolist(),
         "ego": ego,
-        "agents": agents,
+        "agents": [shown_agent(name) for name in agents],
         "agent": [agents.index(name) for name in replay.agents],
         "actions": [action.replace("_", " ").lower() for action in replay.action_names],
         **_packed(columns),
