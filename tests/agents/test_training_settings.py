@@ -1,5 +1,6 @@
 """Training suites: what they say, and how they say what is wrong."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,8 @@ def changed(tmp_path: Path, *path: str, value: Any, suite: Path = SUITE) -> Path
     if value is None:
         del inner[path[-1]]
     file = tmp_path / "train.yaml"
-    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    plain = json.loads(json.dumps(data))  # without aliases
+    file.write_text(yaml.safe_dump(plain, sort_keys=False))
     return file
 
 
@@ -242,12 +244,15 @@ SLOW = {
 
 
 def test_a_scenario_and_another_profile_can_be_a_condition(tmp_path: Path) -> None:
-    conditions = [{"lanes": 3}, {"traffic": {"scenario": STANDING}, "profile": SLOW}]
-    file = changed(tmp_path, "conditions", "level_0", value=conditions, suite=SHIPPED)
+    hazards = [{"traffic": {"scenario": STANDING}, "profile": SLOW}] * 15
+    file = changed(tmp_path, "conditions", "hazards", value=hazards, suite=SHIPPED)
+    names = ["level_0", "hazards"]
+    file = changed(tmp_path, "stages", "level_1", "conditions", value=names, suite=file)
     suite = load_training(file)
     stage = suite.stages["level_1"]
-    assert suite.drivers_of(stage) == ("human",)
-    (plain, _), (placed, traffic) = suite.places_of(stage)
+    assert suite.drivers_of(stage) == ("human", "idm_mobil")
+    (plain, _), *_, (placed, traffic) = suite.places_of(stage)
+    assert len(suite.places_of(stage)) == 25
     assert plain.scenario is None
     assert plain.profile.speed_min_mps == 22.0
     assert placed.scenario is not None

@@ -145,7 +145,7 @@ def reinforcement_job(
 
 def _conditions(suite: TrainingSuite, stage: Stage | SimulatedDrivers) -> dict[str, Any]:
     """The conditions in which a stage learns, for its inputs; nothing if there is only one."""
-    if stage.conditions is None:
+    if not stage.conditions:
         return {}
     found = suite.conditions_of(stage)
     return {"conditions": [each.model_dump(mode="json", exclude_none=True) for each in found]}

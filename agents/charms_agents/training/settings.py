@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Field,
     model_validator,
 )
@@ -32,6 +33,12 @@ EPISODES_OF_A_SEED = 2**32
 """The seed of training episode k is FIRST_TRAINING_SEED + seed * EPISODES_OF_A_SEED + k."""
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+Names = Annotated[
+    tuple[Name, ...],
+    BeforeValidator(lambda value: (value,) if isinstance(value, str) else value),
+    Field(strict=False, max_length=20),
+]
+"""Some names; a name alone is one of them."""
 Seed = Annotated[int, Field(ge=0, lt=2**23)]
 
 
@@ -75,8 +82,9 @@ class Stage(FrozenModel):
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
     variant: Name | None = None
     """A name in the suite's `variants`; by default, its `hyperparameters` apply."""
-    conditions: Name | None = None
-    """A name in the suite's `conditions`, among which the environments are divided equally."""
+    conditions: Names = ()
+    """Names in the suite's `conditions`; among all of these, the environments are divided
+    equally."""
     prior: Name | None = None
     """The stage under `human` whose network is the prior that regularises this one."""
     reward: RewardScales | None = None
@@ -114,8 +122,8 @@ class SimulatedDrivers(FrozenModel):
     """Installed driver models."""
     scene: SceneSettings
     traffic: TrafficSpec
-    conditions: Name | None = None
-    """A name in the suite's `conditions`."""
+    conditions: Names = ()
+    """Names in the suite's `conditions`."""
     episodes: Annotated[int, Field(ge=2, le=10_000)]
     """Episodes of each agent in each condition; a tenth of them is held out."""
 
@@ -259,7 +267,8 @@ class TrainingSuite(FrozenModel):
 
     def conditions_of(self, stage: Stage | SimulatedDrivers) -> tuple[Condition, ...]:
         """What differs between the episodes in which a stage learns."""
-        return self.conditions[stage.conditions] if stage.conditions else (Condition(),)
+        found = tuple(each for name in stage.conditions for each in self.conditions[name])
+        return found or (Condition(),)
 
     def places_of(self, stage: Stage | SimulatedDrivers) -> list[tuple[SceneSettings, Traffic]]:
         """The scenes and traffics in which a stage learns; see `traffic_of`."""

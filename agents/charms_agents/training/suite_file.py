@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from charms_agents.human.interface import DECISION_HZ, SIMULATION_HZ
-from charms_agents.training.settings import TrainingSuite
+from charms_agents.training.settings import Condition, SimulatedDrivers, Stage, TrainingSuite
 from charms_bench.errors import InputError, RegistryError
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network
@@ -42,14 +42,10 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
         for steps, where in counts:
             if steps % h.scenes:
                 raise document.error(where, f"{steps} is not a multiple of scenes {h.scenes}")
-        if stage.conditions is not None:
-            if stage.conditions not in suite.conditions:
-                there = f"this file has: {', '.join(suite.conditions) or 'none'}"
-                what = f"no conditions named '{stage.conditions}'; {there}"
-                raise document.error((*at, "conditions"), what)
-            if h.scenes % (count := len(suite.conditions[stage.conditions])):
-                what = f"scenes {h.scenes} is not a multiple of {count} conditions"
-                raise document.error((*at, "conditions"), what)
+        _check_names(document, suite, at, stage)
+        if h.scenes % (count := len(suite.conditions_of(stage))):
+            what = f"scenes {h.scenes} is not a multiple of {count} conditions"
+            raise document.error((*at, "conditions"), what)
         if stage.prior is not None:
             _check_prior(document, suite, name)
         slowest = stage.scene.profile.target_speed_min_mps
@@ -90,13 +86,26 @@ def load_training(path: Path, seed: int | None = None, steps: int | None = None)
     return suite
 
 
+def _check_names(
+    document: Document, suite: TrainingSuite, at: Location, stage: Stage | SimulatedDrivers
+) -> None:
+    """Refuses conditions that the suite does not have."""
+    for name in stage.conditions:
+        if name not in suite.conditions:
+            there = f"this file has: {', '.join(suite.conditions) or 'none'}"
+            what = f"no conditions named '{name}'; {there}"
+            raise document.error((*at, "conditions"), what)
+
+
 def _check_conditions(document: Document, suite: TrainingSuite, name: str) -> None:
     """Refuses roads, other steps of the target speed, and scenarios that cannot be placed."""
     stage = suite.stages[name]
-    for index, condition in enumerate(suite.conditions_of(stage)):
-        at: Location = ("stages", name)
-        if stage.conditions is not None:
-            at = ("conditions", stage.conditions, index)
+    named: list[tuple[Location, Condition]] = [
+        (("conditions", each, index), condition)
+        for each in stage.conditions
+        for index, condition in enumerate(suite.conditions[each])
+    ]
+    for at, condition in named or [(("stages", name), Condition())]:
         traffic, scene = condition.traffic or stage.traffic, condition.applied(stage.scene)
         if traffic.road is not None:
             raise document.error(
@@ -139,10 +148,7 @@ def _check_simulated(document: Document, suite: TrainingSuite, name: str) -> Non
     if (simulated := suite.human.simulated) is None:
         raise document.error(("human",), "a stage learns from `simulated` drivers: none given")
     at = ("human", "simulated")
-    if simulated.conditions not in (None, *suite.conditions):
-        there = f"this file has: {', '.join(suite.conditions) or 'none'}"
-        what = f"no conditions named '{simulated.conditions}'; {there}"
-        raise document.error((*at, "conditions"), what)
+    _check_names(document, suite, at, simulated)
     rates = simulated.scene.simulation_hz, simulated.scene.decision_hz
     if rates != (SIMULATION_HZ, DECISION_HZ):
         what = f"expected simulation_hz {SIMULATION_HZ} and decision_hz {DECISION_HZ}"
