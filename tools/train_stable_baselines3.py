@@ -2,9 +2,10 @@
 
 The networks learn in the scenes, traffics and conditions of the stage, with its reward and its
 observation, from episodes with the seeds of its own training. They observe what the stage's network
-observes, standardised in the same way, and have its hidden layers. The stage's prior is not used.
-The traffic's networks are those in the seed's folder, in which the network is written with its
-manifest and learning curve. Finished seeds are not trained again.
+observes, standardised in the same way, and have its hidden layers. If the stage has a prior, lambda
+times the logarithm of the probability that the prior gives the action is added to each reward. The
+networks of the traffic and the prior are those in the seed's folder, where the network, its
+manifest and its learning curve are written. Finished seeds are not trained again.
 
     python tools/train_stable_baselines3.py suites/train.yaml efficient_egoistic dqn networks 1010
 """
@@ -22,14 +23,17 @@ import torch
 from charms_agents.training.curve import Point, point_of, write_csv
 from charms_agents.training.episodes import Episodes
 from charms_agents.training.job import reinforcement_job
+from charms_agents.training.network_file import read_network
 from charms_agents.training.sb3_export import NOT_OBSERVATIONS, export_zip
 from charms_agents.training.settings import EPISODES_OF_A_SEED, Stage, TrainingSuite
-from charms_agents.training.standardised import folded, standardise
+from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.suite_file import load_training
+from numpy.typing import NDArray
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+from torch.nn.functional import log_softmax
 
 from charms_bench.envs.sb3 import EpisodesVecEnv
 from charms_bench.envs.vector_env import HighwayVectorEnv
@@ -100,11 +104,17 @@ class Conditions(EpisodesVecEnv):
         super().__init__(environments[0])
         self.num_envs, self.drivers = scenes, drivers
         self._side_by_side = Episodes(environments)
+        self._prior_weight = suite.hyperparameters_of(stage).prior_weight
+        self._prior: torch.nn.Sequential | None = None
+        if stage.prior is not None:
+            self._prior = unfolded(read_network(folder / f"{stage.prior}.onnx"))
 
     def reset(self) -> Observations:
-        return _standardised(self._side_by_side.reset())
+        self._seen = _standardised(self._side_by_side.reset())
+        return self._seen
 
     def step_wait(self) -> VecEnvStepReturn:
+        costs = self._departures(self._actions)
         step = self._side_by_side.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for row, facts in zip(np.flatnonzero(step.ended), step.facts, strict=True):
@@ -113,8 +123,18 @@ class Conditions(EpisodesVecEnv):
                 "TimeLimit.truncated": not step.failed[row],
                 "final_info": facts,
             }
-        rewards = step.rewards.astype(np.float32)
-        return _standardised(step.observed), rewards, step.ended, infos
+        rewards = (step.rewards - costs).astype(np.float32)
+        self._seen = _standardised(step.observed)
+        return self._seen, rewards, step.ended, infos
+
+    def _departures(self, actions: NDArray[np.int64]) -> NDArray[Any]:
+        """(B,) what the actions cost because people seldom take them."""
+        if self._prior is None:
+            return np.zeros(len(actions))
+        with torch.no_grad():
+            logits = self._prior(torch.from_numpy(self._seen).flatten(1))
+        known = log_softmax(logits, -1).numpy()[np.arange(len(actions)), actions]
+        return np.asarray(-self._prior_weight * known)
 
 
 def _standardised(observations: Observations) -> Observations:
@@ -143,7 +163,7 @@ class Curve(BaseCallback):
 
 def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: Path) -> None:
     """Trains a network, and writes its `.onnx`, `.csv` and `.json`."""
-    stage = suite.stages[name].model_copy(update={"prior": None})
+    stage = suite.stages[name]
     settings = SETTINGS[algorithm][trial]
     other = ("scenes", "normalised_rewards")
     arguments = {key: value for key, value in settings.items() if key not in other}
@@ -161,7 +181,8 @@ def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: P
     cpu_s = time.process_time() - began
     _take_plain_observations(model)
     model.save(folder / f"{algorithm}.zip")
-    job = reinforcement_job(folder, "", name, suite, learnt_in.drivers)
+    prior = folder / f"{stage.prior}.onnx" if stage.prior else None
+    job = reinforcement_job(folder, "", name, suite, learnt_in.drivers, prior)
     facts = {
         "stage": f"{name}, {algorithm}",
         "style": job.style,

@@ -11,7 +11,9 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra 'train'")
 
-from charms_agents.training.standardised import standardise
+from charms_agents.training.network import untrained
+from charms_agents.training.network_file import export, read_network
+from charms_agents.training.standardised import folded, standardise, unfolded
 from charms_agents.training.suite_file import load_training
 from stable_baselines3 import DQN, PPO
 
@@ -29,7 +31,7 @@ finally:
     sys.path.remove(str(ROOT / "tools"))
 
 SUITE = load_training(ROOT / "suites/train.yaml")
-STAGE = SUITE.stages["level_1"]
+STAGE = SUITE.stages["level_1"].model_copy(update={"prior": None})
 SCENES = 10
 """One for each condition of the stage."""
 
@@ -79,10 +81,37 @@ def test_the_saved_network_takes_plain_observations(
     assert len(set(after.tolist())) > 1
 
 
-def test_a_finished_seed_has_a_network_with_the_speed_steps_of_the_stage(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def with_prior(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a seed, with an untrained network as its prior."""
+    folder = tmp_path_factory.mktemp("seed")
+    rows, columns = SUITE.observed.shape
+    network = folded(untrained((64, 64), 5, rows * columns))
+    seen = np.random.default_rng(1).uniform(-1, 1, (20, rows, columns)).astype(np.float32)
+    export(network, folder / "people.onnx", {}, seen, SUITE.observed)
+    return folder
+
+
+def test_rewards_are_less_by_lambda_per_nat_where_people_would_seldom_do_the_same(
+    with_prior: Path,
+) -> None:
+    plain, regularised = (
+        tool.Conditions(SUITE, stage, with_prior, SCENES)
+        for stage in (STAGE, SUITE.stages["level_1"])
+    )
+    seen = torch.from_numpy(plain.reset().reshape(SCENES, -1))
+    regularised.reset()
+    actions = np.arange(SCENES) % 5
+    difference = plain.step(actions)[1] - regularised.step(actions)[1]
+    logits = unfolded(read_network(with_prior / "people.onnx"))(seen)
+    shares = torch.softmax(logits, dim=1).detach().numpy()[np.arange(SCENES), actions]
+    np.testing.assert_allclose(difference, -0.2 * np.log(shares), atol=2e-5)
+
+
+def test_a_finished_seed_has_a_network_with_the_speed_steps_of_the_stage(with_prior: Path) -> None:
     suite = load_training(ROOT / "suites/train.yaml", seed=7, steps=1000)
-    tool.train(suite, "level_1", "dqn", "charms", tmp_path)
-    assert OnnxPolicy(tmp_path / "dqn.onnx").actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
-    manifest = json.loads((tmp_path / "dqn.json").read_text())
+    tool.train(suite, "level_1", "dqn", "charms", with_prior)
+    assert OnnxPolicy(with_prior / "dqn.onnx").actions == with_speed_steps(0.25, 0.5, 1.0, 2.0)
+    manifest = json.loads((with_prior / "dqn.json").read_text())
     assert (manifest["seed"], manifest["steps"]) == (7, 1000)
     assert len(manifest["conditions"]) == SCENES
