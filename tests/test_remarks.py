@@ -17,6 +17,16 @@ traffic_models: [{traffic: level_0, label: Others}]
 """
 
 
+def test_a_network_is_checked_in_a_scene_that_its_rate_divides(
+    network_file: Callable[..., Path], tmp_path: Path
+) -> None:
+    network_file(
+        np.zeros((35, 5), dtype=np.float32), name="seven.onnx", metadata={"decision_hz": "7"}
+    )
+    checked = charms_bench("check", tmp_path / "seven.onnx")
+    assert checked.returncode == 0, checked.stderr
+
+
 def test_an_ego_that_always_keeps_right_is_remarked_on(
     network_file: Callable[..., Path], tmp_path: Path
 ) -> None:

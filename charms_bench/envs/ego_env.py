@@ -32,8 +32,9 @@ from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
 
 TrafficLike = str | Mapping[str, Any] | Traffic
-"""A traffic, the name of a traffic or of an agent, shares of agents, or a scenario as in a suite,
-`{"scenario": {...}}`. The path of an ONNX file is the name of an agent."""
+"""A traffic, the name of a traffic or of an agent, shares of agents such as `{"idm_mobil": 1.0}`,
+or what a suite gives as `traffic`: `{"name": ..., "options": ...}`, `{"mixture": ...}`, or
+`{"scenario": ...}`. The path of an ONNX file is the name of an agent."""
 
 
 class EgoEnv(gymnasium.Env[Observations, Any]):
@@ -228,11 +229,15 @@ def surroundings(
         InputError: The traffic is not installed, or a key or a value is wrong; the message begins
             with the environment's name.
     """
+    plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in scene.items()}
     try:
-        settings = SceneSettings.model_validate(scene)
-        if isinstance(traffic, Mapping) and "scenario" in traffic:
-            placed = TrafficSpec.model_validate(traffic)
-            settings, traffic = settings.of_scenario(placed.scenario), placed.make()
+        settings = SceneSettings.model_validate(plain)
+        if isinstance(traffic, Mapping) and {*traffic} & {*TrafficSpec.model_fields}:
+            spec = TrafficSpec.model_validate(traffic)
+            if spec.road is not None:
+                known = f"`charms_bench/{spec.road}`, as in highway-env"
+                raise InputError(f"{environment}: a road is an environment of its own, {known}")
+            settings, traffic = settings.of_scenario(spec.scenario), spec.make()
     except ValidationError as error:
         raise InputError(f"{environment}: {problem_in(error)}") from error
     return settings, *made_traffic(traffic)
@@ -242,7 +247,10 @@ def made_traffic(traffic: str | Mapping[str, float] | Traffic) -> tuple[Traffic,
     """A traffic and its agents by name."""
     if isinstance(traffic, str):
         traffic = make_traffic(traffic)
-    elif not isinstance(traffic, Traffic):
+    elif isinstance(traffic, Mapping):
         traffic = Mixture(traffic)
+    elif not isinstance(traffic, Traffic):
+        found = type(traffic).__name__
+        raise InputError(f"traffic: found {found}, expected a name, a dictionary or a Traffic")
     driving = (name for name in traffic.agents if name != PRESCRIBED)
     return traffic, {name: make_agent(name) for name in driving}

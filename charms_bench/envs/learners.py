@@ -100,6 +100,8 @@ class Learners:
         self.actions = GivenActions(actions, longitudinal, lateral, title)
         if scenes < 1:
             raise InputError(f"scenes is {scenes}; expected at least 1")
+        if not callable(reward):
+            raise InputError(f"{title}: reward is {reward!r:.80}; expected a function or a Reward")
         everyone = range(settings.vehicles)
         self.numbers = _checked(everyone if numbers is None else numbers, settings.vehicles)
         self.scene_of = np.repeat(np.arange(scenes), len(self.numbers))

@@ -47,13 +47,20 @@ class EpisodesState(NamedTuple):
     """[B, 6] the random generators of the scenes; None leaves them as they are."""
 
 
+def checked_options(options: dict[str, Any] | None) -> dict[str, Any]:
+    """The options of `reset`, none by default; an `InputError` if they are something else."""
+    if options is not None and not isinstance(options, dict):
+        raise InputError(f"reset: options is {options!r:.80}; expected a dictionary")
+    return options or {}
+
+
 def state_in(options: dict[str, Any] | None) -> SceneState | None:
     """The option `state` of `reset`.
 
     Raises:
         InputError: There is another option, or it is not a state.
     """
-    options = options or {}
+    options = checked_options(options)
     if unknown := sorted(options.keys() - {"state"}):
         raise InputError(f"reset takes the option 'state', got {', '.join(unknown)}")
     state = options.get("state")
@@ -131,7 +138,7 @@ class ScenesVectorEnv(VectorEnv[Observations, Actions, NDArray[Any]]):
             InputError: There is another option, or the state, a seed or the mask does not fit.
         """
         warn_of_torch_threads()
-        learners, options = self._learners, dict(options or {})
+        learners, options = self._learners, dict(checked_options(options))
         seeds = seeds_of(seed, self.simulation.seeds.size)
         mask = options.pop("reset_mask", None)
         if options and len(learners.numbers) > 1:

@@ -58,8 +58,9 @@ _FACTS = ("activation", "stage", "style", "source", "source_sha256", "trained_in
 NOT_STATED = "not stated"
 """The fact `trained_in` of a checkpoint of highway-env, which does not name its environment."""
 ASSUMED = (
-    "its checkpoint does not say in which environment it was trained; if this was not highway-v0, "
-    "ranges of its observation and its target speeds can be others here"
+    "its checkpoint does not say in which environment it was trained; ranges of its observation "
+    "and its target speeds follow from the suite's lanes and profile, those of highway-v0 from "
+    "`lanes: 4` and `profile: highway-env`"
 )
 ROWS_AT_ONCE = 512
 """Observations in one call of onnxruntime. A layer of 256 units then takes 512 KiB, so intermediate

@@ -118,7 +118,8 @@ def _unrivalled(plugin: Plugin) -> Plugin:
 
 def _unknown(role: str, name: str, known: Mapping[str, object]) -> str:
     drives = role in ("agent", "traffic")
-    path = " The path of a network ends in .onnx." * (drives and ("/" in name or "." in name))
+    looks_like_path = "/" in name or "." in name
+    path = " The path of a network ends in .onnx, in small letters." * (drives and looks_like_path)
     if drives and name.endswith(".zip"):
         to = name.removesuffix(".zip")
         path += f" `charms-bench export {name} {to}.onnx` makes one from this file."

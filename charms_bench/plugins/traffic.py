@@ -71,13 +71,16 @@ class Mixture(Traffic):
         shares: The probability of each agent, by name; they sum to 1.
 
     Raises:
-        InputError: A share is negative, or the shares do not sum to 1.
+        InputError: A share is no number or negative, or the shares do not sum to 1.
     """
 
     def __init__(self, shares: Mapping[str, float]) -> None:
         self.agents = tuple(shares)
-        self._shares = np.array([float(share) for share in shares.values()])
-        if not shares or (self._shares < 0).any() or abs(self._shares.sum() - 1) > 1e-9:
+        try:
+            self._shares = np.array([float(share) for share in shares.values()])
+        except (TypeError, ValueError):
+            self._shares = np.array([np.nan])
+        if not ((self._shares >= 0).all() and abs(self._shares.sum() - 1) <= 1e-9):
             raise InputError(f"shares must be non-negative and sum to 1, got {dict(shares)}")
 
     def __repr__(self) -> str:

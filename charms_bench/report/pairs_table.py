@@ -106,7 +106,12 @@ def guessed(suite: Suite, cells: Sequence[CellRows]) -> tuple[int, int]:
 
 
 def guess_summary(suite: Suite, cells: Sequence[CellRows]) -> str:
-    """How often the ego is guessed right from one episode, beside the accuracy of chance."""
+    """How often the ego is guessed right from one episode, beside the accuracy of chance.
+
+    Empty if there are no other episodes to guess from.
+    """
+    if cells[0].size < 2:
+        return ""
     right, asked = guessed(suite, cells)
     low, high = wilson(right, asked)
     text = (

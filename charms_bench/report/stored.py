@@ -51,9 +51,11 @@ def holds(folder: Path, name: str) -> bool:
     """Whether a run folder has a file of this name.
 
     Raises:
-        RunFolderError: The folder may not be read, or no folder can have its name.
+        RunFolderError: There is no such folder, it may not be read, or no folder can have its name.
     """
     try:
+        if not folder.is_dir():
+            raise RunFolderError(f"{folder}: no such folder")
         return (folder / name).exists()
     except OSError as error:
         raise RunFolderError(f"{folder}: cannot be read: {error.strerror}") from error

@@ -120,9 +120,12 @@ class RunFolder:
         """Returns what `write_manifest` wrote.
 
         Raises:
-            RunFolderError: The manifest is missing, damaged or of another format.
+            RunFolderError: There is no such folder, or the manifest is missing, damaged or of
+                another format.
         """
         path = self.path / MANIFEST
+        if not self.path.is_dir():
+            raise RunFolderError(f"{self.path}: no such folder")
         manifest = read_manifest(path, MANIFEST_LIMIT_BYTES)
         if not isinstance(manifest, dict):
             raise RunFolderError(f"{path}: expected a JSON object")

@@ -1,14 +1,15 @@
 """Compares two agents over the same episodes: differences, intervals and p-values.
 
 A seed gives both agents the same episode, so episodes are pairs, and the difficulty of an episode
-does not blur the difference. Shares of episodes use McNemar's exact test (McNemar 1947) and the
-score interval of Tango (1998, Statistics in Medicine 17). Every other metric is a function of sums
-over episodes. The standard error of its difference follows from the sums by linearisation.
-Resampled episodes give the tails of the difference divided by its standard error (the symmetric
-bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are described by Student's t with the
-degrees of freedom at which its 95 % point equals that of the resamples; the interval and the
-p-value both use it. If too few episodes differ for that, the interval of a proportion or a rate
-follows from those of the two agents (Zou & Donner 2008, Statistics in Medicine 27).
+does not blur the difference. Shares of all episodes use McNemar's exact test (McNemar 1947) and the
+score interval of Tango (1998, Statistics in Medicine 17). Every other metric, such as a share of
+the collisions, is a function of sums over episodes. The standard error of its difference follows
+from the sums by linearisation. Resampled episodes give the tails of the difference divided by its
+standard error (the symmetric bootstrap-t, Hall 1988, Annals of Statistics 16). The tails are
+described by Student's t with the degrees of freedom at which its 95 % point equals that of the
+resamples; the interval and the p-value both use it. If too few episodes differ for that, the
+interval of a proportion or a rate follows from those of the two agents (Zou & Donner 2008,
+Statistics in Medicine 27).
 """
 
 from collections.abc import Callable, Sequence
@@ -59,7 +60,7 @@ def differences(
 
 
 def _difference(metric: Metric, ours: Floats, theirs: Floats, weights: Floats) -> Difference:
-    if metric.interval == "wilson":
+    if metric.interval == "wilson" and all((each[:, 0] == 1).all() for each in (ours, theirs)):
         return _of_shares(ours, theirs)
     found = _of_sums(metric.value, ours, theirs, weights)
     has_interval = np.isnan(found.value) or not np.isnan(found.low)

@@ -26,6 +26,8 @@ def remark_on(name: str) -> str:
     agent, settings = make_agent(name), SceneSettings()
     if isinstance(agent, DriverModel):
         return ""
+    if rate := settings.simulation_hz_for(float(agent.decision_hz)):
+        settings = SceneSettings(simulation_hz=rate)
     around, drivers = made_traffic("idm_mobil")
     drivers[name] = agent
     simulation = Simulation(settings, EPISODES, name, around, drivers)

@@ -151,6 +151,8 @@ def _first_mistake(
             if len(line) == _LINE_LIMIT_BYTES:
                 return DataError(f"{path}: line {number}: longer than {_LINE_LIMIT_BYTES:,} bytes")
             fields = _cells(line.decode(errors="replace"))
+            if not line.strip():
+                return DataError(f"{path}: line {number}: is empty; remove it")
             if len(fields) != len(header):
                 return DataError(
                     f"{path}: line {number}: {len(fields)} fields, but the header has "

@@ -315,6 +315,7 @@ def test_show_prints_the_tables_as_json_or_those_of_a_metric(finished_run: Path)
     [
         (["RUN", "--metric", "sped_mean"], "no metric named 'sped_mean'"),
         (["EMPTY"], "holds no evaluation (manifest.json) and no finished training (stages.csv)"),
+        (["NOWHERE", "--all"], "NOWHERE: no such folder"),
         (["EMPTY", "--all"], "is not an evaluation; --metric and --all are for those"),
     ],
 )

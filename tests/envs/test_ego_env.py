@@ -149,6 +149,35 @@ def test_the_traffic_can_be_a_scenario_whose_points_are_the_seeds() -> None:
     assert len(set(gaps)) == 4
 
 
+@pytest.mark.parametrize(
+    ("as_in_a_suite", "plain"),
+    [
+        ({"mixture": {"idm_mobil": 0.5, "level_0": 0.5}}, {"idm_mobil": 0.5, "level_0": 0.5}),
+        ({"name": "idm_mobil"}, "idm_mobil"),
+    ],
+)
+def test_a_traffic_can_be_given_as_in_a_suite(as_in_a_suite: Any, plain: Any) -> None:
+    drivers = []
+    for traffic in (as_in_a_suite, plain):
+        env = made(traffic=traffic, **SHORT)
+        env.reset(seed=3)
+        drivers.append(env.unwrapped.simulation.drivers.tolist())
+    assert drivers[0] == drivers[1]
+
+
+def test_a_traffic_model_can_have_options() -> None:
+    env = made(traffic={"name": "pch", "options": {"tau": 0.0}}, **SHORT)
+    env.reset(seed=3)
+    names = {*env.unwrapped.simulation.drivers[0].tolist()} - {""}
+    assert all("competitive" in name for name in names)
+
+
+def test_keys_of_a_scene_may_be_numbers_of_numpy() -> None:
+    env = made(lanes=np.int64(4), density=np.float32(1.5), traffic_vehicles=np.int32(6))
+    settings = env.unwrapped.simulation.settings
+    assert (settings.lanes, settings.density, settings.traffic_vehicles) == (4, 1.5, 6)
+
+
 def test_episodes_of_a_scenario_without_a_seed_need_points_without_end() -> None:
     with pytest.raises(InputError, match=r"has 1,073,741,824 points; .*`points: random`"):
         made(traffic=CUT_IN).reset()
@@ -310,6 +339,13 @@ def test_another_reward_takes_the_place_of_highway_envs() -> None:
         ({"profile": "charm"}, "profile: no profile named 'charm'.*Did you mean 'charms'"),
         ({"observation": "Kinematic"}, "no observation named 'Kinematic'.*Did you mean 'Kin"),
         ({"traffic": {"idm_mobil": 0.5}}, "shares must be non-negative and sum to 1"),
+        ({"traffic": {"idm_mobil": float("nan")}}, "shares must be non-negative and sum to 1"),
+        ({"traffic": {"idm_mobil": None}}, "shares must be non-negative and sum to 1"),
+        ({"traffic": ["idm_mobil"]}, "traffic: found list, expected a name, a dictionary or a Tra"),
+        ({"traffic": None}, "traffic: found NoneType, expected a name, a dictionary or a Traffic"),
+        ({"traffic": {"road": "merge-v0"}}, "an environment of its own, `charms_bench/merge-v0`"),
+        ({"traffic": {"name": "pch", "optons": {}}}, "charms_bench/Ego-v0: optons: unknown key"),
+        ({"reward": 5}, "charms_bench/Ego-v0: reward is 5; expected a function or a Reward"),
         ({"traffic": {"scenario": {}}}, "charms_bench/Ego-v0: scenario.ego: Field required"),
         (
             {"traffic": CUT_IN, "inflow": {"vehicles_per_hour_and_lane": 900, "capacity": 9}},
@@ -333,6 +369,8 @@ def test_unknown_traffics_actions_and_options_are_named() -> None:
     env = EgoEnv()
     with pytest.raises(InputError, match="got speed"):
         env.reset(options={"speed": 3})
+    with pytest.raises(InputError, match="reset: options is 5; expected a dictionary"):
+        env.reset(options=5)  # type: ignore[arg-type]
     env.reset()
     with pytest.raises(InputError, match="action 5; expected 0 to 4: LANE_LEFT, IDLE"):
         env.step(5)

@@ -16,6 +16,7 @@ from charms_bench.report.figures.human_driving import draw_quantity
 from charms_bench.report.figures.preventable import in_words
 from charms_bench.report.figures.timelines import draw_timelines
 from charms_bench.report.figures.tradeoff import OF_EGOS, OF_TRAFFICS, draw_tradeoff
+from charms_bench.report.html.svg import in_page
 from charms_bench.report.markdown import markdown
 from charms_bench.report.suite_table import KEYS, LONG, from_frame, matrices
 from charms_bench.report.table import Table, long_schema
@@ -59,6 +60,12 @@ def test_every_cell_is_named_in_the_tradeoff(tmp_path: Path) -> None:
     svg = (tmp_path / "t.svg").read_text()
     for name in ("A &amp; B", "C", "&lt;busy&gt;"):
         assert f" {name} -->" in svg
+
+
+def test_letters_that_the_font_does_not_have_are_boxes_without_a_warning(tmp_path: Path) -> None:
+    figure = draw_tradeoff(cells(("雪", "calm"), ("C", "calm"), ("C", "busy")), OF_EGOS)
+    save(figure, tmp_path / "t.png")
+    assert "雪" in in_page(figure, "t", "a figure")
 
 
 def test_traffics_of_one_ego_are_named_themselves(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from command_line import charms_bench
 
 from charms_bench.errors import SuiteError
 from charms_bench.recording.columns import DRIVER_SCHEMA, EPISODE_SCHEMA, STEP_SCHEMA
-from charms_bench.report.pairs_table import COMPARED, guessed, pairs_table
+from charms_bench.report.pairs_table import COMPARED, guess_summary, guessed, pairs_table
 from charms_bench.report.run_files import measure, write_run
 from charms_bench.runs.cells import CellRows
 from charms_bench.runs.suite import Suite, load_suite
@@ -99,6 +99,11 @@ def test_every_pair_is_compared_by_every_metric() -> None:
     assert {(row["first"], row["second"]) for row in rows} == {
         ("a", "b"), ("a", "c"), ("a", "d"), ("b", "c"), ("b", "d"), ("c", "d")
     }  # fmt: skip
+
+
+def test_from_a_single_episode_nobody_is_guessed() -> None:
+    cells = [replace(cell(name), size=1) for name in "ab"]
+    assert guess_summary(STYLES, cells) == ""
 
 
 def test_who_drives_differently_is_guessed_and_who_drives_alike_is_not() -> None:

@@ -73,6 +73,26 @@ def test_shares_of_episodes_are_compared_by_mcnemar_and_tango() -> None:
     assert found.detectable == pytest.approx(2.8016 * 0.029027, rel=1e-4)
 
 
+def test_a_share_of_collisions_is_not_one_of_episodes() -> None:
+    """105 of 106 collisions against 15 of 15, in 200 episodes."""
+    first, second = np.zeros((200, 2)), np.zeros((200, 2))
+    first[:106, 0], first[:105, 1] = 1.0, 1.0
+    second[:15] = 1.0
+    found = difference(first, second, interval="wilson")
+    assert found.value == pytest.approx(105 / 106 - 1.0)
+    assert found.low < found.value < found.high
+    assert found.p > 0.05
+
+
+@pytest.mark.parametrize("nothing", [0, 1])
+def test_a_share_of_nothing_is_not_compared(nothing: int) -> None:
+    both = [means(np.ones(40)), means(np.ones(40))]
+    both[nothing] = np.zeros((40, 2))
+    found = difference(*both, interval="wilson")
+    assert np.isnan([found.value, found.low, found.high, found.detectable]).all()
+    assert found.p == 1.0
+
+
 def test_shares_that_never_differ_could_still_have_shown_only_so_much() -> None:
     found = difference(*shares(0, 0, 0, 98), interval="wilson")
     assert (found.value, found.p) == (0.0, 1.0)

@@ -1,6 +1,8 @@
 """What all figures share: colours, axes with a plain look, error bars, a file written whole."""
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -117,6 +119,14 @@ def _luminance(colour: ColorType) -> float:
     return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
+@contextmanager
+def any_letters() -> Iterator[None]:
+    """Draws a box for a letter that the font does not have, without a warning."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
+        yield
+
+
 def take_text_as_it_is(figure: Figure) -> None:
     """Draws names with dollar signs as they are, instead of reading them as formulas."""
     for text in figure.findobj(Text):
@@ -132,4 +142,5 @@ def save(figure: Figure, path: Path) -> None:
     check_figure(path)
     take_text_as_it_is(figure)
     ending = path.suffix.lower().removeprefix(".")
-    write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))
+    with any_letters():
+        write_atomically(path, lambda partial: figure.savefig(partial, format=ending, dpi=150))

@@ -9,7 +9,14 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
 from charms_bench.metrics.labels import key_label_of
-from charms_bench.report.figures.drawing import PAPER, crosses, panels, points, take_text_as_it_is
+from charms_bench.report.figures.drawing import (
+    PAPER,
+    any_letters,
+    crosses,
+    panels,
+    points,
+    take_text_as_it_is,
+)
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
 from charms_bench.runs.suite import Suite
@@ -116,7 +123,8 @@ def draw_tradeoff(
         right = {"loc": "lower left", "bbox_to_anchor": (1.0, 0.0)}
         axes.legend(**text, fontsize=8, frameon=False, **right)
     take_text_as_it_is(figure)
-    figure.draw_without_rendering()  # only then is it known where points are
+    with any_letters():
+        figure.draw_without_rendering()  # only then is it known where points are
     _place(texts)
     return figure
 

@@ -7,7 +7,7 @@ import matplotlib
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from charms_bench.report.figures.drawing import PAPER, take_text_as_it_is
+from charms_bench.report.figures.drawing import PAPER, any_letters, take_text_as_it_is
 
 
 def in_page(figure: Figure, name: str, label: str) -> Markup:
@@ -19,7 +19,7 @@ def in_page(figure: Figure, name: str, label: str) -> Markup:
     text = StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     # Text stays text, which can be searched, read aloud and set in the page's font.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+    with any_letters(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         figure.savefig(text, format="svg", transparent=True, metadata=nothing)
     found = text.getvalue()
     found = found[found.index("<svg") :]
