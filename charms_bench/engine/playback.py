@@ -74,7 +74,7 @@ class Playback:
     def choose(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
         """Plays the moments of these seeds in the scenes `rows` (R,)."""
         moments, played = self._moments, self._played
-        number = (seeds % np.uint64(len(moments))).astype(np.int64)
+        number = moments.numbers_of(seeds)
         played.track[rows] = moments.vehicles[number]
         played.frame[rows] = moments.frame[number]
         played.frames_per_step[rows] = moments.rate_hz[number] / self._made.settings.simulation_hz

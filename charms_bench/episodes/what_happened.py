@@ -15,6 +15,7 @@ from charms_bench.episodes.replay import Replay
 from charms_bench.metrics.rows import DRIFT_MPS, join_rows
 from charms_bench.recording.lane_changes import ATTEMPT_DECISIONS, is_given_up, taker_of
 from charms_bench.recording.primitives import NOBODY, VEHICLE
+from charms_bench.world.moments import moments_of
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,17 @@ class AbandonedChange:
 def what_happened(replay: Replay, kind: Kind | None = None, since: int = 1) -> str:
     """Returns one sentence about the most critical event of an episode, or of one kind.
 
-    Events before the decision `since`, at which the episode must still run, are left out.
+    Events before the decision `since`, at which the episode must still run, are left out. Of an
+    episode that starts at a recorded moment, the sentence names the moment.
     """
     words, frame = _event(replay, kind, since)
-    return words if frame is None else f"{words}, at t = {replay.t_s[frame]:z.1f} s"
+    if frame is not None:
+        words = f"{words}, at t = {replay.t_s[frame]:z.1f} s"
+    if replay.settings.recording is not None:
+        moments = moments_of(replay.settings)
+        (number,) = moments.numbers_of(np.array([replay.episode], dtype=np.uint64))
+        words = f"{words}; starts at {moments.names[number]}"
+    return words
 
 
 def critical_time_s(replay: Replay, since: int = 1) -> float:

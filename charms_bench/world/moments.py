@@ -82,6 +82,10 @@ class Moments:
     def __len__(self) -> int:
         return self.frame.size
 
+    def numbers_of(self, seeds: NDArray[np.uint64]) -> Ints:
+        """The numbers (R,) of the moments at which the episodes of seeds (R,) start."""
+        return (seeds % np.uint64(len(self))).astype(np.int64)
+
 
 class _Carriageway(NamedTuple):
     """One direction of a recording."""

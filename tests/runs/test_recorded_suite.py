@@ -1,5 +1,6 @@
 """Suites of recorded scenes: rows, resumed runs, replays and exports, and errors with lines."""
 
+import json
 import re
 from pathlib import Path
 
@@ -79,6 +80,25 @@ def test_an_audit_simulates_recorded_episodes_again(run: Path) -> None:
     called = command_line("audit", run)
     assert called.returncode == 0, called.stdout
     assert "have the same rows" in called.stdout
+
+
+def test_an_edge_case_names_the_recorded_moment_at_which_it_starts(
+    run: Path, tmp_path: Path
+) -> None:
+    said = command_line("edge-cases", run, "--ego", "Imitation", "--top", 3, "--json").stdout
+    for case in json.loads(said):
+        ending = r"starts at recording 1, direction 2, vehicle (\d+), frame (\d+)$"
+        vehicle, frame = map(int, re.search(ending, case["what"]).groups())
+        cell = ("--ego", "Imitation", "--traffic", case["traffic"])
+        output = ("--output", tmp_path / "replay.gif")
+        assert command_line("replay", run, case["episode"], *cell, *output).returncode == 0
+        found = pl.read_parquet(tmp_path / "replay.trajectories.parquet")
+        start = found.filter(pl.col("t_s") == 0.0)
+        tracks = pl.read_csv(run.parent / "people" / "01_tracks.csv")
+        recorded = tracks.filter(pl.col("id") == vehicle, pl.col("frame") == frame)
+        assert recorded.height == 1
+        speed = abs(recorded["xVelocity"].item())
+        assert np.abs(start["speed"].to_numpy() - speed).min() < 0.05
 
 
 def test_a_replay_has_vehicles_only_while_they_are_there(run: Path, tmp_path: Path) -> None:
