@@ -111,6 +111,20 @@ def test_efficiency_is_0_at_a_slow_speed_that_can_be_given(
     assert reward_of(simulation, EFFICIENCY, scales=scales) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("ahead_m", "expected"),
+    [(16.0, -5.0), (11.0, -10.0 * (1 - 6 / 7 / 2)), (5.0 + 14.0, -10.0 * 0.0), (40.0, 0.0)],
+)
+def test_a_conflict_can_be_a_cost_that_grows_as_the_time_to_collision_falls(
+    ahead_m: float, expected: float
+) -> None:
+    closing = 11.0 if ahead_m == 16.0 else 7.0  # 11 m at 11 m/s: 1 s
+    simulation = simulation_of((500.0, 1, 30.0), (500.0 + ahead_m, 1, 30.0 - closing))
+    plain, costly = RewardScales(), RewardScales(conflict_cost=10.0)
+    found = [reward_of(simulation, SAFE, scales=each) for each in (plain, costly)]
+    assert found[1] - found[0] == pytest.approx(expected)
+
+
 def comfort(gained_mps: float, acceleration: float, target_lane: int | None = None) -> float:
     """r_c of a decision from 28 m/s that gains speed, begun without an acceleration."""
     simulation = simulation_of((500.0, 1, 28.0))

@@ -8,7 +8,8 @@ Equations are numbered as in the paper; `rewards` has them as they are printed. 
 - r_e (eq. 5) is relative to the speed that the ego desires, and falls beyond it.
 - r_c (eq. 6) is about what passengers feel: the acceleration, its change, and lane changes begun.
 - A failure is a cost of the ego's own, so it is weighed by cos phi like everything that the ego
-  wants for itself: for all orientations, a crash costs equally many units of the own reward.
+  wants for itself: for all orientations, a crash costs equally many units of the own reward. A
+  conflict can be one, too.
 - r_o (eq. 7) is divided by a scale, by default its largest value, and is 0 when nobody is affected.
 """
 
@@ -35,6 +36,8 @@ from charms_bench.world.candidate_lanes import OWN, TARGET
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.scene import Floats, Ints, Scene
 
+CONFLICT_S = 2.0
+"""A time to collision below this, at the present speeds, is a conflict."""
 DISCOMFORT_LIMIT = 30.0
 """The most that acceleration and jerk take off r_c, so that an emergency is not worse than that."""
 
@@ -62,6 +65,9 @@ class RewardScales(FrozenModel):
     """What a lane change that begins takes off r_c."""
     failure_cost: NonNegative = 60.0
     """The own reward of a crash, or of leaving the road, is minus this."""
+    conflict_cost: Positive | None = None
+    """What a time to collision of 0 takes off the own reward, and of `CONFLICT_S` nothing; by
+    default, conflicts cost nothing more than r_s says."""
 
 
 class Before(NamedTuple):
@@ -105,6 +111,8 @@ class CompletedReward:
             + weights.efficiency * self._efficiency(simulation)
             + weights.comfort * self._comfort(simulation, prepared)
         ) / weights.largest
+        if self.scales.conflict_cost:
+            own -= self.scales.conflict_cost * (1 - _safety(scene, CONFLICT_S, 0.0))
         own = np.where(simulation.failed, -self.scales.failure_cost, own)
         rewards = math.cos(self.angle_rad) * own
         if others_share := math.sin(self.angle_rad):
