@@ -23,6 +23,7 @@ from charms_bench.cli.terminal import (
     say,
 )
 from charms_bench.errors import CharmsBenchError, InputError, RenamedKeyWarning, named
+from charms_bench.foundation.files import absolute
 from charms_bench.foundation.streams import write_reliably
 
 # In the order of `--help`. Importing a module adds its commands to `app`.
@@ -113,8 +114,13 @@ def _explain(what: str, error: Exception) -> None:
 def _of_the_machine(error: Exception) -> str:
     """What a file system, or the limits of this process, do not permit; empty for other errors."""
     if isinstance(error, OSError) and error.strerror:
-        where = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
-        return f"{where}{error.strerror}"
+        if error.filename is not None:
+            return f"{os.fsdecode(error.filename)}: {error.strerror}"
+        try:
+            absolute(".")
+        except InputError as deleted:
+            return str(deleted).removeprefix(".: ")
+        return error.strerror
     if isinstance(error, MemoryError):
         return "not enough memory"
     if isinstance(error, RuntimeError) and "start new thread" in str(error):

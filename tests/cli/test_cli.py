@@ -310,6 +310,16 @@ def test_show_prints_the_tables_as_json_or_those_of_a_metric(finished_run: Path)
     assert [row["metric"] for row in speed["tables"]["small"]] == ["tet", "tet"]
 
 
+def test_a_current_folder_that_has_been_deleted_is_named(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    script = "import os, sys; os.rmdir(os.getcwd()); from charms_bench.cli import main; main()"
+    command = [sys.executable, "-c", script, "run", "ego", "--episodes", "1"]
+    called = subprocess.run(command, cwd=gone, capture_output=True, text=True)
+    assert called.returncode == 2
+    assert "the current folder has been deleted; change to another folder" in called.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
