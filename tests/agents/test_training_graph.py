@@ -101,34 +101,34 @@ def test_every_stage_of_the_graph_leaves_a_network(finished: Path) -> None:
         assert list((network.parent / "tensorboard").glob("events.*"))
 
 
-def test_side_by_side_the_networks_are_the_same(
-    suite: Path, finished: Path, tmp_path: Path
-) -> None:
-    pipeline.run(suite, tmp_path, workers=2)
-    for name in STAGES:
-        expected, found = (only(out, f"{name}-*/{name}.onnx") for out in (finished, tmp_path))
-        assert expected.read_bytes() == found.read_bytes(), name
-    assert (tmp_path / "curves.csv").read_text() == (finished / "curves.csv").read_text()
-
-
-def test_a_suite_of_several_seeds_trains_the_networks_of_each_seed(
-    suite: Path, finished: Path, tmp_path: Path
-) -> None:
-    several = suite.with_name("several.yaml")
+@pytest.fixture(scope="module")
+def side_by_side(suite: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two seeds in which two stages ran at a time."""
+    output, several = tmp_path_factory.mktemp("side-by-side"), suite.with_name("several.yaml")
     several.write_text(f"{SUITE}seeds: [0, 1]\n")
-    pipeline.run(several, tmp_path, workers=2, only="charms_kind")
-    stages = ("level_1", "kind", "charms_kind")
-    for name in stages:
-        expected = only(finished, f"{name}-*/{name}.onnx").read_bytes()
-        same, other = (
-            only(tmp_path / folder, f"{name}-*/{name}.onnx").read_bytes()
-            for folder in ("seed-0", "seed-1")
+    pipeline.run(several, output, workers=2)
+    return output
+
+
+def test_side_by_side_the_networks_are_the_same(finished: Path, side_by_side: Path) -> None:
+    same = side_by_side / "seed-0"
+    for name in STAGES:
+        expected, found = (only(out, f"{name}-*/{name}.onnx") for out in (finished, same))
+        assert expected.read_bytes() == found.read_bytes(), name
+        assert (same / "networks" / f"{name}.onnx").read_bytes() == expected.read_bytes()
+        expected, found = (only(out, f"{name}-*/{name}.csv") for out in (finished, same))
+        assert expected.read_text() == found.read_text(), name
+
+
+def test_a_suite_of_several_seeds_trains_the_networks_of_each_seed(side_by_side: Path) -> None:
+    folders = ("seed-0", "seed-1")
+    for name in STAGES:
+        first, second = (
+            only(side_by_side / folder, f"{name}-*/{name}.onnx").read_bytes() for folder in folders
         )
-        assert same == expected
-        assert other != expected
-        assert (tmp_path / "seed-0" / "networks" / f"{name}.onnx").read_bytes() == expected
-    titles = [f"{folder}/{name}" for folder in ("seed-0", "seed-1") for name in stages]
-    assert pl.read_csv(tmp_path / "stages.csv")["stage"].to_list() == titles
+        assert first != second, name
+    titles = {f"{folder}/{name}" for folder in folders for name in STAGES}
+    assert {*pl.read_csv(side_by_side / "stages.csv")["stage"]} == titles
 
 
 def test_a_fine_tuned_network_says_where_it_started_and_what_it_changed(finished: Path) -> None:
