@@ -2,6 +2,7 @@
 
 # ruff: noqa: E402  (nothing below can be imported without the extra 'train')
 
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,27 @@ def test_larger_values_may_differ_by_more(
     else:
         with pytest.raises(ModelError, match="in 3 of 3 observations"):
             export(torch.nn.Sequential(layer), path, {}, seen)
+
+
+def test_values_may_differ_by_what_the_network_itself_rounds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first layer adds 10^6, which the last one takes off, so values are rounded to 0.06."""
+    rng, first, last = np.random.default_rng(0), torch.nn.Linear(35, 5), torch.nn.Linear(5, 5)
+    with torch.no_grad():
+        first.bias.fill_(1e6)
+        last.weight.copy_(torch.eye(5))
+        last.bias.fill_(-1e6)
+    network = torch.nn.Sequential(first, torch.nn.ReLU(), last)
+    seen = rng.uniform(-1, 1, (2000, 7, 5)).astype(np.float32)
+    with torch.no_grad():
+        values = network(torch.from_numpy(seen).flatten(1)).numpy()
+        exact = deepcopy(network).double()(torch.from_numpy(seen).double().flatten(1)).numpy()
+    second = np.argsort(values, axis=1)[:, -2]
+    lost = values.max(axis=1) - values[np.arange(2000), second]
+    close = lost < 4 * np.abs(values - exact).max()
+    assert close.any()
+    chosen = np.where(close, second, values.argmax(axis=1))
+    monkeypatch.setattr(OnnxPolicy, "actions_of", lambda _, values: chosen[: len(values)])
+    made = export(network, tmp_path / "policy.onnx", {}, seen)
+    assert made["ties"] == (chosen != values.argmax(axis=1)).sum() > 100
