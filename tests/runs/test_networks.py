@@ -176,7 +176,7 @@ def test_a_moved_run_folder_has_the_networks_of_its_traffic(
             "nets/bad.pt",
             "suite.yaml:5: traffic_models[0]: no traffic named 'nets/bad.pt'. Known: ",
         ),
-        ("nets/bad.pt", "The path of a network ends in .onnx."),
+        ("nets/bad.pt", "The path of a network ends in .onnx, in small"),
         ("{name: nets/bad.onnx, options: {gain: 1}}", "is an agent; as a traffic, it takes no opt"),
         ('{name: pch, options: {styles: {safe-egoistic: "a\\e[2J.onnx"}}}', "can be printed"),
     ],

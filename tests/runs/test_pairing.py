@@ -165,7 +165,7 @@ def test_json_has_a_row_for_every_metric_that_was_asked_for(
     ("arguments", "message"),
     [
         (("idm",), "idm: needs something to compare with; give a second run, or two egos of"),
-        (("idm", "nowhere"), "nowhere/manifest.json: cannot be read"),
+        (("idm", "nowhere"), "nowhere: no such folder"),
         (("idm", "both"), "choose one ego of each with --egos"),
         (
             ("idm", "--egos", "idm_mobil", "idm"),
