@@ -6,10 +6,11 @@ from types import MappingProxyType
 import numpy as np
 
 from charms_bench import DriverModel
+from charms_bench.world.road import is_reachable, side_lanes
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, Vehicles
 
 REACTION_S = 2 / 3
-"""tau: a driver's speed answers what it sees after this time [Gipps 1981, p. 109]."""
+"""tau: a driver's speed answers what it sees after this time [Gipps 1981]."""
 CHANGE_PERIOD_S = 1.0
 """Time between two considerations of a lane change."""
 GAIN_MPS = 1.0
@@ -22,8 +23,8 @@ class Gipps(DriverModel):
     """Gipps's car-following model, and changes to lanes that allow a higher speed.
 
     A driver approaches its desired speed, and brakes so that it stops behind its leader if that
-    brakes as hard as the driver thinks it can [Gipps 1981, eqs. 5 to 7]. It changes lanes where the
-    other lane allows `GAIN_MPS` more, if neither it nor its new follower has to brake harder than
+    brakes as hard as the driver thinks it can [Gipps 1981]. It changes lanes where a lane beside it
+    allows `GAIN_MPS` more, if neither it nor its new follower has to brake harder than
     its own braking. A change that has not left the lane is given up if the gap closes.
     """
 
@@ -43,10 +44,12 @@ class Gipps(DriverModel):
         due = ~changing & (scene.timer_s[vehicles] > CHANGE_PERIOD_S)
         scene.timer_s[vehicles] *= ~due
         best = own + GAIN_MPS
-        for side in (lane - 1, lane + 1):
+        x, y = scene.x[vehicles], scene.y[vehicles]
+        for side in _sides(scene, lane):
             speed = self._speed_on(scene, vehicles, side)
-            better = due & (side >= 0) & (side < scene.road.lanes) & (speed > best)
-            better &= self._is_free(scene, vehicles, side)
+            better = due & (speed > best) & self._is_free(scene, vehicles, side)
+            for m in np.flatnonzero(better):
+                better[m] = is_reachable(scene.road, side[m], x[m], y[m])
             target, best = np.where(better, side, target), np.where(better, speed, best)
         speed = np.minimum(own, self._speed_on(scene, vehicles, target))
         return (speed - scene.speed[vehicles]) / REACTION_S, target
@@ -76,10 +79,17 @@ class Gipps(DriverModel):
         return np.asarray((needed >= -braking) & may_follow)
 
 
-def _safe_speed(speed: Floats, leader: Floats, gap: Floats, braking: Floats) -> Floats:
-    """The highest speeds (M,) from which drivers stop behind their leaders [eq. 6, G in eq. 5].
+def _sides(scene: Scene, lane: Ints) -> tuple[Ints, Ints]:
+    """The lanes (M,) to the left and to the right of lanes (M,); -1 where there is none."""
+    known, which = np.unique(lane, return_inverse=True)
+    left, right = np.array([side_lanes(scene.road, each) for each in known])[which].T
+    return left, right
 
-    They take the leaders' braking for max(3, braking) at least, as Gipps does with b-hat.
+
+def _safe_speed(speed: Floats, leader: Floats, gap: Floats, braking: Floats) -> Floats:
+    """The highest speeds (M,) from which drivers stop behind their leaders.
+
+    They take the leaders to brake by (braking + 3) / 2, and by at least 3 m/s2 [b-hat].
     """
     room = 2 * (gap - STANDSTILL_GAP_M) - speed * REACTION_S
     room += leader**2 / np.maximum(3.0, (braking + 3.0) / 2)

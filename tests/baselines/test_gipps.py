@@ -1,4 +1,4 @@
-"""Gipps's driver model against its equations, and in traffic."""
+"""Gipps's driver model against its equations, in traffic and on another road."""
 
 import math
 from typing import Any
@@ -9,6 +9,9 @@ import pytest
 from charms_bench.engine.simulation import Simulation
 from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.traffic import OneAgent, Placed
+from charms_bench.roads.engine import RoadEngine
+from charms_bench.roads.settings import on_road
+from charms_bench.world.road import side_lanes
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene import SceneSettings
 
@@ -43,13 +46,13 @@ def acceleration_of(simulation: Simulation, place: int) -> float:
     return float(simulation.scene.acceleration[0, place])
 
 
-def test_alone_it_approaches_its_desired_speed_as_in_eq_5() -> None:
+def test_alone_it_approaches_its_desired_speed_as_gipps_says() -> None:
     alone = placed({"agent": "gipps", "lane": 1, "x_m": 200.0, "speed_mps": 20.0})
     expected = 2.5 * 1.7 * (1 - 20 / 30) * math.sqrt(0.025 + 20 / 30)
     assert acceleration_of(alone, 1) == pytest.approx(expected)
 
 
-def test_behind_a_leader_it_keeps_a_speed_from_which_it_can_stop_as_in_eq_6() -> None:
+def test_behind_a_leader_it_keeps_a_speed_from_which_it_can_stop_as_gipps_says() -> None:
     gap_m, own, leader = 25.0, 26.0, 22.0
     following = placed(
         {"agent": "gipps", "lane": 1, "x_m": 200.0, "speed_mps": own},
@@ -90,6 +93,24 @@ def test_it_passes_a_slower_leader_if_its_new_follower_need_not_brake_hard(
     for _ in range(20):
         passing.advance()
     assert passing.scene.target_lane[0, 1] == lane
+
+
+def test_on_other_roads_it_changes_to_lanes_beside_its_own_only() -> None:
+    settings = on_road(SceneSettings(), "merge-v0")
+    agents = {"gipps": make_agent("gipps")}
+    made = Simulation(settings, 10, "gipps", OneAgent("gipps"), agents, RoadEngine)
+    made.reset(np.arange(10, dtype=np.uint64))
+    lanes = set()
+    for _ in range(12 * settings.steps_per_decision):
+        made.advance()
+        if made.phase == settings.steps_per_decision:
+            made.finish_step()
+        there = made.scene.present & ~made.scene.crashed
+        pairs = zip(made.scene.lane[there], made.scene.target_lane[there], strict=True)
+        lanes |= {(int(lane), int(target)) for lane, target in pairs if lane != target}
+    known = {(lane, side) for lane, _ in lanes for side in side_lanes(made.scene.road, lane)}
+    assert lanes
+    assert lanes <= known
 
 
 def test_its_traffic_flows_without_collisions() -> None:
