@@ -72,6 +72,28 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
 Beside its arguments, `scenes` is the number of episodes side by side, by default `SCENES`, and
 `normalised_rewards` says whether rewards are divided by the standard deviation of the return.
 """
+DRAWN: dict[str, dict[str, tuple[float, ...]]] = {
+    "dqn": {
+        "learning_rate": (1e-4, 3e-4, 5e-4, 1e-3),
+        "n_steps": (1, 3, 5),
+        "gamma": (0.96, 0.99),
+        "batch_size": (128, 256),
+        "gradient_steps": (12, 25, 50),
+        "target_update_interval": (500, 2_000, 5_000),
+        "exploration_final_eps": (0.02, 0.05),
+    },
+    "ppo": {
+        "learning_rate": (1e-4, 3e-4, 1e-3),
+        "n_steps": (20, 40),
+        "batch_size": (250, 500, 1_000),
+        "n_epochs": (5, 10),
+        "gamma": (0.96, 0.99),
+        "gae_lambda": (0.9, 0.95),
+        "ent_coef": (0.0, 0.003, 0.01),
+        "clip_range": (0.1, 0.2),
+    },
+}
+"""The settings that the trials `drawn-0`, `drawn-1` and following draw, each uniformly."""
 CHOSEN = {"dqn": "3-step-returns", "ppo": "normalised-rewards"}
 """The trial with which the networks are trained; docs/training-plan.md says why."""
 SCENES = 500
@@ -161,10 +183,22 @@ class Curve(BaseCallback):
         return True
 
 
+def settings_of(algorithm: str, trial: str) -> dict[str, Any]:
+    """What differs from the defaults of Stable-Baselines3 in a trial."""
+    if trial in SETTINGS[algorithm]:
+        return SETTINGS[algorithm][trial]
+    rng = np.random.default_rng(int(trial.removeprefix("drawn-")))
+    drawn = {
+        name: values[int(rng.integers(len(values)))] for name, values in DRAWN[algorithm].items()
+    }
+    common = {"dqn": CHARMS, "ppo": {**LARGE, "normalised_rewards": True}}
+    return {**common[algorithm], **drawn}
+
+
 def train(suite: TrainingSuite, name: str, algorithm: str, trial: str, folder: Path) -> None:
     """Trains a network, and writes its `.onnx`, `.csv` and `.json`."""
     stage = suite.stages[name]
-    settings = SETTINGS[algorithm][trial]
+    settings = settings_of(algorithm, trial)
     other = ("scenes", "normalised_rewards")
     arguments = {key: value for key, value in settings.items() if key not in other}
     learnt_in = Conditions(suite, stage, folder, settings.get("scenes", SCENES))
@@ -225,7 +259,7 @@ def main() -> None:
     parser.add_argument("algorithm", choices=SETTINGS)
     parser.add_argument("networks", type=Path, help="folder of seed-K/level_1.onnx and the results")
     parser.add_argument("seeds", type=int, nargs="+")
-    parser.add_argument("--trial", help="a name in SETTINGS; by default, the one in CHOSEN")
+    parser.add_argument("--trial", help="a name in SETTINGS, or drawn-K; by default, as in CHOSEN")
     parser.add_argument("--steps", type=int, help="by default, those of the stage")
     given = parser.parse_args()
     torch.set_num_threads(1)
