@@ -18,7 +18,8 @@ from charms_bench.foundation.compiled import (
     wrap_to_pi,
 )
 from charms_bench.roads.linear import linear_acceleration, linear_steering
-from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known
+from charms_bench.roads.locating import coordinates_of
+from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     AHEAD,
     BATCH,
@@ -46,7 +47,7 @@ from charms_bench.roads.scenes import (
 )
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
 from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
-from charms_bench.world.road import NEIGHBOUR_MARGIN_M, next_lane
+from charms_bench.world.road import next_lane
 from charms_bench.world.road_network import Network
 
 
@@ -79,8 +80,10 @@ def act(road: Network, here: Here) -> None:
     What does not depend on the decisions of others is computed for all of them at once.
     """
     find_free_accelerations(here)
+    list_changing(here)
     for i in range(here.places):
         vehicle = vehicle_of(here, i)
+        was_changing = vehicle.lane != vehicle.target_lane
         if vehicle.kind == COMMANDED:
             if is_at_end(here, i):
                 take_next_lane(road, here, i)
@@ -90,7 +93,26 @@ def act(road: Network, here: Here) -> None:
             if is_at_end(here, i):
                 take_next_lane(road, here, i)
             act_as_idm(here, i)
+        if vehicle.lane != vehicle.target_lane and not was_changing:
+            note_changing(here, i)
     steer(here)
+
+
+@inlined
+def list_changing(here: Here) -> None:
+    """Lists the vehicles that change lanes."""
+    here.clock.changing = 0
+    for i in range(here.places):
+        vehicle = vehicle_of(here, i)
+        if vehicle.lane != vehicle.target_lane:
+            note_changing(here, i)
+
+
+@inlined
+def note_changing(here: Here, i: int) -> None:
+    """Lists vehicle i, which changes lanes."""
+    row_after(here.changing, here.clock.changing).place = i
+    here.clock.changing += 1
 
 
 @compiled
@@ -124,6 +146,8 @@ def take_next_lane(road: Network, here: Here, i: int) -> None:
     row = lane_of(here, target)
     if vehicle.route_step < vehicle.route_end:
         vehicle.route_step += vehicle.route_roads[vehicle.route_step] == row.first
+    if row.next_count == 0:  # `next_lane` would find none
+        return
     if vehicle.route_step < vehicle.route_end:
         first = vehicle.route_roads[vehicle.route_step]
         for k in range(row.next_roads, row.next_roads + row.next_count):
@@ -198,54 +222,6 @@ def is_reachable(here: Here, i: int, lane: int) -> bool:
     row, at = lane_of(here, lane), coordinates_of(here, i, lane)
     is_close = abs(at.r) <= 2 * row.width and 0 <= at.s < row.length + END_MARGIN_M
     return is_close and not row.forbidden
-
-
-@compiled
-def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
-    """The nearest vehicles or obstacles ahead and behind on a lane, -1 for none.
-
-    [`Road.neighbour_vehicles`]
-    """
-    search, s = row_after(here.searches, lane), coordinates_of(here, i, lane).s
-    if search.listed != here.clock.moves:
-        list_vehicles(here, lane)
-    front = rear = -1
-    s_front = s_rear = 0.0
-    for k in range(search.count):
-        listed = row_after(here.listed, lane * here.places + k)
-        if listed.place == i:
-            continue
-        if s <= listed.s and (front < 0 or listed.s <= s_front):
-            front, s_front = listed.place, listed.s
-        if listed.s < s and (rear < 0 or listed.s > s_rear):
-            rear, s_rear = listed.place, listed.s
-    return front, rear
-
-
-@compiled
-def list_vehicles(here: Here, lane: int) -> None:
-    """Lists the vehicles and obstacles on a lane or on one connected with it."""
-    search = row_after(here.searches, lane)
-    search.listed, search.count = here.clock.moves, 0
-    for j in range(here.places):
-        if vehicle_of(here, j).kind < OBSTACLE:
-            continue
-        for k in range(search.first, search.after):
-            connected = row_after(here.connected, k)
-            row = lane_of(here, connected.lane)
-            if not is_known(here, j, connected.lane) and is_further_beside(
-                row, vehicle_of(here, j), row.width / 2 + NEIGHBOUR_MARGIN_M
-            ):
-                continue
-            at = coordinates_of(here, j, connected.lane)
-            if not abs(at.r) <= row.width / 2 + NEIGHBOUR_MARGIN_M:
-                continue
-            if not -END_MARGIN_M <= at.s < row.length + END_MARGIN_M:
-                continue
-            listed = row_after(here.listed, lane * here.places + search.count)
-            listed.place, listed.s = j, at.s + connected.offset
-            search.count += 1
-            break
 
 
 @compiled
@@ -373,7 +349,8 @@ def consider_sides(here: Here, i: int, free: float, own: float, front: int, rear
 def gap_is_taken(here: Here, i: int) -> bool:
     """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`]."""
     target = vehicle_of(here, i).target_lane
-    for j in range(here.places):
+    for k in range(here.clock.changing):
+        j = row_after(here.changing, k).place
         other = vehicle_of(here, j)
         if j == i or other.kind <= CONTINUOUS:
             continue

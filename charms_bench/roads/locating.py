@@ -15,9 +15,13 @@ from charms_bench.world.lane_geometry import (
 
 @woven
 def coordinates_of(here: Here, i: int, lane: int) -> Row:
-    """The coordinates of vehicle i on a lane, which are computed when they are first asked for."""
-    at = row_after(here.coordinates, i * here.lane_count + lane)
-    if math.isnan(at.s):
+    """The coordinates of vehicle i on a lane, which are computed when they are first asked for.
+
+    They are valid until those on another lane are asked for.
+    """
+    at, key = kept_of(here, i, lane), row_after(here.visited, i).moved + lane
+    if at.key != key:
+        at.key = key
         row, vehicle = lane_of(here, lane), vehicle_of(here, i)
         if row.kind == STRAIGHT:  # as in `line_coordinates`, without a call
             x, y = vehicle.x - row.x, vehicle.y - row.y
@@ -28,10 +32,17 @@ def coordinates_of(here: Here, i: int, lane: int) -> Row:
     return at
 
 
+@woven
+def kept_of(here: Here, i: int, lane: int) -> Row:
+    """Where the coordinates of vehicle i on a lane are kept."""
+    known = here.clock.known
+    return row_after(here.coordinates, i * known + (lane & (known - 1)))
+
+
 @inlined
 def is_known(here: Here, i: int, lane: int) -> bool:
     """Whether the coordinates of vehicle i on a lane have been computed."""
-    return not math.isnan(row_after(here.coordinates, i * here.lane_count + lane).s)
+    return bool(kept_of(here, i, lane).key == row_after(here.visited, i).moved + lane)
 
 
 @compiled
@@ -44,8 +55,7 @@ def compute(at: Row, lane: Row, vehicle: Row) -> None:
 def forget(here: Here, i: int) -> None:
     """Forgets the coordinates of a vehicle that has moved."""
     here.clock.moves += 1
-    for lane in range(here.lane_count):
-        row_after(here.coordinates, i * here.lane_count + lane).s = math.nan
+    row_after(here.visited, i).moved = here.clock.moves * here.lane_count
 
 
 @compiled
@@ -59,7 +69,7 @@ def locate(here: Here, i: int) -> None:
     vehicle = vehicle_of(here, i)
     shortest = distance_with_heading(here, i, vehicle.lane, math.inf)
     before = best = vehicle.lane
-    k = first_near(here, vehicle)
+    k = square_of(here, vehicle).first
     while True:
         lane = row_after(here.near, k).lane
         k += 1
@@ -73,25 +83,40 @@ def locate(here: Here, i: int) -> None:
     vehicle.lane = best
 
 
+@woven
+def square_of(here: Here, vehicle: Row) -> Row:
+    """The square of the map where a vehicle is; see `nearby`."""
+    return row_after(here.nearest, number_of_square(here, vehicle))
+
+
 @inlined
-def first_near(here: Here, vehicle: Row) -> int:
-    """Where the list of the lanes begins that can be the nearest ones of a vehicle."""
+def number_of_square(here: Here, vehicle: Row) -> int:
+    """The number of the square where a vehicle is; the first one is outside of the map."""
     squares = here.squares
     column = (vehicle.x - squares.x) * squares.per_metre
     row = (vehicle.y - squares.y) * squares.per_metre
     if 0 <= column < squares.columns and 0 <= row < squares.rows:
-        return int(row_after(here.nearest, int(row) * squares.columns + int(column)).first)
+        return 1 + int(row) * int(squares.columns) + int(column)
     return 0
 
 
 @inlined
 def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
     """[`AbstractLane.distance_with_heading`], or infinity if it is certainly above a bound."""
-    at, row, vehicle = coordinates_of(here, i, lane), lane_of(here, lane), vehicle_of(here, i)
-    distance = abs(at.r) + max(at.s - row.length, 0.0) + max(0.0 - at.s, 0.0)
+    row, vehicle = lane_of(here, lane), vehicle_of(here, i)
+    if row.kind == STRAIGHT:  # not kept, because most lanes are not asked for again
+        x, y = vehicle.x - row.x, vehicle.y - row.y
+        s = x * row.direction_x + y * row.direction_y
+        r = x * -row.direction_y + y * row.direction_x
+        heading = row.heading
+    else:
+        at = coordinates_of(here, i, lane)
+        s, r, heading = at.s, at.r, 0.0
+    distance = abs(r) + max(s - row.length, 0.0) + max(0.0 - s, 0.0)
     if distance > bound:
         return math.inf
-    heading = row.heading if row.kind == STRAIGHT else line_heading(row, at.s)
+    if row.kind != STRAIGHT:
+        heading = line_heading(row, s)
     return float(distance + abs(wrap_to_pi(vehicle.heading - heading)))
 
 

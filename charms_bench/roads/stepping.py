@@ -132,28 +132,79 @@ def is_at_rest(vehicle: Row) -> bool:
 @compiled
 def collide(here: Here) -> None:
     """Finds the collisions of pairs, in their order [`RoadObject.handle_collisions`]."""
-    dt, count = here.constants.dt, 0
+    dt, count, furthest = here.constants.dt, list_bodies(here), 0.0
+    for n in range(count):
+        furthest = max(furthest, row_after(here.bodies, n).reach)
     for k in range(here.places):
-        vehicle = vehicle_of(here, place_of(here, k))
-        if vehicle.kind >= OBSTACLE:
-            body = row_after(here.bodies, count)
-            body.place, body.x, body.y = place_of(here, k), vehicle.x, vehicle.y
-            body.checks = vehicle.checks_collisions
-            body.reach = (vehicle.length + vehicle.width) / 2 + MARGIN_M
-            count += 1
-    for k in range(count):
-        body = row_after(here.bodies, k)
-        own = vehicle_of(here, body.place)
-        if own.kind == OBSTACLE:
+        i = place_of(here, k)
+        own = vehicle_of(here, i)
+        if own.kind <= OBSTACLE:
             continue
+        at = row_after(here.visited, i).at
+        body, near = row_after(here.bodies, at), 0
         reach = body.reach + abs(own.speed) * dt
-        for m in range(k + 1, count):
-            other = row_after(here.bodies, m)
-            near = reach + other.reach
-            if abs(other.x - body.x) > near or abs(other.y - body.y) > near:
-                continue  # before the square roots, which would say the same
-            if body.checks or other.checks:
-                collide_pair(own, vehicle_of(here, other.place), dt)
+        for step in (1, -1):
+            n = at + step
+            while 0 <= n < count:
+                other = row_after(here.bodies, n)
+                n += step
+                aside, apart = abs(other.y - body.y), abs(other.x - body.x)
+                if apart > reach + furthest:
+                    break
+                # Before the square roots, which would say the same.
+                if apart > reach + other.reach or aside > reach + other.reach:
+                    continue
+                if (body.checks or other.checks) and row_after(here.visited, other.place).rank > k:
+                    insert_by_rank(here, near, other.place)
+                    near += 1
+        for n in range(near):
+            collide_pair(own, vehicle_of(here, row_after(here.touched, n).place), dt)
+
+
+@compiled
+def list_bodies(here: Here) -> int:
+    """Lists the vehicles and obstacles by x, and returns how many there are."""
+    count, absent = 0, here.places
+    for k in range(here.places):
+        row_after(here.visited, place_of(here, k)).rank = k
+    for n in range(here.places):
+        i = row_after(here.by_x, n).place
+        vehicle = vehicle_of(here, i)
+        if vehicle.kind < OBSTACLE:
+            continue
+        m = count
+        while m > 0 and row_after(here.bodies, m - 1).x > vehicle.x:
+            before, after = row_after(here.bodies, m - 1), row_after(here.bodies, m)
+            after.place, after.x, after.y = before.place, before.x, before.y
+            after.checks, after.reach = before.checks, before.reach
+            m -= 1
+        body = row_after(here.bodies, m)
+        body.place, body.x, body.y = i, vehicle.x, vehicle.y
+        body.checks = vehicle.checks_collisions
+        body.reach = (vehicle.length + vehicle.width) / 2 + MARGIN_M
+        count += 1
+    for i in range(here.places):
+        if vehicle_of(here, i).kind < OBSTACLE:
+            absent -= 1
+            row_after(here.by_x, absent).place = i
+    for n in range(count):
+        i = row_after(here.bodies, n).place
+        row_after(here.by_x, n).place = i
+        row_after(here.visited, i).at = n
+    return count
+
+
+@inlined
+def insert_by_rank(here: Here, count: int, place: int) -> None:
+    """Puts a vehicle into the list `touched` of so many, in highway-env's order of vehicles."""
+    rank, n = row_after(here.visited, place).rank, count
+    while n > 0:
+        before = row_after(here.touched, n - 1).place
+        if row_after(here.visited, before).rank < rank:
+            break
+        row_after(here.touched, n).place = before
+        n -= 1
+    row_after(here.touched, n).place = place
 
 
 @compiled

@@ -1,0 +1,173 @@
+"""Which vehicles are on each lane of a network, in order, and the neighbours of a vehicle there.
+
+After vehicles have moved, it is found which of them are on each lane. Then those of a lane and of
+the lanes connected with it are put in one list, when its neighbours are first asked for. On a lane
+and in a list, vehicles stand by their position along the lane, and at equal positions by their
+places. So a question about a vehicle costs the same, however many vehicles there are.
+"""
+
+from charms_bench.foundation.compiled import compiled, inlined, row_after
+from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known, square_of
+from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
+from charms_bench.world.lane_geometry import END_MARGIN_M
+from charms_bench.world.road import NEIGHBOUR_MARGIN_M
+
+FEW_VEHICLES = 64
+"""So few are sorted at once from any order."""
+
+
+@compiled
+def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
+    """The nearest vehicles or obstacles ahead and behind on a lane, -1 for none.
+
+    Of several at one position, that ahead is the last one in the table of vehicles, and that behind
+    the first one [`Road.neighbour_vehicles`].
+    """
+    clock, search, s = here.clock, row_after(here.searches, lane), coordinates_of(here, i, lane).s
+    if clock.sorted != clock.moves or search.listed != clock.lists:
+        list_vehicles(here, search)
+    end = search.start + search.count
+    low, high = search.start, end
+    while low < high:
+        middle = (low + high) // 2
+        if row_after(here.listed, middle).s < s:
+            low = middle + 1
+        else:
+            high = middle
+    front = rear = -1
+    s_front = s_rear = 0.0
+    for k in range(low, end):
+        listed = row_after(here.listed, k)
+        if front >= 0 and listed.s != s_front:
+            break
+        if listed.place != i:
+            front, s_front = listed.place, listed.s
+    for k in range(low - 1, search.start - 1, -1):
+        listed = row_after(here.listed, k)
+        if rear >= 0 and listed.s != s_rear:
+            break
+        if listed.place != i:
+            rear, s_rear = listed.place, listed.s
+    return front, rear
+
+
+@compiled
+def list_vehicles(here: Here, search: Row) -> None:
+    """Lists the vehicles on a lane and those connected with it, each on the first that has it."""
+    clock = here.clock
+    if clock.sorted != clock.moves:
+        sort_vehicles(here)
+    if search.after - search.first == 1:
+        on = row_after(here.occupied, row_after(here.connected, search.first).lane)
+        search.listed, search.start, search.count = clock.lists, on.start, number_on(here, on)
+        return
+    if clock.used + here.places > clock.room:
+        clock.lists, clock.used = clock.lists + 1, clock.most * here.places
+    search.listed, search.start, search.count = clock.lists, clock.used, 0
+    clock.marks += 1
+    for k in range(search.first, search.after):
+        on = row_after(here.occupied, row_after(here.connected, k).lane)
+        for n in range(on.start, on.start + number_on(here, on)):
+            visited = row_after(here.visited, row_after(here.listed, n).place)
+            if visited.mark != clock.marks:
+                visited.mark, visited.of = clock.marks, k
+    for m in range(search.first, search.after):
+        k = row_after(here.ascending, m).place
+        connected = row_after(here.connected, k)
+        on = row_after(here.occupied, connected.lane)
+        for n in range(on.start, on.start + number_on(here, on)):
+            there = row_after(here.listed, n)
+            if row_after(here.visited, there.place).of == k:
+                insert(here, search, there.place, there.s + connected.offset)
+    clock.used += search.count
+
+
+@inlined
+def number_on(here: Here, on: Row) -> int:
+    """How many vehicles are on a lane."""
+    return int(on.count) if on.sorted == here.clock.moves else 0
+
+
+@inlined
+def insert(here: Here, rows: Row, place: int, s: float) -> None:
+    """Puts a vehicle among those of a lane or of a search, which are in order."""
+    n = rows.start + rows.count
+    while n > rows.start:
+        before, after = row_after(here.listed, n - 1), row_after(here.listed, n)
+        if before.s < s or (before.s == s and before.place < place):
+            break
+        after.place, after.s = before.place, before.s
+        n -= 1
+    there = row_after(here.listed, n)
+    there.place, there.s = place, s
+    rows.count += 1
+
+
+@compiled
+def sort_vehicles(here: Here) -> None:
+    """Finds the vehicles and obstacles on each lane."""
+    clock, count = here.clock, 0
+    clock.sorted = clock.moves
+    clock.lists, clock.used = clock.lists + 1, clock.most * here.places
+    for j in range(here.places):
+        find_lanes(here, j)
+        count += row_after(here.visited, j).lanes
+    start = 0
+    for n in range(here.places):
+        j = row_after(here.along, n).place
+        for k in range(row_after(here.visited, j).lanes):
+            found = row_after(here.found, j * clock.most + k)
+            on = row_after(here.occupied, found.lane)
+            if on.found != clock.moves:
+                on.found, on.start = clock.moves, start
+                start += on.count
+                on.count = 0
+            insert(here, on, j, found.s)
+    if count > FEW_VEHICLES:
+        keep_order(here, count)
+
+
+@inlined
+def find_lanes(here: Here, j: int) -> None:
+    """Finds the lanes that vehicle j is on [`AbstractLane.on_lane`, with `NEIGHBOUR_MARGIN_M`]."""
+    clock, vehicle, visited = here.clock, vehicle_of(here, j), row_after(here.visited, j)
+    visited.lanes = 0
+    if vehicle.kind < OBSTACLE:
+        return
+    near = square_of(here, vehicle).on
+    while True:
+        lane = row_after(here.near, near).lane
+        near += 1
+        if lane < 0:
+            break
+        row = lane_of(here, lane)
+        beside = row.width / 2 + NEIGHBOUR_MARGIN_M
+        if not is_known(here, j, lane) and is_further_beside(row, vehicle, beside):
+            continue
+        at = coordinates_of(here, j, lane)
+        if not abs(at.r) <= beside or not -END_MARGIN_M <= at.s < row.length + END_MARGIN_M:
+            continue
+        found = row_after(here.found, j * clock.most + visited.lanes)
+        on = row_after(here.occupied, lane)
+        found.lane, found.s = lane, at.s
+        visited.lanes += 1
+        on.count = number_on(here, on) + 1
+        on.sorted = clock.moves
+
+
+@compiled
+def keep_order(here: Here, count: int) -> None:
+    """Notes the order of the vehicles on lanes: it will be almost the same after the next move."""
+    clock, noted = here.clock, 0
+    clock.marks += 1
+    for n in range(count):
+        place = row_after(here.listed, n).place
+        visited = row_after(here.visited, place)
+        if visited.mark != clock.marks:
+            visited.mark = clock.marks
+            row_after(here.along, noted).place = place
+            noted += 1
+    for place in range(here.places):
+        if row_after(here.visited, place).mark != clock.marks:
+            row_after(here.along, noted).place = place
+            noted += 1
