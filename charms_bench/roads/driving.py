@@ -111,7 +111,7 @@ def list_changing(here: Here) -> None:
 @inlined
 def note_changing(here: Here, i: int) -> None:
     """Lists vehicle i, which changes lanes."""
-    row_after(here.changing, here.clock.changing).place = i
+    row_after(here.visited, here.clock.changing).changing = i
     here.clock.changing += 1
 
 
@@ -174,7 +174,7 @@ def steer(here: Here) -> None:
             vehicle.steering = 0.0
             continue
         batch, k = batch_of(here, count), count % BATCH
-        row_after(here.batched, count).place = i
+        row_after(here.visited, count).batched = i
         put(batch, LATERAL, k, at.r)
         put(batch, AHEAD, k, wanted)
         put(batch, HEADING, k, vehicle.heading)
@@ -232,7 +232,7 @@ def find_free_accelerations(here: Here) -> None:
         vehicle = vehicle_of(here, i)
         if vehicle.kind == IDM and not vehicle.crashed:
             batch, k = batch_of(here, count), count % BATCH
-            row_after(here.batched, count).place = i
+            row_after(here.visited, count).batched = i
             put(batch, SHARE, k, share_of_speed(here, i))
             put(batch, EXPONENT, k, vehicle.exponent)
             count += 1
@@ -350,7 +350,7 @@ def gap_is_taken(here: Here, i: int) -> bool:
     """Whether another vehicle changes to the same lane close ahead [`change_lane_policy`]."""
     target = vehicle_of(here, i).target_lane
     for k in range(here.clock.changing):
-        j = row_after(here.changing, k).place
+        j = row_after(here.visited, k).changing
         other = vehicle_of(here, j)
         if j == i or other.kind <= CONTINUOUS:
             continue

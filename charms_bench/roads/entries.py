@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
-from charms_bench.roads.scenes import CONNECTED, OBSTACLE, Scenes
+from charms_bench.roads.scenes import OBSTACLE, Scenes
 from charms_bench.world.road import local_coordinates
 from charms_bench.world.road_network import Network
 
@@ -29,6 +29,8 @@ IMPOSED_S = 2.0
 PET_LIMIT_S = 5.0
 """A longer PET is not recorded."""
 MEASURES = ("entry_lead_gap_m", "entry_lag_gap_m", "entry_braking_mps2", "entry_pet_s")
+CHAINED = np.dtype([("lane", np.int64), ("offset", np.float64)])
+"""A lane of a chain, and where it starts along the lane in question, m."""
 ENTRY = np.dtype(
     [
         *((name, np.float64) for name in (*MEASURES, "since_s", "place", "last")),
@@ -61,7 +63,7 @@ class Entries:
         self.table = np.zeros(count, ENTRY)
         self._main = main
         chains = [list(_chain(scenes.road, lane, main)) for lane in range(main.size)]
-        self._chains = np.array([each for chain in chains for each in chain], CONNECTED)
+        self._chains = np.array([each for chain in chains for each in chain], CHAINED)
         self._ends = np.cumsum([len(chain) for chain in chains])
 
     def start(self, rows: Ints, vehicles: Ints) -> None:

@@ -3,7 +3,7 @@
 import math
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after, woven, wrap_to_pi
-from charms_bench.roads.scenes import Here, Row, lane_of, vehicle_of
+from charms_bench.roads.scenes import KNOWN_LANES, Here, Row, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import (
     CIRCULAR,
     SINE,
@@ -35,8 +35,7 @@ def coordinates_of(here: Here, i: int, lane: int) -> Row:
 @woven
 def kept_of(here: Here, i: int, lane: int) -> Row:
     """Where the coordinates of vehicle i on a lane are kept."""
-    known = here.clock.known
-    return row_after(here.coordinates, i * known + (lane & (known - 1)))
+    return row_after(here.coordinates, i * KNOWN_LANES + (lane & (KNOWN_LANES - 1)))
 
 
 @inlined
@@ -103,32 +102,25 @@ def number_of_square(here: Here, vehicle: Row) -> int:
 @inlined
 def distance_with_heading(here: Here, i: int, lane: int, bound: float) -> float:
     """[`AbstractLane.distance_with_heading`], or infinity if it is certainly above a bound."""
-    row, vehicle = lane_of(here, lane), vehicle_of(here, i)
-    if row.kind == STRAIGHT:  # not kept, because most lanes are not asked for again
-        x, y = vehicle.x - row.x, vehicle.y - row.y
-        s = x * row.direction_x + y * row.direction_y
-        r = x * -row.direction_y + y * row.direction_x
-        heading = row.heading
-    else:
-        at = coordinates_of(here, i, lane)
-        s, r, heading = at.s, at.r, 0.0
-    distance = abs(r) + max(s - row.length, 0.0) + max(0.0 - s, 0.0)
+    at, row, vehicle = coordinates_of(here, i, lane), lane_of(here, lane), vehicle_of(here, i)
+    distance = abs(at.r) + max(at.s - row.length, 0.0) + max(0.0 - at.s, 0.0)
     if distance > bound:
         return math.inf
-    if row.kind != STRAIGHT:
-        heading = line_heading(row, s)
+    heading = row.heading if row.kind == STRAIGHT else line_heading(row, at.s)
     return float(distance + abs(wrap_to_pi(vehicle.heading - heading)))
 
 
 @inlined
 def is_further(lane: Row, vehicle: Row, bound: float) -> bool:
     """Whether a lane is certainly further away than a bound, without its elementary functions."""
-    if lane.kind == SINE:
-        x, y = vehicle.x - lane.x, vehicle.y - lane.y
-        s = x * lane.direction_x + y * lane.direction_y
-        if s - lane.length > bound or -s > bound:
-            return True
-    return is_further_beside(lane, vehicle, bound)
+    if lane.kind == CIRCULAR:
+        return is_further_beside(lane, vehicle, bound)
+    x, y = vehicle.x - lane.x, vehicle.y - lane.y
+    s = x * lane.direction_x + y * lane.direction_y
+    beyond = max(s - lane.length, 0.0) + max(0.0 - s, 0.0)
+    if lane.kind == STRAIGHT:  # as in `distance_with_heading`, which keeps the coordinates
+        return bool(abs(x * -lane.direction_y + y * lane.direction_x) + beyond > bound)
+    return beyond > bound or is_further_beside(lane, vehicle, bound)
 
 
 @inlined

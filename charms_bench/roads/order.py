@@ -8,12 +8,12 @@ places. So a question about a vehicle costs the same, however many vehicles ther
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after
 from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known, square_of
-from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
+from charms_bench.roads.scenes import FEW_VEHICLES, OBSTACLE, Here, Row, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 
-FEW_VEHICLES = 64
-"""So few are sorted at once from any order."""
+FEW_LISTED = 8
+"""So few are asked one after the other."""
 
 
 @compiled
@@ -28,12 +28,14 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
         list_vehicles(here, search)
     end = search.start + search.count
     low, high = search.start, end
-    while low < high:
+    while high - low > FEW_LISTED:
         middle = (low + high) // 2
         if row_after(here.listed, middle).s < s:
             low = middle + 1
         else:
             high = middle
+    while low < high and row_after(here.listed, low).s < s:
+        low += 1
     front = rear = -1
     s_front = s_rear = 0.0
     for k in range(low, end):
@@ -54,45 +56,74 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
 @compiled
 def list_vehicles(here: Here, search: Row) -> None:
     """Lists the vehicles on a lane and those connected with it, each on the first that has it."""
-    clock = here.clock
+    clock, is_few = here.clock, here.places <= FEW_VEHICLES
     if clock.sorted != clock.moves:
-        sort_vehicles(here)
-    if search.after - search.first == 1:
-        on = row_after(here.occupied, row_after(here.connected, search.first).lane)
-        search.listed, search.start, search.count = clock.lists, on.start, number_on(here, on)
-        return
+        clock.sorted = clock.moves
+        clock.lists, clock.used = clock.lists + 1, 2 * clock.most * here.places
+        if not is_few:
+            sort_vehicles(here)
     if clock.used + here.places > clock.room:
-        clock.lists, clock.used = clock.lists + 1, clock.most * here.places
+        clock.lists, clock.used = clock.lists + 1, 2 * clock.most * here.places
     search.listed, search.start, search.count = clock.lists, clock.used, 0
-    clock.marks += 1
+    if is_few:
+        list_any_order(here, search)
+    elif search.after - search.first == 1:
+        on = row_after(here.searches, row_after(here.connected, search.first).lane)
+        search.start, search.count = on.first_on, number_on(here, on)
+        return
+    else:
+        list_in_order(here, search)
+    clock.used += search.count
+
+
+@inlined
+def list_any_order(here: Here, search: Row) -> None:
+    """Lists a few vehicles, by looking at all of them."""
+    for j in range(here.places):
+        if vehicle_of(here, j).kind < OBSTACLE:
+            continue
+        for k in range(search.first, search.after):
+            connected = row_after(here.connected, k)
+            if is_on(here, j, connected.lane):
+                s = coordinates_of(here, j, connected.lane).s + connected.offset
+                insert(here, search.start, search.count, j, s)
+                search.count += 1
+                break
+
+
+@compiled
+def list_in_order(here: Here, search: Row) -> None:
+    """Lists the vehicles on connected lanes, which are in order on each of them."""
+    here.clock.marks += 1
     for k in range(search.first, search.after):
-        on = row_after(here.occupied, row_after(here.connected, k).lane)
-        for n in range(on.start, on.start + number_on(here, on)):
+        on = row_after(here.searches, row_after(here.connected, k).lane)
+        for n in range(on.first_on, on.first_on + number_on(here, on)):
             visited = row_after(here.visited, row_after(here.listed, n).place)
-            if visited.mark != clock.marks:
-                visited.mark, visited.of = clock.marks, k
+            if visited.mark != here.clock.marks:
+                visited.mark, visited.of = here.clock.marks, k
     for m in range(search.first, search.after):
-        k = row_after(here.ascending, m).place
+        k = row_after(here.connected, m).ascending
         connected = row_after(here.connected, k)
-        on = row_after(here.occupied, connected.lane)
-        for n in range(on.start, on.start + number_on(here, on)):
+        on = row_after(here.searches, connected.lane)
+        for n in range(on.first_on, on.first_on + number_on(here, on)):
             there = row_after(here.listed, n)
             if row_after(here.visited, there.place).of == k:
-                insert(here, search, there.place, there.s + connected.offset)
-    clock.used += search.count
+                s = there.s + connected.offset
+                insert(here, search.start, search.count, there.place, s)
+                search.count += 1
 
 
 @inlined
 def number_on(here: Here, on: Row) -> int:
     """How many vehicles are on a lane."""
-    return int(on.count) if on.sorted == here.clock.moves else 0
+    return int(on.count_on) if on.sorted == here.clock.moves else 0
 
 
 @inlined
-def insert(here: Here, rows: Row, place: int, s: float) -> None:
-    """Puts a vehicle among those of a lane or of a search, which are in order."""
-    n = rows.start + rows.count
-    while n > rows.start:
+def insert(here: Here, start: int, count: int, place: int, s: float) -> None:
+    """Puts a vehicle into a list of so many, which are in order."""
+    n = start + count
+    while n > start:
         before, after = row_after(here.listed, n - 1), row_after(here.listed, n)
         if before.s < s or (before.s == s and before.place < place):
             break
@@ -100,36 +131,33 @@ def insert(here: Here, rows: Row, place: int, s: float) -> None:
         n -= 1
     there = row_after(here.listed, n)
     there.place, there.s = place, s
-    rows.count += 1
 
 
 @compiled
 def sort_vehicles(here: Here) -> None:
     """Finds the vehicles and obstacles on each lane."""
     clock, count = here.clock, 0
-    clock.sorted = clock.moves
-    clock.lists, clock.used = clock.lists + 1, clock.most * here.places
+    start = clock.most * here.places
     for j in range(here.places):
         find_lanes(here, j)
         count += row_after(here.visited, j).lanes
-    start = 0
     for n in range(here.places):
-        j = row_after(here.along, n).place
+        j = row_after(here.visited, n).along
         for k in range(row_after(here.visited, j).lanes):
-            found = row_after(here.found, j * clock.most + k)
-            on = row_after(here.occupied, found.lane)
-            if on.found != clock.moves:
-                on.found, on.start = clock.moves, start
-                start += on.count
-                on.count = 0
-            insert(here, on, j, found.s)
-    if count > FEW_VEHICLES:
-        keep_order(here, count)
+            found = row_after(here.listed, j * clock.most + k)
+            on = row_after(here.searches, found.place)
+            if on.first_on < 0:
+                on.first_on = start
+                start += on.count_on
+                on.count_on = 0
+            insert(here, on.first_on, on.count_on, j, found.s)
+            on.count_on += 1
+    keep_order(here, count)
 
 
 @inlined
 def find_lanes(here: Here, j: int) -> None:
-    """Finds the lanes that vehicle j is on [`AbstractLane.on_lane`, with `NEIGHBOUR_MARGIN_M`]."""
+    """Finds the lanes that vehicle j is on."""
     clock, vehicle, visited = here.clock, vehicle_of(here, j), row_after(here.visited, j)
     visited.lanes = 0
     if vehicle.kind < OBSTACLE:
@@ -140,19 +168,26 @@ def find_lanes(here: Here, j: int) -> None:
         near += 1
         if lane < 0:
             break
-        row = lane_of(here, lane)
-        beside = row.width / 2 + NEIGHBOUR_MARGIN_M
-        if not is_known(here, j, lane) and is_further_beside(row, vehicle, beside):
+        if not is_on(here, j, lane):
             continue
-        at = coordinates_of(here, j, lane)
-        if not abs(at.r) <= beside or not -END_MARGIN_M <= at.s < row.length + END_MARGIN_M:
-            continue
-        found = row_after(here.found, j * clock.most + visited.lanes)
-        on = row_after(here.occupied, lane)
-        found.lane, found.s = lane, at.s
+        found = row_after(here.listed, j * clock.most + visited.lanes)
+        on = row_after(here.searches, lane)
+        found.place, found.s = lane, coordinates_of(here, j, lane).s
         visited.lanes += 1
-        on.count = number_on(here, on) + 1
-        on.sorted = clock.moves
+        if on.sorted != clock.moves:
+            on.sorted, on.first_on, on.count_on = clock.moves, -1, 0
+        on.count_on += 1
+
+
+@inlined
+def is_on(here: Here, j: int, lane: int) -> bool:
+    """Whether vehicle j is on a lane [`AbstractLane.on_lane`, with `NEIGHBOUR_MARGIN_M`]."""
+    row = lane_of(here, lane)
+    beside = row.width / 2 + NEIGHBOUR_MARGIN_M
+    if not is_known(here, j, lane) and is_further_beside(row, vehicle_of(here, j), beside):
+        return False
+    at = coordinates_of(here, j, lane)
+    return bool(abs(at.r) <= beside and -END_MARGIN_M <= at.s < row.length + END_MARGIN_M)
 
 
 @compiled
@@ -161,13 +196,13 @@ def keep_order(here: Here, count: int) -> None:
     clock, noted = here.clock, 0
     clock.marks += 1
     for n in range(count):
-        place = row_after(here.listed, n).place
+        place = row_after(here.listed, clock.most * here.places + n).place
         visited = row_after(here.visited, place)
         if visited.mark != clock.marks:
             visited.mark = clock.marks
-            row_after(here.along, noted).place = place
+            row_after(here.visited, noted).along = place
             noted += 1
     for place in range(here.places):
         if row_after(here.visited, place).mark != clock.marks:
-            row_after(here.along, noted).place = place
+            row_after(here.visited, noted).along = place
             noted += 1

@@ -26,6 +26,8 @@ ROUTE_STEPS = 12
 """The most steps of a route."""
 BATCH = 8
 """For so many vehicles at once, elementary functions are computed; see `BATCHES`."""
+FEW_VEHICLES = 32
+"""Of so few, neighbours and collisions are found by looking at all, which is faster."""
 LISTS = 8
 """In so many lists on average, a vehicle can be at once; with more, the first ones are dropped."""
 OBSTACLE_SIZE_M = 2.0
@@ -69,27 +71,26 @@ step is `route_step`, and before `route_end` is the last."""
 COORDINATES = _table(floats="s r", integers="key")
 """How far a vehicle is along and beside a lane, m. The key is that of the lane and of the vehicle's
 last move, for which it was computed."""
-KNOWN_LANES = 8
+KNOWN_LANES = 32
 """Of so many lanes, the coordinates of a vehicle can be kept at once; a power of two."""
-CONNECTED = _table(integers="lane", floats="offset")
-"""A lane on which neighbours are sought, and how far its start is along the lane in question."""
+CONNECTED = _table(integers="lane ascending", floats="offset")
+"""A lane on which neighbours are sought, and how far its start is along the lane in question.
+`ascending` lists the same rows of a lane by their offsets."""
 ORDER = _table(integers="place")
 """The place of a vehicle or an obstacle in the table of a scene."""
-SEARCH = _table(integers="first after listed start count")
-"""The rows of `Scenes.connected` for a lane: the lane itself, then those that start at its end or
-end at its start [`Road.neighbour_vehicles`]. Where `listed` is the clock's `lists`, the vehicles on
-them, so many, are in `Scenes.listed`."""
+SEARCH = _table(integers="first after listed start count sorted first_on count_on")
+"""Of a lane: the rows of `Scenes.connected`, that of the lane itself, then of those that start at
+its end or end at its start [`Road.neighbour_vehicles`]. Where `listed` is the clock's `lists`, the
+vehicles on them are in `Scenes.listed`, so many; and where `sorted` is its `moves`, those on the
+lane alone, from `first_on` on."""
 LISTED = _table(integers="place", floats="s")
 """A vehicle or an obstacle on a lane or on one connected with it, and how far along it."""
-FOUND = _table(integers="lane", floats="s")
-"""A lane that a vehicle or an obstacle is on, and how far along it."""
-OCCUPIED = _table(integers="found sorted start count")
-"""Where `sorted` is the clock's `moves`, the vehicles on a lane, so many, are in
-`Scenes.listed`."""
-VISITED = _table(integers="moved lanes mark of rank at")
-"""What the searches for neighbours and for collisions note about a vehicle: the key of its last
-move, on how many lanes it is, whether and for which lane it has been seen, its number in
-highway-env's order, and its number by x."""
+VISITED = _table(integers="moved lanes mark of rank at along changing batched by_x touched")
+"""What is noted about a vehicle: the key of its last move, on how many lanes it is, whether and for
+which lane it has been seen, its number in highway-env's order, and its number by x. And lists of
+places, each in a column of its own: lane after lane as the vehicles stood on them last, those that
+change lanes, those in the batches, all by x as they stood last, and those that may collide with
+one."""
 SQUARES = _table(floats="x y per_metre", integers="columns rows")
 """The map of `nearby`: its corner, squares per metre, and their number."""
 NEAREST = _table(integers="first on")
@@ -100,11 +101,11 @@ NEAR = _table(integers="lane")
 BODY = _table(floats="x y reach", integers="place checks")
 """A vehicle or an obstacle as the search for collisions sees it: how far its corners reach, at
 most, and whether it checks collisions."""
-CLOCK = _table(integers="moves sorted lists used room marks changing known most")
+CLOCK = _table(integers="moves sorted lists used room marks changing most")
 """How often vehicles have moved, so that what was found before is known to be obsolete; after which
 move the vehicles on lanes were `sorted`; the number of the valid lists, how much of `Scenes.listed`
-they use and how much there is; the last mark; how many vehicles change lanes; for how many lanes
-coordinates are kept; and on how many a vehicle can be."""
+they use and how much there is; the last mark; how many vehicles change lanes; and on how many lanes
+one can be."""
 NUMBER = _table(floats="value")
 """A number of a vehicle in a batch."""
 COLUMNS = tuple(range(13))
@@ -145,9 +146,7 @@ class _Fields(NamedTuple):
     """[S] between which FASTER and SLOWER choose, m/s."""
     road: Network
     connected: NDArray[np.void]
-    """[K] rows of `CONNECTED`."""
-    ascending: NDArray[np.void]
-    """[K] rows of `ORDER`: those of `connected` for each lane, by their offsets."""
+    """Rows of `CONNECTED`."""
     searches: NDArray[np.void]
     """[L] rows of `SEARCH`."""
     squares: NDArray[np.void]
@@ -162,30 +161,17 @@ class _Fields(NamedTuple):
     """[3, GAINS] of a linear vehicle for which none are drawn, the least, and how much larger the
     largest are."""
     coordinates: NDArray[np.void]
-    """[N, `clock.known`] rows of `COORDINATES`, for the scene that is being advanced, as are all
+    """[N, KNOWN_LANES] rows of `COORDINATES`, for the scene that is being advanced, as are all
     below."""
-    found: NDArray[np.void]
-    """[N, `clock.most`] rows of `FOUND`."""
-    occupied: NDArray[np.void]
-    """[L] rows of `OCCUPIED`."""
     listed: NDArray[np.void]
-    """[`clock.room`] rows of `LISTED`: the vehicles on each lane, then those of each list."""
+    """[`clock.room`] rows of `LISTED`: the lanes of each vehicle, `clock.most` at most, then the
+    vehicles on each lane, then those of each list."""
     visited: NDArray[np.void]
     """[N] rows of `VISITED`."""
-    along: NDArray[np.void]
-    """[N] rows of `ORDER`: lane after lane, as the vehicles stood on them last."""
-    changing: NDArray[np.void]
-    """[N] rows of `ORDER`: the vehicles that change lanes."""
-    batched: NDArray[np.void]
-    """[N] rows of `ORDER`: the vehicles in the batches."""
     batches: NDArray[np.void]
     """[N / BATCH, COLUMNS, BATCH] rows of `NUMBER`."""
     bodies: NDArray[np.void]
     """[N] rows of `BODY`, by x."""
-    by_x: NDArray[np.void]
-    """[N] rows of `ORDER`: by x, as the vehicles stood last."""
-    touched: NDArray[np.void]
-    """[N] rows of `ORDER`: the vehicles that may collide with one."""
     clock: NDArray[np.void]
     """[1] the row of `CLOCK`."""
 
@@ -221,13 +207,14 @@ class Scenes(_Fields):
         squares, begins, near, most = map_of(road)
         nearest = np.zeros(len(begins), NEAREST)
         nearest["first"], nearest["on"] = begins.T
-        known = min(KNOWN_LANES, 1 << (road.lanes.size - 1).bit_length())
-        room = (LISTS + most) * places
+        room = (LISTS + 2 * most) * places
         in_order = np.zeros(places, ORDER)
         in_order["place"] = np.arange(places)
         numbers = *constants[:-1], *constants.idm_mobil, regulation_steps, gains is not None
+        visited = np.zeros(places, VISITED)
+        visited["along"] = visited["by_x"] = np.arange(places)
         clock = np.zeros(1, CLOCK)
-        clock["sorted"], clock["room"], clock["known"], clock["most"] = -1, room, known, most
+        clock["sorted"], clock["room"], clock["most"] = -1, room, most
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
             order=np.tile(in_order, (scenes, 1)),
@@ -242,18 +229,11 @@ class Scenes(_Fields):
             near=near.astype(NEAR),
             constants=np.array([numbers], CONSTANTS),
             gains=np.zeros((3, GAINS)) if gains is None else gains,
-            coordinates=np.full(places * known, np.array((0, 0, -1), COORDINATES)),
-            found=np.zeros(places * most, FOUND),
-            occupied=np.full(road.lanes.size, np.array((-1, -1, 0, 0), OCCUPIED)),
+            coordinates=np.full(places * KNOWN_LANES, np.array((0, 0, -1), COORDINATES)),
             listed=np.zeros(room, LISTED),
-            visited=np.zeros(places, VISITED),
-            along=in_order.copy(),
-            changing=in_order.copy(),
-            batched=np.zeros(places, ORDER),
+            visited=visited,
             batches=np.zeros((-(-places // BATCH), len(COLUMNS), BATCH), NUMBER),
             bodies=np.zeros(places, BODY),
-            by_x=in_order.copy(),
-            touched=in_order.copy(),
             clock=clock,
         )
 
@@ -261,8 +241,7 @@ class Scenes(_Fields):
 def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
     """The lanes of `Road.neighbour_vehicles`, in its order."""
     table, roads = road.lanes, np.unique(road.lanes["first"])
-    connected: list[tuple[int, float]] = []
-    ascending: list[int] = []
+    connected: list[tuple[int, int, float]] = []
     searches = []
     for lane, row in enumerate(table):
         first, number = len(connected), lane - row["first"]
@@ -274,14 +253,11 @@ def _searches(road: Network, connects: bool) -> dict[str, NDArray[np.void]]:
                 previous = _same_number(table, before, number)
                 found.append((previous, -table["length"][previous]))
         by_offset = sorted(range(len(found)), key=[offset for _, offset in found].__getitem__)
-        ascending += [first + k for k in by_offset]
-        connected += found
-        searches.append((first, len(connected), -1, 0, 0))
-    return {
-        "connected": np.array(connected, CONNECTED),
-        "ascending": np.array([(k,) for k in ascending], ORDER),
-        "searches": np.array(searches, SEARCH),
-    }
+        connected += [
+            (each, first + k, offset) for (each, offset), k in zip(found, by_offset, strict=True)
+        ]
+        searches.append((first, len(connected), -1, 0, 0, -1, 0, 0))
+    return {"connected": np.array(connected, CONNECTED), "searches": np.array(searches, SEARCH)}
 
 
 def _following(road: Network, lane: int) -> list[int]:
@@ -306,19 +282,11 @@ class Here(NamedTuple):
     lanes: Row
     lane_count: int
     connected: Row
-    ascending: Row
     searches: Row
-    found: Row
-    occupied: Row
     listed: Row
     visited: Row
-    along: Row
-    changing: Row
-    batched: Row
     batches: Row
     bodies: Row
-    by_x: Row
-    touched: Row
     clock: Row
     squares: Row
     nearest: Row
@@ -337,19 +305,11 @@ def here_of(scenes: Scenes, b: int) -> Here:
         scenes.road.lanes[0],
         scenes.road.lanes.size,
         scenes.connected[0],
-        scenes.ascending[0],
         scenes.searches[0],
-        scenes.found[0],
-        scenes.occupied[0],
         scenes.listed[0],
         scenes.visited[0],
-        scenes.along[0],
-        scenes.changing[0],
-        scenes.batched[0],
         scenes.batches[0, 0, 0],
         scenes.bodies[0],
-        scenes.by_x[0],
-        scenes.touched[0],
         scenes.clock[0],
         scenes.squares[0],
         scenes.nearest[0],
@@ -391,7 +351,7 @@ def put(batch: Row, column: int, k: int, value: float) -> None:
 @inlined
 def batched(here: Here, n: int) -> int:
     """The place of the n-th vehicle in the batches."""
-    return int(row_after(here.batched, n).place)
+    return int(row_after(here.visited, n).batched)
 
 
 @woven

@@ -23,6 +23,7 @@ from charms_bench.roads.scenes import (
     CONTINUOUS,
     COSINE,
     DYNAMICAL,
+    FEW_VEHICLES,
     HEADING,
     LENGTH,
     OBSTACLE,
@@ -99,7 +100,7 @@ def move_all(here: Here) -> None:
             finish(vehicle, dt)
         else:
             batch, k = batch_of(here, count), count % BATCH
-            row_after(here.batched, count).place = i
+            row_after(here.visited, count).batched = i
             put(batch, HEADING, k, vehicle.heading)
             put(batch, STEERING, k, vehicle.steering)
             put(batch, SPEED, k, vehicle.speed)
@@ -132,6 +133,9 @@ def is_at_rest(vehicle: Row) -> bool:
 @compiled
 def collide(here: Here) -> None:
     """Finds the collisions of pairs, in their order [`RoadObject.handle_collisions`]."""
+    if here.places <= FEW_VEHICLES:
+        collide_all(here)
+        return
     dt, count, furthest = here.constants.dt, list_bodies(here), 0.0
     for n in range(count):
         furthest = max(furthest, row_after(here.bodies, n).reach)
@@ -147,18 +151,52 @@ def collide(here: Here) -> None:
             n = at + step
             while 0 <= n < count:
                 other = row_after(here.bodies, n)
-                n += step
-                aside, apart = abs(other.y - body.y), abs(other.x - body.x)
-                if apart > reach + furthest:
+                if abs(other.x - body.x) > reach + furthest:
                     break
-                # Before the square roots, which would say the same.
-                if apart > reach + other.reach or aside > reach + other.reach:
-                    continue
-                if (body.checks or other.checks) and row_after(here.visited, other.place).rank > k:
+                is_later = row_after(here.visited, other.place).rank > k
+                if is_later and are_near(body, other, reach + other.reach):
                     insert_by_rank(here, near, other.place)
                     near += 1
+                n += step
         for n in range(near):
-            collide_pair(own, vehicle_of(here, row_after(here.touched, n).place), dt)
+            collide_pair(own, vehicle_of(here, row_after(here.visited, n).touched), dt)
+
+
+@compiled
+def collide_all(here: Here) -> None:
+    """As `collide`, for so few vehicles that looking at all pairs is faster."""
+    dt, count = here.constants.dt, 0
+    for k in range(here.places):
+        vehicle = vehicle_of(here, place_of(here, k))
+        if vehicle.kind >= OBSTACLE:
+            describe(row_after(here.bodies, count), vehicle, place_of(here, k))
+            count += 1
+    for k in range(count):
+        body = row_after(here.bodies, k)
+        own = vehicle_of(here, body.place)
+        if own.kind == OBSTACLE:
+            continue
+        reach = body.reach + abs(own.speed) * dt
+        for m in range(k + 1, count):
+            other = row_after(here.bodies, m)
+            if are_near(body, other, reach + other.reach):
+                collide_pair(own, vehicle_of(here, other.place), dt)
+
+
+@inlined
+def describe(body: Row, vehicle: Row, place: int) -> None:
+    """Notes a vehicle or an obstacle as the search for collisions sees it."""
+    body.place, body.x, body.y = place, vehicle.x, vehicle.y
+    body.checks = vehicle.checks_collisions
+    body.reach = (vehicle.length + vehicle.width) / 2 + MARGIN_M
+
+
+@inlined
+def are_near(body: Row, other: Row, reach: float) -> bool:
+    """Whether two may collide; square roots would say the same, but take longer."""
+    if abs(other.x - body.x) > reach or abs(other.y - body.y) > reach:
+        return False
+    return bool(body.checks or other.checks)
 
 
 @compiled
@@ -168,7 +206,7 @@ def list_bodies(here: Here) -> int:
     for k in range(here.places):
         row_after(here.visited, place_of(here, k)).rank = k
     for n in range(here.places):
-        i = row_after(here.by_x, n).place
+        i = row_after(here.visited, n).by_x
         vehicle = vehicle_of(here, i)
         if vehicle.kind < OBSTACLE:
             continue
@@ -178,18 +216,15 @@ def list_bodies(here: Here) -> int:
             after.place, after.x, after.y = before.place, before.x, before.y
             after.checks, after.reach = before.checks, before.reach
             m -= 1
-        body = row_after(here.bodies, m)
-        body.place, body.x, body.y = i, vehicle.x, vehicle.y
-        body.checks = vehicle.checks_collisions
-        body.reach = (vehicle.length + vehicle.width) / 2 + MARGIN_M
+        describe(row_after(here.bodies, m), vehicle, i)
         count += 1
     for i in range(here.places):
         if vehicle_of(here, i).kind < OBSTACLE:
             absent -= 1
-            row_after(here.by_x, absent).place = i
+            row_after(here.visited, absent).by_x = i
     for n in range(count):
         i = row_after(here.bodies, n).place
-        row_after(here.by_x, n).place = i
+        row_after(here.visited, n).by_x = i
         row_after(here.visited, i).at = n
     return count
 
@@ -199,12 +234,12 @@ def insert_by_rank(here: Here, count: int, place: int) -> None:
     """Puts a vehicle into the list `touched` of so many, in highway-env's order of vehicles."""
     rank, n = row_after(here.visited, place).rank, count
     while n > 0:
-        before = row_after(here.touched, n - 1).place
+        before = row_after(here.visited, n - 1).touched
         if row_after(here.visited, before).rank < rank:
             break
-        row_after(here.touched, n).place = before
+        row_after(here.visited, n).touched = before
         n -= 1
-    row_after(here.touched, n).place = place
+    row_after(here.visited, n).touched = place
 
 
 @compiled
