@@ -29,11 +29,12 @@ from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
-from charms_bench.roads.driving import act, is_reachable, neighbours
+from charms_bench.roads.driving import act, is_reachable
 from charms_bench.roads.dynamics import move
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
 from charms_bench.roads.locating import coordinates_of, forget, locate
+from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
