@@ -8,7 +8,7 @@ places. So a question about a vehicle costs the same, however many vehicles ther
 
 from charms_bench.foundation.compiled import compiled, inlined, row_after
 from charms_bench.roads.locating import coordinates_of, is_further_beside, is_known, square_of
-from charms_bench.roads.scenes import FEW_VEHICLES, OBSTACLE, Here, Row, lane_of, vehicle_of
+from charms_bench.roads.scenes import OBSTACLE, Here, Row, lane_of, vehicle_of
 from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M
 
@@ -56,16 +56,16 @@ def neighbours(here: Here, i: int, lane: int) -> tuple[int, int]:
 @compiled
 def list_vehicles(here: Here, search: Row) -> None:
     """Lists the vehicles on a lane and those connected with it, each on the first that has it."""
-    clock, is_few = here.clock, here.places <= FEW_VEHICLES
+    clock = here.clock
     if clock.sorted != clock.moves:
         clock.sorted = clock.moves
         clock.lists, clock.used = clock.lists + 1, 2 * clock.most * here.places
-        if not is_few:
+        if not clock.few:
             sort_vehicles(here)
     if clock.used + here.places > clock.room:
         clock.lists, clock.used = clock.lists + 1, 2 * clock.most * here.places
     search.listed, search.start, search.count = clock.lists, clock.used, 0
-    if is_few:
+    if clock.few:
         list_any_order(here, search)
     elif search.after - search.first == 1:
         on = row_after(here.searches, row_after(here.connected, search.first).lane)

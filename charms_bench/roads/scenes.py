@@ -27,7 +27,8 @@ ROUTE_STEPS = 12
 BATCH = 8
 """For so many vehicles at once, elementary functions are computed; see `BATCHES`."""
 FEW_VEHICLES = 32
-"""Of so few, neighbours and collisions are found by looking at all, which is faster."""
+"""Of so few, neighbours on single lanes and collisions are found by looking at all of them, which
+is faster."""
 LISTS = 8
 """In so many lists on average, a vehicle can be at once; with more, the first ones are dropped."""
 OBSTACLE_SIZE_M = 2.0
@@ -101,11 +102,11 @@ NEAR = _table(integers="lane")
 BODY = _table(floats="x y reach", integers="place checks")
 """A vehicle or an obstacle as the search for collisions sees it: how far its corners reach, at
 most, and whether it checks collisions."""
-CLOCK = _table(integers="moves sorted lists used room marks changing most")
+CLOCK = _table(integers="moves sorted lists used room marks changing most few")
 """How often vehicles have moved, so that what was found before is known to be obsolete; after which
 move the vehicles on lanes were `sorted`; the number of the valid lists, how much of `Scenes.listed`
-they use and how much there is; the last mark; how many vehicles change lanes; and on how many lanes
-one can be."""
+they use and how much there is; the last mark; how many vehicles change lanes; on how many lanes
+one can be; and whether a list is made by looking at all vehicles."""
 NUMBER = _table(floats="value")
 """A number of a vehicle in a batch."""
 COLUMNS = tuple(range(13))
@@ -215,6 +216,7 @@ class Scenes(_Fields):
         visited["along"] = visited["by_x"] = np.arange(places)
         clock = np.zeros(1, CLOCK)
         clock["sorted"], clock["room"], clock["most"] = -1, room, most
+        clock["few"] = places <= FEW_VEHICLES and not connects
         return cls(
             vehicles=np.zeros((scenes, places), VEHICLE),
             order=np.tile(in_order, (scenes, 1)),
