@@ -102,8 +102,7 @@ def train(networks: Path, recordings: Path, what: str, seed: int) -> None:
     for done in (folder / "trainings" / "styles").iterdir() if what in ABLATIONS else ():
         if done.name.startswith(("level_1-", "people-", "samples")):  # equal ones have equal names
             shutil.copytree(done, run / done.name, dirs_exist_ok=True)
-    file = folder / f"{what}.yaml"
-    file.write_text(yaml.dump(suite, Dumper=_Plain, sort_keys=False), encoding="utf-8")
+    file = _written(suite, folder / f"{what}.yaml")
     for stage, name in stages.items():
         if not (folder / f"{name or stage}.json").exists():
             given = ("--only", stage, "--output", run, "--recordings", recordings, "--workers", 1)
@@ -115,14 +114,17 @@ def train(networks: Path, recordings: Path, what: str, seed: int) -> None:
                     shutil.copy(trained, folder / kept)
 
 
-def test(networks: Path, runs: Path, test: str) -> None:
-    """Drives one of the tests, with the networks that are there."""
-    suite = TESTS[test](networks.resolve())
-    suite = {"seed": FIRST_EPISODE, "episodes": EPISODES} | suite | {"suite": test}
+def drive(networks: Path, runs: Path, name: str) -> None:
+    """Drives one of the tests."""
+    charms_bench.run(write_test(networks, runs, name), runs / name)
+
+
+def write_test(networks: Path, runs: Path, name: str) -> Path:
+    """Writes the suite of a test, with the networks that are there."""
+    suite = TESTS[name](networks.resolve())
+    suite = {"seed": FIRST_EPISODE, "episodes": EPISODES} | suite | {"suite": name}
     runs.mkdir(parents=True, exist_ok=True)
-    file = runs / f"{test}.yaml"
-    file.write_text(yaml.dump(suite, Dumper=_Plain, sort_keys=False), encoding="utf-8")
-    charms_bench.run(file, runs / test)
+    return _written(suite, runs / f"{name}.yaml")
 
 
 def _found(networks: Path, name: str, label: str, seeds: Iterable[int]) -> list[dict[str, Any]]:
@@ -244,6 +246,11 @@ class _Plain(yaml.SafeDumper):
         return True
 
 
+def _written(suite: dict[str, Any], file: Path) -> Path:
+    file.write_text(yaml.dump(suite, Dumper=_Plain, sort_keys=False), encoding="utf-8")
+    return file
+
+
 def _call(*command: object) -> None:
     subprocess.run([str(each) for each in command], check=True)
 
@@ -267,7 +274,7 @@ def main() -> None:
             train(given.networks, given.recordings, given.what, seed)
     else:
         for each in given.tests or TESTS:
-            test(given.networks, given.runs, each)
+            drive(given.networks, given.runs, each)
 
 
 if __name__ == "__main__":

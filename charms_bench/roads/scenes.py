@@ -91,7 +91,7 @@ VISITED = _table(integers="moved lanes mark of rank at along changing batched by
 which lane it has been seen, its number in highway-env's order, and its number by x. And lists of
 places, each in a column of its own: lane after lane as the vehicles stood on them last, those that
 change lanes, those in the batches, all by x as they stood last, and those that may collide with
-one."""
+one. They share a table because every call of compiled code copies the rows of `Here`."""
 SQUARES = _table(floats="x y per_metre", integers="columns rows")
 """The map of `nearby`: its corner, squares per metre, and their number."""
 NEAREST = _table(integers="first on")

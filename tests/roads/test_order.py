@@ -17,7 +17,6 @@ from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     FEW_VEHICLES,
     IDM,
-    KINDS,
     LANDMARK,
     NOTHING,
     OBSTACLE,
@@ -161,11 +160,6 @@ def pairs(scenes: Scenes) -> Iterator[tuple[int, int]]:
             are_there = rows["kind"][first] > OBSTACLE and rows["kind"][second] >= OBSTACLE
             if checks and are_there:
                 yield first, second
-
-
-def test_kinds_are_in_the_order_that_the_searches_rely_on() -> None:
-    assert KINDS.index("nothing") < KINDS.index("landmark") < KINDS.index("obstacle")
-    assert max(NOTHING, LANDMARK) < OBSTACLE < IDM
 
 
 def test_a_town_has_400_lanes_whose_ends_meet() -> None:
