@@ -20,7 +20,7 @@ from charms_bench.people.reference import (
 )
 from charms_bench.people.situations import nearest_to_decisions
 from charms_bench.world.following import FOLLOWING_RANGE_M
-from charms_bench.world.highd import STAY_S
+from charms_bench.world.trajectories import STAY_S
 
 RATE_HZ = 10
 """Frames per second of the recordings on I-24 and I-75."""

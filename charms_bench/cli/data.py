@@ -47,7 +47,7 @@ def data(
     from charms_bench.report.figures.drawing import check_figure
     from charms_bench.report.figures.recordings import draw
     from charms_bench.report.progress import progress
-    from charms_bench.world.highd import find_trios
+    from charms_bench.world.recording_folder import find_trios
 
     folder = absolute(folder)
     if figure is not None:

@@ -27,6 +27,7 @@ from charms_bench.plugins.agent import Agent
 from charms_bench.plugins.registry import make_agent, make_traffic
 from charms_bench.plugins.specs import TrafficSpec
 from charms_bench.plugins.traffic import Mixture, Traffic
+from charms_bench.world.moments import scene_of
 from charms_bench.world.observations import ObservationLike, observation_of
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import EVALUATION_SEEDS, Bools, Observations, SceneSettings
@@ -231,7 +232,7 @@ def surroundings(
     """
     plain = {k: each.item() if isinstance(each, np.generic) else each for k, each in scene.items()}
     try:
-        settings = SceneSettings.model_validate(plain)
+        settings = scene_of(plain)
         if isinstance(traffic, Mapping) and {*traffic} & {*TrafficSpec.model_fields}:
             spec = TrafficSpec.model_validate(traffic)
             if spec.road is not None:

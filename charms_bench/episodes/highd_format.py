@@ -17,8 +17,8 @@ import polars as pl
 
 from charms_bench.episodes.replay import Replay
 from charms_bench.world.gaps import gap_to
-from charms_bench.world.highd import LOWER
 from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.trajectories import LOWER
 from charms_bench.world.vehicle_types import TRUCK_LENGTH_M
 
 MEDIAN_M = 4.0

@@ -25,9 +25,10 @@ from charms_bench.people.car_following import idm
 from charms_bench.people.population import LaneChanges
 from charms_bench.people.trips import CAR_LENGTH_M, I75_MAIN_LANES, RATE_HZ, Trip
 from charms_bench.world.csv_table import read_parquet
-from charms_bench.world.highd import STAY_S, read_folder
 from charms_bench.world.profile import CHARMS
+from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Bools, Floats, Ints
+from charms_bench.world.trajectories import STAY_S
 
 START_S = 2.0
 """Time from the decision until the vehicle's centre is in the new lane, as in the references."""

@@ -12,7 +12,7 @@ from charms_bench.errors import suggestion
 from charms_bench.foundation.fields import FilePath, FrozenModel, Name
 from charms_bench.people.following import DECISION_HZ, LANE_CHANGE_SPEED_MPS, followers
 from charms_bench.world.following import BIN, BINS, FOLLOWING_RANGE_M, bins_of
-from charms_bench.world.highd import read_folder
+from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Floats, Ints
 
 LEADER = f"leader within {FOLLOWING_RANGE_M:g} m in the same lane, centre to centre"

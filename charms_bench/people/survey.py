@@ -10,8 +10,9 @@ import polars as pl
 from charms_bench.errors import DataError
 from charms_bench.people.following import DECISION_HZ
 from charms_bench.people.situations import situations
-from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
+from charms_bench.world.recording_folder import find_trios, read_recording
 from charms_bench.world.scene import Observations
+from charms_bench.world.trajectories import LANE_WIDTH_M, Recording
 
 OFF_CENTRE_M = 0.25
 """If drivers are further than this from their lanes' centres on average, the markings are wrong."""

@@ -14,8 +14,9 @@ import polars as pl
 
 from charms_bench.errors import DataError
 from charms_bench.world.csv_table import read_parquet
-from charms_bench.world.highd import Recording, read_folder
+from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import Floats
+from charms_bench.world.trajectories import Recording
 
 RATE_HZ = 10
 """Rows per second of every trip."""

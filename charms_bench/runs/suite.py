@@ -21,7 +21,7 @@ from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import AGENTS, find, is_network, make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.runs.document import Document, Location
-from charms_bench.world.moments import moments_of
+from charms_bench.world.moments import RecordedScene, moments_of
 from charms_bench.world.placement import driver_parameters, place
 from charms_bench.world.scenario import PRESCRIBED, Scenario
 from charms_bench.world.scene import EVALUATION_SEEDS, Ints, SceneSettings
@@ -111,7 +111,7 @@ class Suite(FrozenModel):
     """Episodes of each ego in each traffic model."""
     seed: Annotated[int, Field(ge=0, lt=EVALUATION_SEEDS)] = 0
     """Seed of the first episode; the next episodes have the next seeds."""
-    scene: SceneSettings = SceneSettings()
+    scene: RecordedScene = SceneSettings()
     """The road, the vehicles and the duration of an episode."""
     egos: Annotated[
         tuple[EgoEntry, ...], Field(min_length=1, max_length=ENTRIES_LIMIT, strict=False)

@@ -9,22 +9,19 @@ others and none follows another; the last to enter is the leader, and the first 
 follower.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from charms_bench.foundation.arrays import Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.world.road import NEIGHBOUR_MARGIN_M, is_on_lane
-
-if TYPE_CHECKING:
-    from charms_bench.world.scene import Ints, Scene
+from charms_bench.world.scene_arrays import SceneArrays
 
 OWN, LEFT, RIGHT, TARGET = CANDIDATES = (0, 1, 2, 3)
 """The candidate lanes: the nearest lane, those on its left and right, and the target lane."""
 
 
 @compiled
-def leader_on(b: int, i: int, lane: int, scene: "Scene") -> int:
+def leader_on(b: int, i: int, lane: int, scene: SceneArrays) -> int:
     """The nearest vehicle at or ahead of vehicle i of scene b on a lane, -1 for none."""
     x, y, order = scene.x, scene.y, scene.order
     for k in range(_first_level(b, i, scene), order.shape[1]):
@@ -35,7 +32,7 @@ def leader_on(b: int, i: int, lane: int, scene: "Scene") -> int:
 
 
 @compiled
-def follower_on(b: int, i: int, lane: int, scene: "Scene") -> int:
+def follower_on(b: int, i: int, lane: int, scene: SceneArrays) -> int:
     """The nearest vehicle behind vehicle i of scene b on a lane, -1 for none."""
     x, y, order = scene.x, scene.y, scene.order
     for k in range(_first_level(b, i, scene) - 1, -1, -1):
@@ -46,7 +43,7 @@ def follower_on(b: int, i: int, lane: int, scene: "Scene") -> int:
 
 
 @compiled
-def _first_level(b: int, i: int, scene: "Scene") -> int:
+def _first_level(b: int, i: int, scene: SceneArrays) -> int:
     """The first index in `order` of a vehicle as far along the road as vehicle i."""
     x, order, k = scene.x, scene.order, scene.rank[b, i]
     while k > 0 and x[b, order[b, k - 1]] == x[b, i]:
@@ -55,7 +52,7 @@ def _first_level(b: int, i: int, scene: "Scene") -> int:
 
 
 @compiled_of_scenes
-def neighbours_on(scene: "Scene", rows: "Ints", places: "Ints", lanes: "Ints") -> "Ints":
+def neighbours_on(scene: SceneArrays, rows: Ints, places: Ints, lanes: Ints) -> Ints:
     """(2, M) the leaders and the followers of M vehicles, each on its lane of `lanes` (M,)."""
     found = np.empty((2, rows.size), dtype=np.int64)
     for m in range(rows.size):

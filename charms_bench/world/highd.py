@@ -6,47 +6,26 @@ left corner of a box, a vehicle's length is called `width`, and direction 1 driv
 x. A `Recording` uses the drivers' frame of reference; see `TRACKS`.
 
 Columns that follow from the positions may be missing: velocities, accelerations and lanes, and the
-frames, directions and numbers of vehicles. `ngsim` reads NGSIM's raw tables.
+frames, directions and numbers of vehicles.
 """
 
-import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
 from charms_bench.errors import DataError
-from charms_bench.foundation.arrays import Bools, Floats, Ints
+from charms_bench.foundation.arrays import Floats
 from charms_bench.world.csv_table import Columns, Numbers, read_table
-from charms_bench.world.profile import CHARMS
-
-UPPER, LOWER = 1, 2
-"""Driving directions; the upper carriageway of the image drives towards smaller x."""
-LANE_WIDTH_M = CHARMS.lane_width_m
-STAY_S = 0.75
-"""A shorter stay in a lane does not count as a lane change."""
-
-TRACKS = {
-    "vehicle": pl.Int64,
-    "frame": pl.Int64,
-    "direction": pl.Int8,
-    "car": pl.Boolean,
-    "x": pl.Float64,  # m, centre along the driving direction, from an arbitrary origin
-    "y": pl.Float64,  # m, centre to the right
-    "lane": pl.Int64,  # whose markings enclose the centre, or else the nearest
-    "on_road": pl.Boolean,  # whether the centre lies between the outer markings
-    "speed": pl.Float64,  # m/s, along x, as measured
-    "lateral_speed": pl.Float64,  # m/s, to the right, as measured
-    "acceleration": pl.Float64,  # m/s2, along x, as measured
-    "length": pl.Float64,  # m
-    "width": pl.Float64,  # m
-}
-"""The columns of `Recording.tracks`.
-
-Within each lane y is stretched so that the centre of lane i, counted from the left, lies at 4 i.
-"""
+from charms_bench.world.trajectories import (
+    LOWER,
+    TRACKS,
+    UPPER,
+    Recording,
+    Trio,
+    lateral,
+    slope,
+)
 
 _COUNT = Numbers(0, 1e9, whole=True)
 _TRACKS: Columns = {
@@ -83,137 +62,15 @@ _RECORDING_META: Columns = {
 }
 _OCCASION = ("locationId", "month", "weekDay", "startTime")
 _LANE_WIDTHS_M = (1.0, 10.0)
-_KINDS = ("tracks", "tracksMeta", "recordingMeta")
+KINDS = ("tracks", "tracksMeta", "recordingMeta")
 
 
-@dataclass(frozen=True)
-class Trio:
-    """The three files of a recording; all the same for a recording in one table."""
-
-    number: int
-    tracks: Path
-    tracks_meta: Path
-    recording_meta: Path
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """All of them, each once."""
-        return tuple(dict.fromkeys((self.tracks, self.tracks_meta, self.recording_meta)))
-
-
-@dataclass(frozen=True)
-class Recording:
-    """The traffic that was filmed at one place at one time."""
-
-    trio: Trio
-    frame_rate_hz: float
-    lanes: dict[int, int]
-    """Number of lanes by direction; directions without vehicles are left out."""
-    lane_widths_m: dict[int, Floats]
-    """Widths of these lanes by direction, from left to right."""
-    tracks: pl.DataFrame
-    """One row per vehicle and frame, sorted by vehicle and frame; columns `TRACKS`."""
-    lane_id_disagreements: int
-    """Number of rows between the outer markings whose `laneId` contradicts y."""
-    occasion: str
-    """Location, month, weekday and start time as stated, without those that are not. Recordings
-    that state the same may overlap in time."""
-    location: str
-    """The location as stated; empty if it is not."""
-
-    @property
-    def lane_changes(self) -> pl.DataFrame:
-        """One row per lane change between two lanes in each of which the vehicle stays `STAY_S`.
-
-        Columns vehicle, lane, next_lane, and the first and last frame of the stay in `lane`,
-        called frame and last.
-        """
-        return (
-            self.tracks.group_by("vehicle", pl.col("lane").rle_id().alias("stay"))
-            .agg(pl.len(), pl.first("lane", "frame"), last=pl.last("frame"))
-            .filter(pl.col("len") >= STAY_S * self.frame_rate_hz)
-            .sort("vehicle", "frame")
-            .with_columns(next_lane=pl.col("lane").shift(-1).over("vehicle"))
-            .filter(pl.col("next_lane") != pl.col("lane"))
-            .select("vehicle", "lane", "next_lane", "frame", "last")
-        )
-
-
-def find_trios(folder: Path) -> list[Trio]:
-    """The recordings of a folder, sorted by number, or that of one table of NGSIM.
-
-    Raises:
-        DataError: The folder has no recordings, or a recording lacks a file.
-    """
-    if folder.is_file():
-        return _in_tables([folder], folder)
-    found: dict[str, dict[str, Path]] = {}
-    others: list[Path] = []
-    try:
-        for path in sorted(folder.iterdir()):
-            if match := re.fullmatch(rf"([0-9]{{1,9}})_({'|'.join(_KINDS)})\.csv", path.name):
-                found.setdefault(match[1], {})[match[2]] = path
-            elif path.suffix in (".csv", ".xml"):
-                others.append(path)
-    except OSError as error:
-        raise DataError(
-            f"{folder}: cannot be read: {error.strerror}; recordings are not part of charms-bench, "
-            "so give the folder of your own ones, in highD's format"
-        ) from error
-    if not found:
-        return _in_tables(others, folder)
-    trios: dict[int, Trio] = {}
-    for prefix, files in found.items():
-        for kind in _KINDS:
-            if kind not in files:
-                raise DataError(
-                    f"{folder}: recording {prefix} has no {prefix}_{kind}.csv; "
-                    "add it, or remove the recording's other files"
-                )
-        number = int(prefix)
-        if number in trios:
-            raise DataError(f"{folder}: recording {number} appears twice; rename one of them")
-        trios[number] = Trio(number, *(files[kind] for kind in _KINDS))
-    return [trios[number] for number in sorted(trios)]
-
-
-def _in_tables(paths: Sequence[Path], place: Path) -> list[Trio]:
-    """The tables of NGSIM among some files; raises a `DataError` if there is none."""
-    from charms_bench.world.ngsim import is_ngsim
-
-    found = [path for path in paths if path.suffix == ".csv" and is_ngsim(path)]
-    if not found and any(path.suffix == ".xml" for path in paths):
-        raise DataError(
-            f"{place}: CommonRoad scenarios are not read; commonroad-io reads them, and "
-            "commonroad-dataset-converter makes such files of highD"
-        )
-    if not found:
-        raise DataError(
-            f"{place}: no recordings; expected files named like 01_tracks.csv, or a CSV table of "
-            "NGSIM with the columns Vehicle_ID, Frame_ID, Local_X and Local_Y"
-        )
-    return [Trio(number, path, path, path) for number, path in enumerate(found, start=1)]
-
-
-def read_folder(folder: Path) -> Iterator[Recording]:
-    """The recordings of a folder, one at a time.
-
-    Raises:
-        DataError: As for `find_trios` and `read_recording`.
-    """
-    return map(read_recording, find_trios(folder))
-
-
-def read_recording(trio: Trio) -> Recording:
-    """A recording in the simulation's frame of reference.
+def read_highd(trio: Trio) -> Recording:
+    """A recording of three files.
 
     Raises:
         DataError: A file cannot be read, or the three files contradict each other.
     """
-    if trio.tracks == trio.recording_meta:
-        from charms_bench.world.ngsim import read_ngsim
-
-        return read_ngsim(trio)
     frame_rate, vehicles, markings, stated = _read_recording_meta(trio.recording_meta)
     meta = _read_tracks_meta(trio, vehicles)
     tracks = read_table(trio.tracks, _TRACKS, optional=_DERIVED).with_row_index("line", offset=2)
@@ -256,28 +113,6 @@ def _derived(tracks: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
             values = slope(order["id"], order["frame"], order[source].to_numpy(), rate_hz)
             order = order.with_columns(pl.Series(name, values))
     return order.sort("line")
-
-
-def slope(
-    vehicle: pl.Series, frame: pl.Series, values: Floats, rate_hz: float, around: int = 1
-) -> Floats:
-    """How fast values change, per second, from so many frames before to as many after.
-
-    Rows are sorted by vehicle and frame. Where there is nothing before or after, it is what there
-    is that counts; of a single frame, it is 0.
-    """
-    vehicles, frames = vehicle.to_numpy(), frame.to_numpy()
-    size = vehicles.size
-    ends = np.flatnonzero(np.diff(vehicles, append=-1) != 0) if size else np.zeros(0, np.int64)
-    begins = np.concatenate([[0], ends[:-1] + 1]) if size else ends
-    lengths = ends - begins + 1
-    first, last = np.repeat(begins, lengths), np.repeat(ends, lengths)
-    before = np.maximum(np.arange(size) - around, first)
-    after = np.minimum(np.arange(size) + around, last)
-    duration_s = (frames[after] - frames[before]) / rate_hz
-    change = values[after] - values[before]
-    found: Floats = np.divide(change, duration_s, out=np.zeros(size), where=duration_s > 0)
-    return found
 
 
 def _completed(meta: pl.DataFrame, tracks: pl.DataFrame) -> pl.DataFrame:
@@ -411,17 +246,6 @@ def _sign(direction: int) -> float:
 def _to_the_right(markings: Floats, direction: int) -> Floats:
     """The markings of a direction in its drivers' frame, from left to right."""
     return np.sort(_sign(direction) * markings)
-
-
-def lateral(y: Floats, markings: Floats) -> tuple[Floats, Ints, Bools]:
-    """Stretched y, lane and whether on the road, of positions to the right.
-
-    A position on a marking belongs to the lane to its left, like highway-env's closest lane.
-    """
-    lane = np.clip(np.searchsorted(markings, y, side="left") - 1, 0, markings.size - 2)
-    left, right = markings[lane], markings[lane + 1]
-    stretched = LANE_WIDTH_M * (lane - 0.5 + (y - left) / (right - left))
-    return stretched, lane, (markings[0] <= y) & (y <= markings[-1])
 
 
 def _refuse(path: Path, table: pl.DataFrame, mistaken: pl.Expr, column: str, what: str) -> None:

@@ -13,23 +13,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, TypeAdapter, ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from charms_bench.errors import DataError
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import compiled
+from charms_bench.foundation.files import absolute
 from charms_bench.world.csv_table import header_of
-from charms_bench.world.highd import LANE_WIDTH_M, Recording, find_trios, read_recording
 from charms_bench.world.profile import PROFILES
+from charms_bench.world.recording_folder import find_trios, read_recording
 from charms_bench.world.recordings import Split
+from charms_bench.world.scene import SceneSettings
+from charms_bench.world.trajectories import LANE_WIDTH_M, Recording
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
-
-if TYPE_CHECKING:
-    from charms_bench.world.scene import SceneSettings
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -140,7 +142,38 @@ def _carriageways(folder: Path, content: str) -> tuple[_Carriageway, ...]:
     return tuple(found)
 
 
-def settings_from(settings: "SceneSettings") -> dict[str, Any]:
+def _as_recorded(settings: SceneSettings, info: ValidationInfo) -> SceneSettings:
+    """The settings with what their recordings decide, if they have not been read before."""
+    source = settings.recording
+    if source is None or source.sha256:
+        return settings
+    given = {name: getattr(settings, name) for name in settings.model_fields_set}
+    folder = absolute((info.context or {}).get("folder", Path()) / source.folder)
+    given["recording"] = source.model_copy(update={"folder": folder})
+    try:
+        found = _decided(settings.model_copy(update=given))
+    except DataError as error:
+        kind = PydanticCustomError("recording", "{what}", {"what": str(error)})
+        where = InitErrorDetails(type=kind, loc=("recording",), input=str(source.folder))
+        raise ValidationError.from_exception_data("SceneSettings", [where]) from error
+    return SceneSettings.model_validate(given | found)
+
+
+RecordedScene = Annotated[SceneSettings, AfterValidator(_as_recorded)]
+"""Settings of which the recordings are read, relative to the `folder` of the context."""
+_RECORDED_SCENE: TypeAdapter[SceneSettings] = TypeAdapter(RecordedScene)
+
+
+def scene_of(fields: Any) -> SceneSettings:
+    """The settings of a scene from the keys of a suite's `scene`; its recordings are read.
+
+    Raises:
+        ValidationError: A key or a value is wrong, or recordings cannot be used.
+    """
+    return _RECORDED_SCENE.validate_python(fields)
+
+
+def _decided(settings: SceneSettings) -> dict[str, Any]:
     """The fields of a scene that its recordings decide.
 
     Raises:
@@ -177,7 +210,7 @@ def settings_from(settings: "SceneSettings") -> dict[str, Any]:
     return found | {"traffic_vehicles": moments.vehicles.shape[1] - 1}
 
 
-def moments_of(settings: "SceneSettings") -> Moments:
+def moments_of(settings: SceneSettings) -> Moments:
     """The moments of a scene's recordings, which are read once per process.
 
     Raises:
@@ -185,6 +218,8 @@ def moments_of(settings: "SceneSettings") -> Moments:
     """
     source, profile = settings.recording, settings.profile
     assert source is not None
+    if not source.sha256:
+        raise DataError(f"{source.folder}: the recordings have not been read; see `scene_of`")
     if content_of(source.folder) != source.sha256:
         raise DataError(
             f"{source.folder}: the recordings have changed since the settings were made; expected "

@@ -14,7 +14,7 @@ import polars as pl
 
 from charms_bench.errors import DataError
 from charms_bench.world.csv_table import Columns, Numbers, header_of, read_table
-from charms_bench.world.highd import LOWER, TRACKS, Recording, Trio, lateral, slope
+from charms_bench.world.trajectories import LOWER, TRACKS, Recording, Trio, lateral, slope
 
 FOOT_M = 0.3048
 RATE_HZ = 10.0

@@ -1,7 +1,7 @@
 """Concrete scenarios: where each vehicle of an episode starts, and what is prescribed for it."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,8 @@ from charms_bench.world.lane_geometry import END_MARGIN_M
 from charms_bench.world.points import count_of, values_at
 from charms_bench.world.road import position
 from charms_bench.world.scenario import EGO, Action, EgoStart, PlacedVehicle, Scenario
+from charms_bench.world.scene import SceneSettings
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M
-
-if TYPE_CHECKING:
-    from charms_bench.world.scene import SceneSettings
 
 Floats = NDArray[np.float64]
 Location = tuple[str | int, ...]
@@ -52,7 +50,7 @@ class Placement(NamedTuple):
     """[R, N, K] its displacement, m."""
 
 
-def place(scenario: Scenario, settings: "SceneSettings", numbers: NDArray[Any]) -> Placement:
+def place(scenario: Scenario, settings: SceneSettings, numbers: NDArray[Any]) -> Placement:
     """Returns the concrete scenarios of the points (R,) with these numbers.
 
     Raises:
@@ -66,7 +64,7 @@ def place(scenario: Scenario, settings: "SceneSettings", numbers: NDArray[Any]) 
 def driver_parameters(
     scenario: Scenario,
     k: int,
-    settings: "SceneSettings",
+    settings: SceneSettings,
     ranges: Mapping[str, tuple[float, float]],
     numbers: NDArray[Any],
 ) -> dict[str, Floats]:
@@ -118,7 +116,7 @@ class _Placing:
     def __init__(
         self,
         scenario: Scenario,
-        settings: "SceneSettings",
+        settings: SceneSettings,
         values: Mapping[str, Floats],
         count: int,
     ) -> None:

@@ -8,37 +8,33 @@ which no other vehicle of the episode has, does not depend on its place (`Scene.
 """
 
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import (
     BeforeValidator,
     Field,
-    ModelWrapValidatorHandler,
     SerializerFunctionWrapHandler,
     ValidationError,
-    ValidationInfo,
     model_serializer,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from charms_bench.errors import DataError, InputError, suggestion
+from charms_bench.errors import InputError, suggestion
 from charms_bench.foundation.arrays import Bools as Bools
 from charms_bench.foundation.arrays import Floats as Floats
 from charms_bench.foundation.arrays import Ints as Ints
 from charms_bench.foundation.compiled import Unpacked, unpacked
 from charms_bench.foundation.fields import FrozenModel, Name, Positive
-from charms_bench.foundation.files import absolute
-from charms_bench.foundation.generator import State
 from charms_bench.world.candidate_lanes import CANDIDATES, neighbours_on
 from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile
 from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scenario import Scenario
+from charms_bench.world.scene_arrays import SceneArrays
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
 
 Vehicles = tuple[Ints, ...]
@@ -126,43 +122,24 @@ class SceneSettings(FrozenModel):
     ends when the ego has reached its end."""
     recording: RecordedMoments | None = None
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
-    vehicles, and of lanes if it is not given: that of most vehicles."""
+    vehicles, and of lanes if it is not given: that of most vehicles; `moments.scene_of` reads them.
+    """
     network: Annotated[str | None, Field(exclude=True)] = None
     """highway-env's name of an environment whose road the scene has; a suite gives it as the
     traffic model."""
     scenario: Annotated[Scenario | None, Field(exclude=True)] = None
     """The scenario that places the vehicles; a suite gives it as the traffic model."""
 
-    @model_validator(mode="wrap")
+    @model_validator(mode="before")
     @classmethod
-    def _as_recorded(
-        cls,
-        value: Any,
-        handler: ModelWrapValidatorHandler["SceneSettings"],
-        info: ValidationInfo,
-    ) -> "SceneSettings":
-        """With what the recordings decide, when they are first read."""
+    def _of_traffic(cls, value: Any) -> Any:
+        """Refuses what a suite gives as a traffic model."""
         for name, what in _OF_TRAFFIC.items() if isinstance(value, dict) else ():
             if name in value:
                 kind = PydanticCustomError("of_traffic", "give {what} as a traffic model", what)
                 unknown = InitErrorDetails(type=kind, loc=(name,), input=value[name])
                 raise ValidationError.from_exception_data(cls.__name__, [unknown])
-        settings = handler(value)
-        source = settings.recording
-        if source is None or source.sha256:
-            return settings
-        from charms_bench.world.moments import settings_from
-
-        given = {name: getattr(settings, name) for name in settings.model_fields_set}
-        folder = absolute((info.context or {}).get("folder", Path()) / source.folder)
-        given["recording"] = source.model_copy(update={"folder": folder})
-        try:
-            found = settings_from(settings.model_copy(update=given))
-        except DataError as error:
-            kind = PydanticCustomError("recording", "{what}", {"what": str(error)})
-            where = InitErrorDetails(type=kind, loc=("recording",), input=str(source.folder))
-            raise ValidationError.from_exception_data(cls.__name__, [where]) from error
-        return handler(given | found)
+        return value
 
     @model_validator(mode="after")
     def _rates_fit(self) -> "SceneSettings":
@@ -315,84 +292,7 @@ class SceneSettings(FrozenModel):
         return self.profile.constants(1.0 / self.simulation_hz, len(self.sizes_m) > 1)
 
 
-class _Fields(NamedTuple):
-    """The fields of a `Scene`."""
-
-    present: Bools
-    """[B, N] whether there is a vehicle at the place. At an empty place, other values mean nothing;
-    they describe a vehicle that stands far before the road (`VACANT_X_M`)."""
-    entry: Ints
-    """[B, N] the vehicle's number in the order in which vehicles entered the scene, from 0.
-
-    Vehicles of one agent act in this order; it decides which of two that are level is the leader,
-    and which of two collisions comes first."""
-    x: Floats
-    """[B, N] centre along the road, m."""
-    y: Floats
-    """[B, N] centre across the road, m."""
-    heading: Floats
-    """[B, N] rad."""
-    direction_x: Floats
-    """[B, N] cosine of the heading."""
-    direction_y: Floats
-    """[B, N] sine of the heading."""
-    speed: Floats
-    """[B, N] along the heading, m/s."""
-    acceleration: Floats
-    """[B, N] the command of the last simulation step after clipping, m/s2."""
-    steering: Floats
-    """[B, N] steering angle of the last simulation step, rad."""
-    length: Floats
-    """[B, N] m."""
-    width: Floats
-    """[B, N] m."""
-    target_speed: Floats
-    """[B, N] desired speed, m/s; 0 for a vehicle with continuous actions."""
-    lane: Ints
-    """[B, N] nearest lane."""
-    target_lane: Ints
-    """[B, N] the lane that the vehicle steers to; differs from `lane` during a lane change. With
-    continuous actions, it is `lane`."""
-    repeats: Ints
-    """[B, N] how often meta-actions have raised the target speed in a row, as FASTER does, or have
-    lowered it by steps if it is negative; counted up to the number of the steps."""
-    crashed: Bools
-    """[B, N] whether the vehicle has collided."""
-    timer_s: Floats
-    """[B, N] time since the driver model last set it to 0; starts within a lane-change period."""
-    temperament: Floats
-    """[B, N] in [0, 1], drawn once per vehicle: IDM+MOBIL's exponent depends on it."""
-    parameters: Floats
-    """[B, N, P] the parameters of each vehicle's driver, in the order in which its model declares
-    them [`DriverModel.parameters`]; P is the number of the model that declares most."""
-    memory: Floats
-    """[B, N, Q] what each vehicle's agent remembers, in its first columns; Q is the width of the
-    agent that declares most [`Policy.memory_width`, `DriverModel.memory_width`]."""
-    generator: State
-    """[B, 6] the state of the scene's random generator after the draws that placed its vehicles."""
-    ego: Ints
-    """[B] the ego's place."""
-    active: Bools
-    """[B] whether the scene still runs; a scene that has ended no longer changes."""
-    order: Ints
-    """[B, N] the vehicles' places, sorted by x."""
-    rank: Ints
-    """[B, N] each vehicle's index in `order`."""
-    leaders: Ints
-    """[B, N, 4] nearest vehicle ahead on each of the `CANDIDATES`, as the last simulation step left
-    them. For speed, -1 stands for none in this table; outside compiled code, use `leader`."""
-    followers: Ints
-    """[B, N, 4] nearest vehicle behind on each of the `CANDIDATES`, likewise; see `follower`."""
-    impact_x: Floats
-    """[B, N] displacement that a collision causes in the next step, m."""
-    impact_y: Floats
-    impact: Bools
-    """[B, N] whether there is such a displacement."""
-    road: Straight
-    constants: Constants
-
-
-class Scene(_Fields):
+class Scene(SceneArrays):
     """B scenes of N vehicles. A driver model may only write `WRITABLE` of its own vehicles."""
 
     def __repr__(self) -> str:

@@ -8,7 +8,7 @@ import pytest
 from charms_agents.human.manoeuvres import manoeuvres
 from trios import Row, write_trio
 
-from charms_bench.world.highd import find_trios, read_recording
+from charms_bench.world.recording_folder import find_trios, read_recording
 
 RATE, LANE_M = 10.0, 4.0
 """Frames per second, and the width of the lanes that `write_trio` marks."""

@@ -12,7 +12,7 @@ from charms_agents.training.suite_file import load_training
 
 from charms_bench.plugins.onnx_policy import OnnxPolicy
 from charms_bench.plugins.registry import make_agent
-from charms_bench.world.highd import find_trios
+from charms_bench.world.recording_folder import find_trios
 
 PROJECT = Path(__file__).parents[2]
 POLICIES = PROJECT / "agents" / "charms_agents" / "policies"

@@ -23,8 +23,8 @@ from trios import Row, busy_road, write_trio
 
 from charms_bench.errors import DataError
 from charms_bench.people.survey import survey
-from charms_bench.world.highd import find_trios
 from charms_bench.world.observations import COMMANDS, Neighbours
+from charms_bench.world.recording_folder import find_trios
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 TRUCK, FEW_LANES, BESIDE, NO_LANE, HIDDEN, FEW_NEIGHBOURS, REPEATED = REASONS

@@ -30,6 +30,7 @@ from charms_bench.world.actions import (
     SLOWER,
     with_speed_steps,
 )
+from charms_bench.world.moments import scene_of
 from charms_bench.world.scene import Floats, Observations, SceneSettings
 
 GROWING = (0.25, 0.5, 1.0, 2.0)
@@ -250,7 +251,7 @@ def test_both_engines_agree_in_recorded_scenes(
     write_trio(tmp_path, flowing_road(10), rate=10)
     fields = {"profile": "highway-env", "simulation_hz": 30, "duration_s": 2.0}
     case = Case(
-        scene=SceneSettings.model_validate(fields | {"recording": str(tmp_path)}),
+        scene=scene_of(fields | {"recording": str(tmp_path)}),
         ego=AgentSpec(name=str(network(network_file, "ego.onnx", "[0.25, 0.5]", seed=1))),
         traffic=TrafficSpec(name=traffic),
     )
@@ -262,7 +263,7 @@ def test_both_engines_agree_in_recorded_scenes(
 def test_recorded_vehicles_start_at_their_speed_under_a_policy_with_steps(tmp_path: Path) -> None:
     write_trio(tmp_path, flowing_road(10), rate=10)
     fields = {"profile": "highway-env", "simulation_hz": 30, "duration_s": 2.0}
-    settings = SceneSettings.model_validate(fields | {"recording": str(tmp_path)})
+    settings = scene_of(fields | {"recording": str(tmp_path)})
 
     def started(steps: tuple[float, ...]) -> Simulation:
         agents: dict[str, Agent] = {"ego": Scripted([IDLE], steps), "other": make_agent("recorded")}

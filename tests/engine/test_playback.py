@@ -21,6 +21,7 @@ from charms_bench.plugins.registry import make_agent
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.recording.recording import Recording
 from charms_bench.testing.verify import Case, compare
+from charms_bench.world import moments
 from charms_bench.world.moments import moments_of
 from charms_bench.world.scene import SceneSettings
 
@@ -32,7 +33,7 @@ UNTIL = "recorded_until_deviation"
 def scene_of(folder: Path, rows: Iterable[Row], rate: float = 10, **fields: Any) -> SceneSettings:
     write_trio(folder, rows, rate=rate)
     given = {"profile": SLOW, "simulation_hz": 30, "duration_s": 2.0, "recording": str(folder)}
-    return SceneSettings.model_validate(given | fields)
+    return moments.scene_of(given | fields)
 
 
 def simulation_of(
@@ -98,7 +99,7 @@ def test_every_vehicle_is_where_the_recording_says_at_every_frame(
 def test_every_vehicle_of_us101_is_where_the_recording_says(lanes: int) -> None:
     bounds = {"name": "naturalistic", "speed_max_mps": 60.0, "target_speed_max_mps": 60.0}
     fields = {"profile": bounds, "simulation_hz": 30, "duration_s": 1.0, "lanes": lanes}
-    settings = SceneSettings.model_validate({**fields, "recording": str(US101)})
+    settings = moments.scene_of({**fields, "recording": str(US101)})
     said, frames = {}, set()
     for path in US101.glob("*_tracks.csv"):
         rows = pl.read_csv(path)

@@ -14,7 +14,8 @@ from charms_bench.episodes.recorded_cell import RecordedCell
 from charms_bench.episodes.replay import Replay, replay
 from charms_bench.runs.runner import run
 from charms_bench.runs.suite import Suite
-from charms_bench.world.highd import Recording, find_trios, read_recording
+from charms_bench.world.recording_folder import find_trios, read_recording
+from charms_bench.world.trajectories import Recording
 
 SUITE = {
     "suite": "small",

@@ -10,7 +10,7 @@ from trios import Row, driven, write_trio
 from charms_bench.errors import DataError
 from charms_bench.people.following import Followers, followers, lane_change_starts
 from charms_bench.people.situations import situations
-from charms_bench.world.highd import read_folder
+from charms_bench.world.recording_folder import read_folder
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 RATE = 25

@@ -13,8 +13,8 @@ from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import DataError
 from charms_bench.people.situations import nearest_to_decisions, situations
 from charms_bench.plugins.traffic import OneAgent
-from charms_bench.world.highd import read_folder
 from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
+from charms_bench.world.recording_folder import read_folder
 from charms_bench.world.scene import SceneSettings
 
 FIVE_LANES = {"upper": "", "lower": "0;3.5;7;10.5;14;17.5"}

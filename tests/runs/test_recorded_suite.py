@@ -17,7 +17,7 @@ from charms_bench.episodes.recorded_cell import find_cell
 from charms_bench.errors import InputError, SuiteError
 from charms_bench.runs.runner import run as run_suite
 from charms_bench.runs.suite import load_suite
-from charms_bench.world.highd import read_folder
+from charms_bench.world.recording_folder import read_folder
 
 SUITE = """\
 suite: small

@@ -10,7 +10,8 @@ from trios import LOWER_MARKINGS, Row, busy_road, driven, write_trio
 
 from charms_bench.errors import DataError
 from charms_bench.world.csv_table import ROW_LIMIT
-from charms_bench.world.highd import TRACKS, Recording, find_trios, read_folder
+from charms_bench.world.recording_folder import find_trios, read_folder
+from charms_bench.world.trajectories import TRACKS, Recording
 
 US_101 = Path(__file__).parents[2] / "../shared/data/us101_highd_format"
 OLD_NEW = tuple[str, str, str, str]

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from trios import Row, driven, flowing_road, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.world.moments import moments_of
+from charms_bench.world.moments import moments_of, scene_of
 from charms_bench.world.scene import SceneSettings
 
 SLOW = {"name": "charms", "speed_min_mps": 0.0, "target_speed_min_mps": 0.0}
@@ -24,7 +24,7 @@ US_101 = Path(__file__).parents[2] / "../shared/data/us101_corrected"
 
 def scene(folder: Path, duration_s: float = 2.0, **fields: Any) -> SceneSettings:
     recording = {"folder": str(folder), **fields.pop("recording", {})}
-    return SceneSettings.model_validate(
+    return scene_of(
         {"profile": SLOW, "simulation_hz": 30, "duration_s": duration_s, "recording": recording}
         | fields
     )

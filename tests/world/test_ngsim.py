@@ -8,7 +8,7 @@ from command_line import charms_bench
 from trios import Row, busy_road, driven, write_trio
 
 from charms_bench.errors import DataError
-from charms_bench.world.highd import find_trios, read_folder
+from charms_bench.world.recording_folder import find_trios, read_folder
 
 FOOT_M = 0.3048
 HEADER = (

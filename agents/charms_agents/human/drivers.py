@@ -13,7 +13,7 @@ import polars as pl
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from charms_bench.world.highd import Recording
+from charms_bench.world.trajectories import Recording
 
 MEASURED = ("length", "width", "y", "speed", "lateral_speed", "acceleration")
 MOVING_MPS = 1.0

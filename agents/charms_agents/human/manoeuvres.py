@@ -9,7 +9,7 @@ in no other lane are none. Speed intents follow from the mean acceleration of th
 import polars as pl
 
 from charms_agents.human.soft_labels import LATERAL_SPEED_MPS
-from charms_bench.world.highd import Recording
+from charms_bench.world.trajectories import Recording
 
 AHEAD_S = 2.0
 

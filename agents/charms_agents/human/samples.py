@@ -37,9 +37,10 @@ from charms_bench.people.survey import Learnable
 from charms_bench.world.action_texts import described_actions
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction
 from charms_bench.world.csv_table import ROW_LIMIT, SIZE_LIMIT_BYTES
-from charms_bench.world.highd import LANE_WIDTH_M, Recording, Trio, find_trios, read_folder
 from charms_bench.world.observations import COMMANDS, Neighbours, neighbours
+from charms_bench.world.recording_folder import find_trios, read_folder
 from charms_bench.world.scene import Bools, Observations, SceneSettings
+from charms_bench.world.trajectories import LANE_WIDTH_M, Recording, Trio
 
 REASONS = (
     "truck",

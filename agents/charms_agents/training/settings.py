@@ -23,6 +23,7 @@ from charms_bench.plugins.specs import AgentSpec, TrafficSpec
 from charms_bench.plugins.traffic import OneAgent, Traffic
 from charms_bench.world.action_texts import MetaActionsField
 from charms_bench.world.actions import DEFAULT_ACTIONS, MetaAction, with_speed_steps
+from charms_bench.world.moments import RecordedScene
 from charms_bench.world.observations import Neighbours, named_observation
 from charms_bench.world.scenario import PRESCRIBED
 from charms_bench.world.scene import ProfileLike, SceneSettings
@@ -76,7 +77,7 @@ class Stage(FrozenModel):
     svo: Svo
     svo_angle_rad: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
     """phi of eq. 8; by default, the angle of `svo`."""
-    scene: SceneSettings = SceneSettings()
+    scene: RecordedScene = SceneSettings()
     traffic: TrafficSpec
     """The traffic. A name means a stage of this file, or else an installed agent or traffic; a name
     that ends in `.onnx` is the path of a network, from the suite file's folder."""
@@ -120,7 +121,7 @@ class SimulatedDrivers(FrozenModel):
 
     agents: Annotated[tuple[AgentSpec, ...], Field(strict=False, min_length=1, max_length=20)]
     """Installed driver models."""
-    scene: SceneSettings
+    scene: RecordedScene
     traffic: TrafficSpec
     conditions: Names = ()
     """Names in the suite's `conditions`."""
