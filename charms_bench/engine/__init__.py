@@ -21,7 +21,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from charms_bench.engine.stepping import Put
+from charms_bench.engine.stepping import BeforeMove
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import Actions, MetaAction
 from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings, Vehicles
@@ -34,14 +34,17 @@ class Engine(Protocol):
     """B scenes of N vehicles that advance together."""
 
     scene: Scene
+    """The scenes along the ways of the egos."""
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
-    occupied: Bools
-    """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
     measures: Mapping[str, Floats]
     """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
+
+    @property
+    def state(self) -> Scene:
+        """All vehicles where they are on the road; on the straight road, it is `scene` itself."""
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
@@ -56,7 +59,7 @@ class Engine(Protocol):
         """
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
-        """What decides what follows in the scenes `rows` (R,), beside `scene`; (R, W), W can be 0.
+        """What decides what follows in the scenes `rows` (R,), beside `state`; (R, W), W can be 0.
 
         The straight road has nothing.
         """
@@ -64,7 +67,7 @@ class Engine(Protocol):
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
-        """Takes over what was written into `scene` and `drivers` for the scenes `rows` (R,).
+        """Takes over what was written into `state` and `drivers` for the scenes `rows` (R,).
 
         On a road, `saved` is what the method of that name returned. The neighbours and all other
         arrays that follow from positions and headings are found.
@@ -76,10 +79,11 @@ class Engine(Protocol):
     def command(self, vehicles: Vehicles, actions: Actions) -> None:
         """Gives each of M vehicles a meta-action, (M,), or a continuous one, (M, 2)."""
 
-    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
+    def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         """Advances every active scene by one simulation step.
 
-        In a recorded scene, `put` says where the step ends for vehicles that follow the recording.
+        `before_move` is called when all agents have acted. It can change the control of prescribed
+        vehicles, and says where the step ends for vehicles that follow a recording.
 
         If `hold_egos`, the egos keep the steering and the acceleration of the step before, within
         highway-env's limits, and their driver models are not asked.
@@ -104,9 +108,9 @@ def make_engine(
 
     The driver models stand under the index of their agent, in the order in which they act.
     `command` drives the vehicles of all other agents; the agents `continuous` have continuous
-    actions, and the scenario moves the vehicles of `prescribed`. `memory` is the width of the
-    scene's memory. `own_actions` are the meta-actions of the agents that have other ones than
-    highway-env's.
+    actions, and `before_move` decides what the vehicles of `prescribed` do. `memory` is the width
+    of the scene's memory. `own_actions` are the meta-actions of the agents that have other ones
+    than highway-env's.
     """
     if callable(name):
         return name(settings, scenes, models, continuous, memory, prescribed, own_actions)

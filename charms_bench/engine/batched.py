@@ -10,11 +10,10 @@ from charms_bench.engine.draws import draws_of
 from charms_bench.engine.meta_actions import choose_target_speeds, command, command_rule, obey
 from charms_bench.engine.motion import follow_no_lane
 from charms_bench.engine.neighbours import locate
-from charms_bench.engine.prescribed import Script
 from charms_bench.engine.seats import mark_seats, seat, vehicles_of
 from charms_bench.engine.shown import Shown
 from charms_bench.engine.spawning import spawn, spawn_rule
-from charms_bench.engine.stepping import Put, advance, advance_put
+from charms_bench.engine.stepping import BeforeMove, advance, advance_put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import seeded
 from charms_bench.plugins.agent import DriverModel
@@ -36,9 +35,8 @@ class BatchedEngine(Shown):
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.scene = Scene.empty(settings, scenes, parameters, memory)
+        self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
-        self.occupied = self.scene.present
         self.measures: Mapping[str, Floats] = {}
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self._settings = settings
@@ -58,21 +56,16 @@ class BatchedEngine(Shown):
         """The active vehicles that each driver model drives, and those of them that are not egos;
         listed for the active scenes `_listed`."""
         self._listed = b""
-        scenario = settings.scenario
-        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
         scene, settings, generators = self.scene, self._settings, seeded(seeds)
-        if self._script is not None:
-            self._script.place(scene, rows, seeds)
-        else:
-            draws = draws_of(generators, settings) if draws is None else draws
-            scene.ego[rows] = draws[:, 0] * settings.ego_slots
-            desired = set_types(scene, settings, rows, seeds)
-            spawn(scene, rows, draws, self._spawn_rule)
-            scene.target_speed[rows] = np.where(np.isnan(desired), scene.speed[rows], desired)
+        draws = draws_of(generators, settings) if draws is None else draws
+        scene.ego[rows] = draws[:, 0] * settings.ego_slots
+        desired = set_types(scene, settings, rows, seeds)
+        spawn(scene, rows, draws, self._spawn_rule)
+        scene.target_speed[rows] = np.where(np.isnan(desired), scene.speed[rows], desired)
         scene.generator[rows] = generators
         seats = (self._are_models, self.drivers, self._is_modelled, self._is_ego)
         seat(rows, scene.ego, agents, *seats)
@@ -87,7 +80,7 @@ class BatchedEngine(Shown):
 
     def _mark(self, rows: Ints) -> None:
         """Marks the prescribed vehicles, and those with continuous actions, without targets."""
-        if self._script is not None:
+        if self._prescribed:
             self._is_prescribed[rows] = np.isin(self.drivers[rows], self._prescribed)
         if self._continuous:
             marked = self._is_continuous[rows] = np.isin(self.drivers[rows], self._continuous)
@@ -100,8 +93,6 @@ class BatchedEngine(Shown):
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
-        if self._script is not None:
-            self._script.choose(self.scene, rows, seeds)
         drivers, ego = self.drivers, self.scene.ego
         mark_seats(rows, ego, self._are_models, drivers, self._is_modelled, self._is_ego)
         self._vehicles.clear()
@@ -125,7 +116,7 @@ class BatchedEngine(Shown):
             rule = self._own_rules.get(agent, self._command_rule)
             command(self.scene, vehicles[0][its], vehicles[1][its], actions[its], rule)
 
-    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
+    def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         scene = self.scene
         active = scene.active.tobytes()
         if not self._vehicles or self._listed != active:
@@ -141,11 +132,11 @@ class BatchedEngine(Shown):
                 answers = model.drive(self._shown, vehicles)
                 obey(scene, vehicles[0], vehicles[1], *answers)
         held = self._is_ego if hold_egos else self._nobody
-        if self._script is not None:
-            self._script.prescribe(scene, np.nonzero(scene.active)[0], self._is_prescribed)
+        if self._prescribed:
             held = held | self._is_prescribed
         if self._continuous:
             held = held | self._is_continuous
+        put = None if before_move is None else before_move()
         if put is None:
             advance(scene, self._is_modelled, held)
         else:

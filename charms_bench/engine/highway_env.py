@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from charms_bench.engine.draws import ReplayedDraws
 from charms_bench.engine.neighbours import locate
-from charms_bench.engine.prescribed import Script
 from charms_bench.engine.shown import Shown
-from charms_bench.engine.stepping import Put
+from charms_bench.engine.stepping import BeforeMove, Put
 from charms_bench.engine.type_draws import set_types
 from charms_bench.foundation.generator import from_numpy, seeded, to_numpy
 from charms_bench.plugins.agent import DriverModel
@@ -51,9 +50,8 @@ class HighwayEnvEngine(Shown):
         own_actions: Mapping[int, tuple[MetaAction, ...]] = MappingProxyType({}),
     ) -> None:
         parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.scene = Scene.empty(settings, scenes, parameters, memory)
+        self.state = self.scene = Scene.empty(settings, scenes, parameters, memory)
         self.drivers = np.zeros(self.scene.x.shape, dtype=np.int64)
-        self.occupied = self.scene.present
         self.measures: Mapping[str, Floats] = {}
         self.goals = np.zeros(scenes, dtype=np.bool_)
         self.roads: list[Road] = [None] * scenes
@@ -80,25 +78,11 @@ class HighwayEnvEngine(Shown):
         self._prescribed = list(prescribed)
         self._actions = ContinuousAction(None)
         self._network = highway_env_network(settings.road)
-        scenario = settings.scenario
-        self._script = None if scenario is None else Script(scenario, settings, scenes)
 
     def reset(
         self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None = None
     ) -> None:
         self.scene.generator[rows] = seeded(seeds)
-        if self._script is not None:
-            self._script.place(self.scene, rows, seeds)
-            self.drivers[rows] = agents
-            for row in map(int, rows):
-                self.roads[row] = self._road(row)
-        else:
-            self._draw(rows, seeds, agents, draws)
-        locate(self.scene, rows)
-
-    def _draw(
-        self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints, draws: Floats | None
-    ) -> None:
         rngs: Sequence[RandomSource] = (
             [to_numpy(state) for state in self.scene.generator[rows]]
             if draws is None
@@ -115,6 +99,7 @@ class HighwayEnvEngine(Shown):
                 self.scene.generator[row] = from_numpy(rng)
             self._vehicles[row] = [*self.roads[row].vehicles]
             self._copy_state(int(row))
+        locate(self.scene, rows)
 
     def saved(self, rows: Ints) -> NDArray[np.uint8]:
         return np.zeros((rows.size, 0), dtype=np.uint8)
@@ -122,8 +107,6 @@ class HighwayEnvEngine(Shown):
     def restore(
         self, rows: Ints, seeds: NDArray[np.uint64], saved: NDArray[np.uint8] | None = None
     ) -> None:
-        if self._script is not None:
-            self._script.choose(self.scene, rows, seeds)
         locate(self.scene, rows)
         is_continuous = np.isin(self.drivers[rows], self._continuous)
         self.scene.target_speed[rows] *= ~is_continuous
@@ -153,16 +136,14 @@ class HighwayEnvEngine(Shown):
             if hasattr(vehicle, "repeats"):
                 self.scene.repeats[row, place] = vehicle.repeats
 
-    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
+    def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         active = np.nonzero(self.scene.active)[0]
         dt = 1 / self._settings.simulation_hz
         for row in map(int, active):
             drivers = np.where(self.scene.present[row], self.drivers[row], _NOBODY)
-            drivers[np.isin(drivers, self._continuous)] = _NOBODY
+            drivers[np.isin(drivers, [*self._continuous, *self._prescribed])] = _NOBODY
             if hold_egos:
                 drivers[self.scene.ego[row]] = _NOBODY
-            if self._script is not None:
-                drivers[np.isin(drivers, self._prescribed)] = _NOBODY
             in_order = np.argsort(self.scene.entry[row])
             drivers = drivers[in_order]
             self._act(row, in_order[~np.isin(drivers, [*self._models, _NOBODY])])
@@ -171,8 +152,9 @@ class HighwayEnvEngine(Shown):
                 if places.size and not model.highway_env_class:
                     self._ask(model, row, places)
                 self._act(row, places, tuple(model.parameters))
-            if self._script is not None:
-                self._prescribe(row, self._script)
+        put = None if before_move is None else before_move()
+        for row in map(int, active):
+            self._prescribe(row)
             if put is not None:
                 self._put(row, put)
             self.roads[row].step(dt)
@@ -197,11 +179,10 @@ class HighwayEnvEngine(Shown):
             vehicle.act()
             self.scene.target_lane[row, place] = vehicle.target_lane_index[2]
 
-    def _prescribe(self, row: int, script: Script) -> None:
+    def _prescribe(self, row: int) -> None:
         """Gives the prescribed vehicles of a scene their control."""
-        scene, is_prescribed = self.scene, np.isin(self.drivers, self._prescribed)
-        script.prescribe(scene, np.array([row]), is_prescribed)
-        for place in np.nonzero(is_prescribed[row] & ~scene.crashed[row])[0]:
+        scene, is_prescribed = self.scene, np.isin(self.drivers[row], self._prescribed)
+        for place in np.nonzero(is_prescribed & ~scene.crashed[row])[0]:
             vehicle = self._vehicles[row][place]
             control = {"steering": scene.steering, "acceleration": scene.acceleration}
             vehicle.action = {name: values[row, place] for name, values in control.items()}

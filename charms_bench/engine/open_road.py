@@ -11,26 +11,25 @@ entered.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from charms_bench.engine.collision_kinds import NO_COLLISION
 from charms_bench.engine.endings import RUNNING, TIME
 from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.source import Source
 from charms_bench.engine.state import vacate
 from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.gaps import following_distance, overhang
 from charms_bench.world.road import is_near_lane, position
-from charms_bench.world.scene import Bools, Ints, Scene
+from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
-if TYPE_CHECKING:
-    from charms_bench.engine.simulation import Simulation
-
-STREAM = 6
-"""The random stream of a seed that draws arrivals; see `Simulation.reset` for another."""
+STREAM, AGENTS_STREAM = 6, 7
+"""The random streams of a seed that draw arrivals and their agents."""
 
 
 class _Arrival(NamedTuple):
@@ -44,64 +43,79 @@ class _Arrival(NamedTuple):
     temperament: float
 
 
-class OpenRoad:
-    """The boundaries of a simulation's scenes."""
+class Inflow(Source):
+    """Vehicles that enter at the start of the road and leave at its end.
 
-    def __init__(self, simulation: "Simulation") -> None:
-        settings = simulation.settings
+    Raises:
+        InputError: Vehicles are driven from outside.
+    """
+
+    def __init__(self, episodes: RunningEpisodes) -> None:
+        super().__init__(episodes)
+        if not episodes.egos_end_episodes:
+            raise InputError(
+                "scene.inflow: vehicles that enter need a driver; expected an ego only"
+            )
+        settings = episodes.settings
         assert settings.inflow is not None
-        scenes, self._made = simulation.seeds.size, simulation
         self._per_s = settings.inflow.vehicles_per_hour_and_lane * settings.lanes / 3600
         expected = self._per_s * settings.duration_s
-        self.most = math.ceil(expected + 10 * math.sqrt(expected) + 10)
+        self._most = math.ceil(expected + 10 * math.sqrt(expected) + 10)
         """More vehicles than ever arrive in an episode."""
-        self._times_s = np.full((scenes, self.most + 1), np.inf)
-        self._agents = np.zeros((scenes, self.most), dtype=np.int64)
+        scenes = episodes.seeds.size
+        self._times_s = np.full((scenes, self._most + 1), np.inf)
+        self._agents = np.zeros((scenes, self._most), dtype=np.int64)
         self._entered = np.zeros(scenes, dtype=np.int64)
         self._next: list[_Arrival | None] = [None] * scenes
 
-    def schedule(self, rows: Ints, agents: Ints) -> None:
-        """Draws the arrivals in the scenes `rows` (R,), whose agents are (R, K).
+    def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
+        """Leaves only the vehicles at the start."""
+        episodes = self._episodes
+        episodes.scene.present[rows, 1 + episodes.settings.traffic_vehicles :] = False
+        vacate(episodes.scene, rows)
+        episodes.engine.restore(rows, episodes.seeds[rows])
+        self.resume(rows)
 
-        The scenes have begun, or they have been restored.
-        """
-        for row, agent in zip(rows, agents, strict=True):
-            rng = np.random.default_rng([int(self._made.seeds[row]), STREAM])
-            self._times_s[row, :-1] = rng.exponential(1 / self._per_s, self.most).cumsum()
-            self._agents[row] = agent
+    def resume(self, rows: Ints) -> None:
+        """Draws the arrivals, and their agents."""
+        episodes = self._episodes
+        for row in rows.tolist():
+            rng = np.random.default_rng([int(episodes.seeds[row]), STREAM])
+            self._times_s[row, :-1] = rng.exponential(1 / self._per_s, self._most).cumsum()
             self._next[row] = None
-        last = self._made.scene.entry[rows].max(axis=1)
-        self._entered[rows] = last + 1 - self._made.settings.vehicles
+        self._agents[rows] = episodes.seats_of(AGENTS_STREAM, rows, self._most)
+        last = episodes.scene.entry[rows].max(axis=1)
+        self._entered[rows] = last + 1 - episodes.settings.vehicles
 
-    def empty(self, rows: Ints) -> None:
-        """Leaves only the vehicles at the start in the scenes `rows` (R,), which begin now."""
-        made = self._made
-        made.scene.present[rows, 1 + made.settings.traffic_vehicles :] = False
-        vacate(made.scene, rows)
-        made.engine.restore(rows, made.seeds[rows])
-
-    def pass_boundaries(self) -> None:
+    def after_step(self) -> None:
         """Lets vehicles leave and enter after a simulation step.
 
         Raises:
             InputError: A scene is full.
         """
-        made, scene = self._made, self._made.scene
-        end = made.settings.profile.road_length_m
+        episodes, scene = self._episodes, self._episodes.scene
+        end = episodes.settings.profile.road_length_m
         changed = have_left(scene, end)
         if changed.any():
             vacate(scene, np.nonzero(changed)[0])
-        frames = made.steps * made.settings.steps_per_decision + made.phase
-        due = self._times_s[made.everyone, self._entered] <= frames / made.settings.simulation_hz
+        frames = episodes.frames
+        due = (
+            self._times_s[episodes.everyone, self._entered]
+            <= frames / episodes.settings.simulation_hz
+        )
         for row in np.nonzero(due & scene.active)[0]:
-            changed[row] |= self._enter(int(row), frames[row] / made.settings.simulation_hz)
+            changed[row] |= self._enter(int(row), frames[row] / episodes.settings.simulation_hz)
         if changed.any():
             rows = np.nonzero(changed)[0]
-            made.engine.restore(rows, made.seeds[rows])
+            episodes.engine.restore(rows, episodes.seeds[rows])
 
     def _enter(self, row: int, time_s: float) -> bool:
         """Lets vehicles enter a scene that have arrived until a time; returns whether any has."""
-        made, scene, c = self._made, self._made.scene, self._made.settings.profile.idm_mobil
+        episodes, scene, c = (
+            self._episodes,
+            self._episodes.scene,
+            self._episodes.settings.profile.idm_mobil,
+        )
         has_entered = False
         while self._times_s[row, self._entered[row]] <= time_s:
             newcomer = self._next[row] = self._next[row] or self._arrival(row)
@@ -110,19 +124,21 @@ class OpenRoad:
             if room < c.jam_distance_m + c.time_headway_s * speed:
                 break
             self._admit(row, newcomer, lane, speed)
-            made.engine.restore(np.array([row]), made.seeds[[row]])  # the next vehicle sees it
+            episodes.engine.restore(
+                np.array([row]), episodes.seeds[[row]]
+            )  # the next vehicle sees it
             has_entered = True
         return has_entered
 
     def _arrival(self, row: int) -> _Arrival:
         """The next vehicle that enters a scene."""
-        made, profile = self._made, self._made.settings.profile
-        number = made.settings.vehicles + self._entered[row]
+        episodes, profile = self._episodes, self._episodes.settings.profile
+        number = episodes.settings.vehicles + self._entered[row]
         drawn = draw_vehicles(
-            made.settings, made.seeds[[row]], np.array([[number]]), np.array([[False]])
+            episodes.settings, episodes.seeds[[row]], np.array([[number]]), np.array([[False]])
         )
         desired, length, width = (float(each[0, 0]) for each in drawn)
-        rng = np.random.default_rng([int(made.seeds[row]), STREAM, int(number)])
+        rng = np.random.default_rng([int(episodes.seeds[row]), STREAM, int(number)])
         share, temperament = rng.random(2).tolist()
         low, high = profile.spawn_speed_low, profile.spawn_speed_high
         if math.isnan(desired):
@@ -131,13 +147,14 @@ class OpenRoad:
 
     def _admit(self, row: int, newcomer: _Arrival, lane: int, speed: float) -> None:
         """Puts the next vehicle at the start of a lane."""
-        made, scene = self._made, self._made.scene
+        episodes, scene = self._episodes, self._episodes.scene
         is_free = ~scene.present[row]
         is_free[scene.ego[row]] = False
         if not is_free.any():
             raise InputError(
-                f"scene.inflow.capacity: episode {made.seeds[row]} is full at step "
-                f"{made.steps[row]}, with {scene.present[row].sum()} vehicles; use a larger number"
+                f"scene.inflow.capacity: episode {episodes.seeds[row]} is full at step "
+                f"{episodes.steps[row]}, with {scene.present[row].sum()} vehicles; use a larger "
+                "number"
             )
         place = int(is_free.argmax())
         at = (row, place)
@@ -159,17 +176,17 @@ class OpenRoad:
         others = ("heading", "acceleration", "steering", "repeats", "memory", "crashed", "impact")
         for name, value in {**values, **dict.fromkeys(others, 0)}.items():
             getattr(scene, name)[at] = value
-        made.engine.drivers[at] = self._agents[row, self._entered[row]]
-        made.has_action[at], made.collision[at] = False, NO_COLLISION
-        set_parameters(made, np.array([row]), np.array([place]))
+        episodes.engine.drivers[at] = self._agents[row, self._entered[row]]
+        episodes.has_action[at], episodes.collision[at] = False, NO_COLLISION
+        set_parameters(episodes, np.array([row]), np.array([place]))
         self._entered[row] += 1
         self._next[row] = None
 
-    def end_at_the_end(self) -> None:
+    def after_decision(self) -> None:
         """Ends the episodes whose egos have reached the end of the road."""
-        made, egos = self._made, self._made.ego_vehicles
-        at_end = made.scene.x[egos] >= made.settings.profile.road_length_m
-        made.ending[at_end & (made.ending == RUNNING)] = TIME
+        episodes, egos = self._episodes, self._episodes.ego_vehicles
+        at_end = episodes.scene.x[egos] >= episodes.settings.profile.road_length_m
+        episodes.ending[at_end & (episodes.ending == RUNNING)] = TIME
 
 
 @compiled_of_scenes

@@ -3,41 +3,36 @@
 They follow from an episode's seed and its drivers, so a state needs no copy of them.
 """
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
 
+from charms_bench.engine.running import Ranges, RunningEpisodes
 from charms_bench.engine.type_draws import draw_types, vehicles_at
 from charms_bench.world.placement import driver_parameters
 from charms_bench.world.scene import Ints
 from charms_bench.world.vehicle_types import OF_VEHICLES, VehicleType, drawn_from
 
-if TYPE_CHECKING:
-    from charms_bench.engine.simulation import Simulation
-
-Ranges = Mapping[str, tuple[float, float]]
 _STREAM = 3
-"""The random stream of a seed that draws parameters; see `Simulation.reset` for another."""
+"""The random stream of a seed that draws parameters; see `RunningEpisodes.seats_of` for another."""
 
 
-def set_parameters(simulation: "Simulation", rows: Ints, places: Ints | None = None) -> None:
+def set_parameters(episodes: RunningEpisodes, rows: Ints, places: Ints | None = None) -> None:
     """Sets the parameters of the drivers in the scenes `rows` (R,): all, or one place (R,) of each.
 
     By default, they are independent, and uniform in the ranges that their model declares; the type
     of a vehicle can give other distributions. In a scenario, nothing is left to chance: they are
     the middles of the ranges, or what the scenario gives.
     """
-    if not simulation.ranges:
+    if not episodes.ranges:
         return
-    settings, seeds, scene = simulation.settings, simulation.seeds[rows], simulation.scene
+    settings, seeds, scene = episodes.settings, episodes.seeds[rows], episodes.scene
     at, is_ego = vehicles_at(scene, rows, places)
-    entry, drivers = scene.entry[at], simulation.engine.drivers[at]
+    entry, drivers = scene.entry[at], episodes.engine.drivers[at]
     kinds, of_vehicles = draw_types(settings, seeds, entry, is_ego)
     types = (*settings.vehicle_types, VehicleType(name="profile", share=1.0))
-    for agent, ranges in simulation.ranges.items():
-        own_stream = crc32(simulation.agents[agent].encode())
+    for agent, ranges in episodes.ranges.items():
+        own_stream = crc32(episodes.agents[agent].encode())
         shares = np.full((*entry.shape, len(ranges)), 0.5)
         for r, seed in enumerate(seeds if settings.scenario is None else ()):
             # Each model has its own random stream: other drivers do not change the draws.
@@ -55,18 +50,18 @@ def set_parameters(simulation: "Simulation", rows: Ints, places: Ints | None = N
                 rows_of, places_of = (np.broadcast_to(k, own.shape)[own] for k in at)
                 drawn = drawn_from(value, of_type[:, len(OF_VEHICLES) + n])
                 scene.parameters[rows_of, places_of, n] = drawn
-        _set_given(simulation, rows, agent, ranges)
+        _set_given(episodes, rows, agent, ranges)
 
 
-def _set_given(simulation: "Simulation", rows: Ints, agent: int, ranges: Ranges) -> None:
+def _set_given(episodes: RunningEpisodes, rows: Ints, agent: int, ranges: Ranges) -> None:
     """Sets the parameters that a scenario gives to vehicles of an agent."""
-    settings, drivers = simulation.settings, simulation.engine.drivers
+    settings, drivers = episodes.settings, episodes.engine.drivers
     scenario = settings.scenario
     for k, vehicle in enumerate(scenario.vehicles if scenario is not None else ()):
         own = rows[drivers[rows, k + 1] == agent]
-        if scenario is None or vehicle.agent != simulation.agents[agent] or not own.size:
+        if scenario is None or vehicle.agent != episodes.agents[agent] or not own.size:
             continue
-        numbers = simulation.seeds[own]
+        numbers = episodes.seeds[own]
         given = driver_parameters(scenario, k, settings, ranges, numbers)
         for name, values in given.items():
-            simulation.scene.parameters[own, k + 1, list(ranges).index(name)] = values
+            episodes.scene.parameters[own, k + 1, list(ranges).index(name)] = values

@@ -7,6 +7,7 @@ scenario prescribes what cannot happen, and an ego that meets the wreck did not 
 import numpy as np
 
 from charms_bench.engine.batched import BatchedEngine
+from charms_bench.engine.prescribed import Script
 from charms_bench.engine.state import vacate
 from charms_bench.world.scene import Bools, Ints, SceneSettings
 
@@ -32,16 +33,19 @@ def pile_ups(settings: SceneSettings, numbers: Ints) -> Bools:
 
 
 def _collide(settings: SceneSettings, numbers: Ints, is_there: Bools) -> Bools:
-    engine, rows = (
-        BatchedEngine(settings, numbers.size, {}, prescribed=[0]),
-        np.arange(numbers.size),
-    )
-    scene = engine.scene
-    scene.present[:] = True
-    scene.entry[:] = np.arange(is_there.size)
-    engine.reset(rows, numbers.astype(np.uint64), np.zeros(scene.x.shape, dtype=np.int64))
-    scene.present[:] = is_there
+    assert settings.scenario is not None
+    engine = BatchedEngine(settings, numbers.size, {}, prescribed=[0])
+    script = Script(settings.scenario, settings, numbers.size)
+    scene, rows = engine.scene, np.arange(numbers.size)
+    script.place(scene, rows, numbers)
+    scene.present[:], scene.entry[:] = is_there, np.arange(is_there.size)
     vacate(scene, rows)
+    engine.restore(rows, numbers.astype(np.uint64))
+    is_prescribed = np.ones(scene.x.shape, dtype=np.bool_)
+
+    def before_move() -> None:
+        script.prescribe(scene, rows, is_prescribed)
+
     for _ in range(settings.decisions * settings.steps_per_decision):
-        engine.advance()
+        engine.advance(before_move=before_move)
     return np.asarray(scene.crashed.any(axis=1))

@@ -11,27 +11,25 @@ drives on. Two vehicles that both follow the recording never collide, and let ea
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charms_bench.engine.meta_actions import nearest_target_speed
 from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.source import Source
 from charms_bench.engine.state import vacate
 from charms_bench.engine.stepping import Put
+from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
-from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.actions import follows_profile
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.moments import Tracks, moments_of
 from charms_bench.world.road import closest_lane
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
-
-if TYPE_CHECKING:
-    from charms_bench.engine.simulation import Simulation
 
 DEVIATION_M = 2.0
 """An ego this far from its recorded position has deviated from the recording."""
@@ -52,42 +50,52 @@ class Played(NamedTuple):
     """[B]"""
 
 
-class Playback:
-    """Starts the episodes of a simulation at recorded moments, and has vehicles come and go."""
+class Recorded(Source):
+    """Vehicles that are at a recorded moment where an episode starts, and come and go after it.
 
-    def __init__(self, simulation: "Simulation", after_deviation: str) -> None:
-        shape = simulation.scene.x.shape
-        self._made = simulation
-        self._moments = moments_of(simulation.settings)
+    Raises:
+        InputError: Vehicles are driven from outside.
+        DataError: The recordings cannot be read, or have changed.
+    """
+
+    is_foreseen = False  # a planner does not know what was recorded next
+
+    def __init__(self, episodes: RunningEpisodes) -> None:
+        super().__init__(episodes)
+        if not episodes.egos_end_episodes:
+            raise InputError(
+                "scene.recording: recorded vehicles that come and go cannot be driven from "
+                "outside; expected an ego only"
+            )
+        shape = episodes.scene.x.shape
+        self._moments = moments_of(episodes.settings)
         self._played = Played(np.full(shape, -1), np.zeros(shape[0], np.int64), np.ones(shape[0]))
-        models = [(k, a) for k, a in simulation.made.items() if isinstance(a, DriverModel)]
-        self._models = [k for k, _ in models]
-        own = simulation.own_actions
+        self._models = [*episodes.models]
+        own = episodes.own_actions
         self._unrounded = [*self._models, *(k for k in own if not follows_profile(own[k]))]
         """Agents whose vehicles do not start at one of the profile's target speeds."""
-        self._followers = [k for k, model in models if model.follows_recording]
-        agents = simulation.agents
-        self._successor = agents.index(after_deviation) if after_deviation else -1
-        self._speeds = np.array(simulation.settings.profile.target_speeds_mps, dtype=np.float64)
+        self._followers = episodes.follow_recording
+        successor = episodes.traffic.after_deviation
+        self._successor = episodes.agents.index(successor) if successor else -1
+        self._speeds = np.array(episodes.settings.profile.target_speeds_mps, dtype=np.float64)
         self._put = Put.empty(shape)
 
-    def choose(self, rows: Ints, seeds: NDArray[np.uint64]) -> None:
+    def resume(self, rows: Ints) -> None:
         """Plays the moments of these seeds in the scenes `rows` (R,)."""
-        moments, played = self._moments, self._played
-        number = moments.numbers_of(seeds)
+        moments, played, episodes = self._moments, self._played, self._episodes
+        number = moments.numbers_of(episodes.seeds[rows])
         played.track[rows] = moments.vehicles[number]
         played.frame[rows] = moments.frame[number]
-        played.frames_per_step[rows] = moments.rate_hz[number] / self._made.settings.simulation_hz
+        played.frames_per_step[rows] = moments.rate_hz[number] / episodes.settings.simulation_hz
 
-    def start(self, rows: Ints, seeds: NDArray[np.uint64], agents: Ints) -> None:
+    def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
         """Fills the scenes `rows` (R,) with the vehicles of their moments.
 
         The ego has the first place, and the others follow in the order in which they appear.
-        `agents` (R, N) are the agent of the ego, and then those of the other vehicles.
         """
-        self.choose(rows, seeds)
-        made, scene = self._made, self._made.scene
-        made.engine.drivers[rows] = agents
+        self.resume(rows)
+        scene, seeds = self._episodes.scene, self._episodes.seeds[rows]
+        self._episodes.engine.drivers[rows] = seats
         scene.generator[rows] = seeded(seeds)
         scene.ego[rows], scene.active[rows], scene.present[rows] = 0, True, False
         scene.acceleration[rows] = scene.steering[rows] = 0.0
@@ -95,56 +103,56 @@ class Playback:
         tracks, track = self._moments.tracks, self._played.track[rows]
         scene.length[rows], scene.width[rows] = tracks.length[track], tracks.width[track]
         vehicles = track.shape[1]
-        draws = [np.random.default_rng([int(seed), _STREAM]).random(vehicles) for seed in seeds]
+        draws = np.array([np.random.default_rng([int(seed), _STREAM]).random(vehicles)
+                          for seed in seeds])  # fmt: skip
         scene.temperament[rows] = draws
         scene.order[rows] = scene.rank[rows] = np.arange(vehicles)
-        self._appear(rows, is_start=True)
+        self._appear(rows, np.zeros_like(self._episodes.steps), is_start=True)
         self._settle(rows)
 
-    def before_step(self) -> Put:
-        """Has vehicles leave whose last frame is before the next step's end.
-
-        Returns where that step ends for those that follow the recording.
-        """
-        made, put = self._made, self._put
-        put.follows[:] = np.isin(made.engine.drivers, self._followers)
-        step = self._now() + 1
-        play(made.scene, self._played, self._moments.tracks, step, put)
+    def before_step(self) -> None:
+        """Has vehicles leave whose last frame is before the step's end."""
+        episodes, put = self._episodes, self._put
+        put.follows[:] = np.isin(episodes.engine.drivers, self._followers)
+        play(episodes.scene, self._played, self._moments.tracks, episodes.frames + 1, put)
         if put.leaves.any():
-            made.scene.present[put.leaves] = False
+            episodes.scene.present[put.leaves] = False
             self._settle(np.nonzero(put.leaves.any(axis=1))[0])
-        return put
+
+    def before_move(self) -> Put:
+        """Where the step ends for the vehicles that follow the recording."""
+        return self._put
 
     def after_step(self) -> None:
         """Has vehicles appear, and drivers take over that the ego's deviation calls for."""
-        changed = np.zeros(self._made.seeds.size, dtype=np.bool_)
+        changed = np.zeros(self._episodes.seeds.size, dtype=np.bool_)
         if self._successor >= 0:
             changed |= self._hand_over()
-        active = np.nonzero(self._made.scene.active)[0]
-        changed[active] |= self._appear(active)
+        active = np.nonzero(self._episodes.scene.active)[0]
+        changed[active] |= self._appear(active, self._episodes.frames)
         if changed.any():
             self._settle(np.nonzero(changed)[0])
 
-    def _now(self) -> Ints:
-        """(B,) the simulation steps since the start."""
-        made = self._made
-        return np.asarray(made.steps * made.settings.steps_per_decision + made.phase)
-
-    def _appear(self, rows: Ints, is_start: bool = False) -> Bools:
-        """(R,) whether vehicles appear now in the scenes `rows` (R,)."""
-        made, tracks = self._made, self._moments.tracks
-        now = np.zeros_like(made.steps) if is_start else self._now()
-        drivers = made.engine.drivers
+    def _appear(self, rows: Ints, now: Ints, is_start: bool = False) -> Bools:
+        """(R,) whether vehicles appear in the scenes `rows` (R,) at the steps `now` [B]."""
+        episodes, tracks = self._episodes, self._moments.tracks
+        drivers = episodes.engine.drivers
         follows, modelled = np.isin(drivers, self._followers), np.isin(drivers, self._models)
         seated = follows, modelled, np.isin(drivers, self._unrounded)
-        return appear(made.scene, self._played, tracks, rows, now, is_start, *seated, self._speeds)
+        return appear(
+            episodes.scene, self._played, tracks, rows, now, is_start, *seated, self._speeds
+        )
 
     def _hand_over(self) -> Bools:
         """(B,) whether other drivers take over now, because the ego has deviated."""
-        made, scene, drivers = self._made, self._made.scene, self._made.engine.drivers
+        episodes, scene, drivers = (
+            self._episodes,
+            self._episodes.scene,
+            self._episodes.engine.drivers,
+        )
         taken = np.isin(drivers, self._followers)
-        taken[made.ego_vehicles] = False
-        away = distances_of_egos(scene, self._played, self._moments.tracks, self._now())
+        taken[episodes.ego_vehicles] = False
+        away = distances_of_egos(scene, self._played, self._moments.tracks, self._episodes.frames)
         taken &= (scene.active & (away > DEVIATION_M))[:, None]
         if taken.any():
             drivers[taken] = self._successor
@@ -158,10 +166,10 @@ class Playback:
 
     def _settle(self, rows: Ints) -> None:
         """Has the engine take over what has changed in the scenes `rows` (R,)."""
-        made = self._made
-        vacate(made.scene, rows)
-        made.engine.restore(rows, made.seeds[rows])
-        set_parameters(made, rows)
+        episodes = self._episodes
+        vacate(episodes.scene, rows)
+        episodes.engine.restore(rows, episodes.seeds[rows])
+        set_parameters(episodes, rows)
 
 
 @compiled

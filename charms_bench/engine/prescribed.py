@@ -1,4 +1,4 @@
-"""Places the vehicles of a scenario, and computes their prescribed motion in both engines.
+"""Places the vehicles of a scenario, and computes their prescribed motion.
 
 A prescribed vehicle obeys accelerations and steering angles like any other vehicle. Its steering
 angle is the one with which the bicycle model reaches its prescribed path at the end of the step.
@@ -9,13 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charms_bench.engine.meta_actions import choose_target_speeds
 from charms_bench.engine.neighbours import locate
+from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.source import Source
+from charms_bench.engine.stepping import Put
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled
+from charms_bench.foundation.generator import seeded
+from charms_bench.world.actions import follows_profile
 from charms_bench.world.placement import Placement, place
 from charms_bench.world.road import position
 from charms_bench.world.scenario import Scenario
-from charms_bench.world.scene import Bools, Ints, Scene, SceneSettings
+from charms_bench.world.scene import Bools, Floats, Ints, Scene, SceneSettings
 
 TEMPERAMENT = 0.5
 """Of every vehicle of a scenario: nothing of a concrete scenario is left to chance."""
@@ -54,6 +60,45 @@ class Script:
     def prescribe(self, scene: Scene, rows: Ints, is_prescribed: Bools) -> None:
         """Sets the control of the vehicles [B, N] marked in these scenes for the next step."""
         _prescribe(scene, rows, is_prescribed, self._placement)
+
+
+class Placed(Source):
+    """The vehicles of a scenario, some of which move as it prescribes."""
+
+    def __init__(self, episodes: RunningEpisodes) -> None:
+        super().__init__(episodes)
+        settings, scenes = episodes.settings, episodes.seeds.size
+        assert settings.scenario is not None
+        self._script = Script(settings.scenario, settings, scenes)
+        self._speeds = np.array(settings.profile.target_speeds_mps, dtype=np.float64)
+        own = episodes.own_actions
+        self._unbound = [*episodes.models, *(k for k in own if not follows_profile(own[k]))]
+        """Agents whose vehicles do not start at one of the profile's target speeds."""
+        self._is_prescribed = np.zeros(episodes.scene.x.shape, dtype=np.bool_)
+
+    def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
+        episodes, scene, seeds = self._episodes, self._episodes.scene, self._episodes.seeds[rows]
+        self._script.place(scene, rows, seeds)
+        scene.generator[rows] = seeded(seeds)
+        episodes.engine.drivers[rows] = seats
+        if self._speeds.size:
+            is_free = np.isin(episodes.engine.drivers, self._unbound)
+            choose_target_speeds(scene, rows, is_free, self._speeds)
+        self._mark(rows)
+        episodes.engine.restore(rows, seeds)
+
+    def resume(self, rows: Ints) -> None:
+        self._script.choose(self._episodes.scene, rows, self._episodes.seeds[rows])
+        self._mark(rows)
+
+    def _mark(self, rows: Ints) -> None:
+        drivers, prescribed = self._episodes.engine.drivers, self._episodes.prescribed
+        self._is_prescribed[rows] = np.isin(drivers[rows], prescribed)
+
+    def before_move(self) -> Put | None:
+        scene = self._episodes.scene
+        self._script.prescribe(scene, np.nonzero(scene.active)[0], self._is_prescribed)
+        return None
 
 
 @compiled

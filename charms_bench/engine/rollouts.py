@@ -5,21 +5,19 @@ copy has everything that can be seen of them, and none of what their drivers are
 parameters gets the middles of their ranges, and a scenario's prescribed actions are not known.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from charms_bench.engine.prescribed import TEMPERAMENT
+from charms_bench.engine.running import RunningEpisodes
 from charms_bench.engine.state import SceneState, state_of
 from charms_bench.errors import InputError
-from charms_bench.plugins.agent import Agent, Policy
-from charms_bench.plugins.registry import make_agent
+from charms_bench.plugins.agent import Policy
+from charms_bench.plugins.registry import others_of
 from charms_bench.plugins.traffic import OneAgent
 from charms_bench.world.actions import Actions, meta_actions_of, problem_of
 from charms_bench.world.scene import Bools, Floats, Ints, Vehicles
-
-if TYPE_CHECKING:
-    from charms_bench.engine.simulation import Simulation
 
 SCENES = 512
 """Scenes that are simulated at once."""
@@ -75,26 +73,10 @@ class Rollouts:
         return self._futures.outcomes(self._vehicles, np.asarray(plans))
 
 
-def others_of(planner: Policy) -> Agent:
-    """The agent that drives the other vehicles in a planner's rollouts.
-
-    Raises:
-        InputError: It is a planner too, so that rollouts would need rollouts without an end.
-        CharmsBenchError: It cannot be made.
-    """
-    agent = make_agent(planner.rollouts_with)
-    if isinstance(agent, Policy) and agent.rollouts_with:
-        raise InputError(
-            f"its attribute `rollouts_with` is '{planner.rollouts_with}', a planner; expected an "
-            "agent without rollouts of its own"
-        )
-    return agent
-
-
 class Futures:
     """The simulations in which a planner of a simulation looks ahead."""
 
-    def __init__(self, simulation: "Simulation", planner: Policy) -> None:
+    def __init__(self, simulation: RunningEpisodes, planner: Policy) -> None:
         self._made, self._planner = simulation, planner
         self._period = round(simulation.settings.simulation_hz / planner.decision_hz)
         self._beside: Any = None
@@ -104,7 +86,7 @@ class Futures:
         return Rollouts(self, vehicles)
 
     @property
-    def _simulation(self) -> "Simulation":
+    def _simulation(self) -> Any:
         """A simulation of `SCENES` scenes, made when it is first needed."""
         if self._beside is None:
             others, actions = self._planner.rollouts_with, self._planner.actions
@@ -112,8 +94,9 @@ class Futures:
             self._beside = simulation(
                 self._made.settings, SCENES, None, OneAgent(others), agents, actions=actions
             )
-            self._beside.playback = None  # a planner does not know what was recorded next
-        return self._beside  # type: ignore[no-any-return]
+            sources = self._beside.sources
+            self._beside.sources = tuple(each for each in sources if each.is_foreseen)
+        return self._beside
 
     def outcomes(self, vehicles: Vehicles, plans: Actions) -> Outcomes:
         """See `Rollouts`."""

@@ -6,19 +6,18 @@ the other. What follows from positions and headings, such as neighbours, is comp
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charms_bench.engine.parameters import set_parameters
+from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.source import Source
 from charms_bench.errors import InputError, suggestion
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.world.road import position
 from charms_bench.world.scene import VACANT_X_M, Bools, Floats, Ints, Scene, SceneSettings
-
-if TYPE_CHECKING:
-    from charms_bench.engine.simulation import Simulation
 
 OF_SCENES = ("seeds", "steps", "ending", "generator", "ego", "active", "network")
 """The arrays of scenes; all other arrays are of vehicles."""
@@ -73,7 +72,8 @@ class SceneState:
     impact_y: Floats
     impact: Bools
     network: NDArray[np.uint8]
-    """[S, W] what the engine of one of highway-env's roads keeps; W is 0 on the straight road."""
+    """[S, W] what the engine of one of highway-env's roads keeps beside; W is 0 on the straight
+    road."""
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
@@ -210,25 +210,28 @@ OF_SCENE = tuple(name for name in ARRAYS if name != "network")
 """Those that `Scene` and `Simulation` have."""
 
 
-def _holder(simulation: "Simulation", name: str) -> Any:
+def _holder(simulation: RunningEpisodes, name: str) -> Any:
     """What has an array in a simulation."""
     if name == "drivers":
         return simulation.engine
-    return simulation.scene if name in Scene._fields else simulation
+    return simulation.engine.state if name in Scene._fields else simulation
 
 
-def state_of(simulation: "Simulation", rows: Ints) -> SceneState:
+def state_of(simulation: RunningEpisodes, rows: Ints) -> SceneState:
     """Saves the scenes `rows` (S,) of a simulation."""
     arrays = {name: getattr(_holder(simulation, name), name)[rows] for name in OF_SCENE}
     arrays["action"][~arrays["has_action"]] = 0
     arrays["impact_x"][~arrays["impact"]] = 0.0
     arrays["impact_y"][~arrays["impact"]] = 0.0
-    arrays["x"][~arrays["present"]] = 0.0
+    if simulation.settings.network is None:
+        arrays["x"][~arrays["present"]] = 0.0
     arrays["network"] = simulation.engine.saved(rows)
     return SceneState(simulation.settings, simulation.agents, simulation.phase, **arrays)
 
 
-def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
+def restore(
+    simulation: RunningEpisodes, sources: Sequence[Source], state: SceneState, rows: Ints
+) -> None:
     """Continues the scenes of a state in the scenes `rows` (S,) of a simulation.
 
     Raises:
@@ -254,9 +257,10 @@ def restore(simulation: "Simulation", state: SceneState, rows: Ints) -> None:
     width = min(memory.shape[2], state.memory.shape[2])
     memory[rows] = 0.0
     memory[rows, :, :width] = state.memory[:, :, :width]
-    vacate(simulation.scene, rows)
-    if simulation.playback is not None:
-        simulation.playback.choose(rows, state.seeds)
+    if simulation.settings.network is None:
+        vacate(simulation.scene, rows)
+    for source in sources:
+        source.resume(rows)
     simulation.engine.restore(rows, state.seeds, state.network)
     set_parameters(simulation, rows)
 
@@ -299,7 +303,7 @@ def _first_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple
     return f"{name}.{field}", *values
 
 
-def _agents_in(simulation: "Simulation", state: SceneState) -> Ints:
+def _agents_in(simulation: RunningEpisodes, state: SceneState) -> Ints:
     """The index that each of the state's agents has in the simulation; -1 if it drives nobody."""
     own = {name: k for k, name in enumerate(simulation.agents)}
     seats = np.bincount(state.drivers.ravel(), minlength=len(state.agents))

@@ -9,6 +9,7 @@ per vehicle: passing an array costs an atomic reference count, which takes longe
 Kernels are private to the harness; `tests/naive.py` holds plain versions of them.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +48,10 @@ class Put(NamedTuple):
         """No vehicle of scenes of this shape."""
         kinds = {"lane": np.int64, **dict.fromkeys(("moves", "follows", "leaves"), np.bool_)}
         return cls(**{name: np.zeros(shape, kinds.get(name, np.float64)) for name in cls._fields})
+
+
+BeforeMove = Callable[[], Put | None]
+"""Called between the decisions of agents and the motion of vehicles."""
 
 
 @compiled_of_scenes

@@ -16,7 +16,13 @@ from inspect import signature
 from types import MappingProxyType
 from typing import Any, cast
 
-from charms_bench.errors import PLUGIN_ERRORS, CharmsBenchError, RegistryError, suggestion
+from charms_bench.errors import (
+    PLUGIN_ERRORS,
+    CharmsBenchError,
+    InputError,
+    RegistryError,
+    suggestion,
+)
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.event import Event
 from charms_bench.plugins.onnx_policy import OnnxPolicy
@@ -139,6 +145,22 @@ def make_agent(name: str, options: Mapping[str, Any] | None = None) -> Agent:
             raise RegistryError(f"the network {name} takes no options, got {', '.join(options)}")
         return OnnxPolicy(name)
     return cast(Agent, _make(find(AGENTS, name), options, Policy, DriverModel))
+
+
+def others_of(planner: Policy) -> Agent:
+    """The agent that drives the other vehicles in a planner's rollouts.
+
+    Raises:
+        InputError: It is a planner too, so that rollouts would need rollouts without an end.
+        CharmsBenchError: It cannot be made.
+    """
+    agent = make_agent(planner.rollouts_with)
+    if isinstance(agent, Policy) and agent.rollouts_with:
+        raise InputError(
+            f"its attribute `rollouts_with` is '{planner.rollouts_with}', a planner; expected an "
+            "agent without rollouts of its own"
+        )
+    return agent
 
 
 def make_traffic(name: str, options: Mapping[str, Any] | None = None) -> Traffic:

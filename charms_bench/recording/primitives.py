@@ -76,7 +76,7 @@ class Primitives:
         self._present = simulation.scene.present.copy()
         self._entry = simulation.scene.entry.copy()
         settings = simulation.settings
-        is_open = simulation.playback is not None or settings.inflow is not None
+        is_open = settings.recording is not None or settings.inflow is not None
         self.changes = is_open or settings.network is not None or not self._present.all()
         """Whether vehicles can appear and leave."""
         self.left = np.zeros_like(self._present)

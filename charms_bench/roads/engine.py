@@ -24,21 +24,22 @@ from numpy.typing import NDArray
 from charms_bench.engine.meta_actions import command, command_rule, nearest_target_speed, obey
 from charms_bench.engine.seats import vehicles_of
 from charms_bench.engine.shown import Shown
-from charms_bench.engine.stepping import Put
+from charms_bench.engine.state import ARRAYS
+from charms_bench.engine.stepping import BeforeMove
 from charms_bench.errors import InputError
 from charms_bench.foundation.arrays import Bools, Floats, Ints
 from charms_bench.foundation.compiled import compiled, compiled_of_scenes
 from charms_bench.plugins.agent import DriverModel
 from charms_bench.roads.driving import act, is_reachable
-from charms_bench.roads.dynamics import move
 from charms_bench.roads.entries import Entries
 from charms_bench.roads.episodes import Episodes
-from charms_bench.roads.locating import coordinates_of, forget, locate
+from charms_bench.roads.locating import coordinates_of, forget
 from charms_bench.roads.order import neighbours
 from charms_bench.roads.scenes import (
     COMMANDED,
     CONTINUOUS,
     OBSTACLE,
+    VEHICLE,
     Here,
     Row,
     Scenes,
@@ -46,7 +47,7 @@ from charms_bench.roads.scenes import (
     lane_of,
     vehicle_of,
 )
-from charms_bench.roads.stepping import collide
+from charms_bench.roads.stepping import collide, move_all
 from charms_bench.roads.straightened import Ways, find_way, straighten
 from charms_bench.world.actions import Actions, MetaAction, controls_of
 from charms_bench.world.gaps import gap_to
@@ -55,6 +56,11 @@ from charms_bench.world.thresholds import DRAC_LIMIT_MPS2
 
 HEADWAY_S = 0.3
 """The least time headway after a lane change towards the route."""
+_COLUMNS = {name: name for name in Scene._fields if name in (VEHICLE.names or ())}
+_COLUMNS["impact"] = "has_impact"
+"""The columns of the table of vehicles that are arrays of a `Scene`."""
+_NETWORK_ONLY = [name for name in VEHICLE.names or () if name not in (*ARRAYS, "has_impact")]
+"""The other columns that are no arrays of a `SceneState`."""
 BY_ENVIRONMENT, BY_TARGETS, BY_MODEL, BY_CONTROLS = range(4)
 """What drives a vehicle: highway-env's environment, target speeds and lanes, a driver model, or
 continuous actions."""
@@ -76,12 +82,13 @@ class RoadEngine(Shown):
         assert settings.network is not None
         rates = {"simulation_frequency": settings.simulation_hz}
         self.episodes = Episodes(settings.network, scenes, rates)
-        """The scenes on the network."""
+        """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
         self.scene = Scene.empty(settings, scenes, parameters, memory)
         shape = self.scene.x.shape
         self.drivers = np.zeros(shape, dtype=np.int64)
-        self.occupied = np.zeros(shape, dtype=np.bool_)
+        self._present = np.zeros(shape, dtype=np.bool_)
+        """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
         self.goals: Bools = np.zeros(scenes, dtype=np.bool_)
         on_network, task = self.episodes.scenes, self.episodes.task
         self._entries = Entries(scenes, on_network, task.main_lanes(on_network))
@@ -98,12 +105,21 @@ class RoadEngine(Shown):
         self._roads: dict[tuple[bool, int, float], Scene] = {}
 
     @cached_property
+    def state(self) -> Scene:
+        """The vehicles on the network: the columns of its table, and what agents add to them."""
+        scenes = self.episodes.scenes
+        arrays: dict[str, Any] = {name: scenes.vehicles[each] for name, each in _COLUMNS.items()}
+        arrays |= {"present": self._present, "generator": scenes.generator, "road": scenes.road}
+        return self.scene._replace(**arrays)
+
+    @cached_property
     def _shown_views(self) -> Scene:
         return self._shown if self._views is self.scene else self._views.read_only()
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
-        own.pop("_shown_views", None)
+        for views in ("state", "_shown_views"):
+            own.pop(views, None)
         return {**own, "_roads": {}}
 
     def reset(
@@ -139,8 +155,8 @@ class RoadEngine(Shown):
         kinds = np.full(drivers.shape, BY_TARGETS)
         kinds[np.isin(drivers, list(self._models))] = BY_MODEL
         kinds[np.isin(drivers, self._continuous)] = BY_CONTROLS
-        self.occupied[rows] = vehicles["kind"][rows] > OBSTACLE
-        kinds[np.isin(drivers, self._prescribed) | ~self.occupied[rows]] = BY_ENVIRONMENT
+        self._present[rows] = vehicles["kind"][rows] > OBSTACLE
+        kinds[np.isin(drivers, self._prescribed) | ~self._present[rows]] = BY_ENVIRONMENT
         self._kinds[rows] = kinds
         vehicles["kind"][rows] = np.where(
             kinds == BY_ENVIRONMENT,
@@ -181,10 +197,11 @@ class RoadEngine(Shown):
 
     @property
     def _kept(self) -> tuple[NDArray[Any], ...]:
-        """The arrays [B, ...] from which scenes continue, beside those of `scene`."""
+        """The arrays [B, ...] from which scenes continue, beside those of `state`."""
         scenes = self.episodes.scenes
-        own = scenes.vehicles, scenes.order, scenes.generator, scenes.time, scenes.steps
-        return (*own, *self._ways, self._entries.table, self.goals)
+        own = (scenes.vehicles[name] for name in _NETWORK_ONLY)
+        counted = scenes.order, scenes.time, scenes.steps, self._entries.table, self.goals
+        return (*own, *counted, *self._ways)
 
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles
@@ -229,11 +246,11 @@ class RoadEngine(Shown):
         scenes, views = self.episodes.scenes, self._views
         carry_out(scenes, self.scene.unpacked, views.unpacked, self._ways, *vehicles)
 
-    def advance(self, hold_egos: bool = False, put: Put | None = None) -> None:
+    def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
         scene = self.scene
         rows = np.nonzero(scene.active)[0]
         for agent, model in self._models.items():
-            found = vehicles_of(agent, self.drivers, scene.active, self.occupied, scene.entry)
+            found = vehicles_of(agent, self.drivers, scene.active, self._present, scene.entry)
             for is_ego in (True, False):
                 some = np.nonzero((found[1] == 0) == is_ego)[0]
                 if some.size and not (is_ego and hold_egos):
@@ -375,17 +392,16 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
             if kind == BY_CONTROLS:
                 vehicle.steering = scene.steering[b, 0] if i == 0 else vehicle.steering
                 vehicle.target_lane = vehicle.lane
+        move_all(here)
         for i in range(here.places):
             vehicle = vehicle_of(here, i)
-            if vehicle.kind >= CONTINUOUS:
-                move(vehicle, here.constants.dt)
-                if kinds[b, i] != BY_ENVIRONMENT and vehicle.speed < 0.0 and not can_reverse:
-                    vehicle.acceleration -= vehicle.speed / here.constants.dt
-                    vehicle.speed = 0.0
-                locate(here, i)
-            if kinds[b, i] != BY_ENVIRONMENT:
-                vehicle.timer_s += here.constants.dt
-                find_way(scenes, b, i, ways)
+            if kinds[b, i] == BY_ENVIRONMENT:
+                continue
+            if vehicle.speed < 0.0 and not can_reverse:
+                vehicle.acceleration -= vehicle.speed / here.constants.dt
+                vehicle.speed = 0.0
+            vehicle.timer_s += here.constants.dt
+            find_way(scenes, b, i, ways)
         collide(here)
         straighten(scenes, here, ways, b, 0, scene, b)
 

@@ -19,13 +19,20 @@ from pydantic import BaseModel
 
 from charms_bench.engine import EngineName, MakeEngine
 from charms_bench.engine.exact_maths import use_exact_maths
-from charms_bench.engine.rollouts import others_of
 from charms_bench.engine.simulation import Simulation
 from charms_bench.errors import AgentError, BrokenWordError, RunFolderError
 from charms_bench.plugins.agent import Agent, DriverModel, Policy
 from charms_bench.plugins.held import Held, HeldTraffic
 from charms_bench.plugins.held_agents import HeldModel, HeldPolicy, hold
-from charms_bench.plugins.registry import AGENTS, TRAFFIC, Plugin, find, is_network, plugins
+from charms_bench.plugins.registry import (
+    AGENTS,
+    TRAFFIC,
+    Plugin,
+    find,
+    is_network,
+    others_of,
+    plugins,
+)
 from charms_bench.plugins.specs import AgentSpec, TrafficSpec, by_content, drivers_of
 from charms_bench.plugins.traffic import Traffic
 from charms_bench.recording.columns import DRIVER_KEYS

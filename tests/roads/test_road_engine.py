@@ -78,6 +78,20 @@ def on_network(simulation: Simulation) -> Any:
     return simulation.engine.episodes.scenes.vehicles
 
 
+def test_a_state_has_the_vehicles_where_they_are_on_the_network() -> None:
+    made = simulation("merge-v0", "idm_mobil", 2)
+    made.step()
+    for each in (made, deepcopy(made), pickle.loads(pickle.dumps(made))):
+        state, vehicles = each.state(), on_network(each)
+        for name in ("x", "y", "heading", "speed", "target_lane", "crashed"):
+            np.testing.assert_array_equal(getattr(state, name), vehicles[name], name)
+        assert (state.present == (vehicles["kind"] > OBSTACLE)).all()
+        faster = state.speed + 1.0
+        each.restore(state.with_arrays({"speed": faster}))
+        assert (on_network(each)["speed"] == faster).all()
+        assert each.scene.speed[:, 0] == pytest.approx(faster[:, 0])
+
+
 @pytest.mark.parametrize("road", ["merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"])
 def test_with_meta_actions_all_vehicles_drive_exactly_as_in_the_environment(road: str) -> None:
     theirs = Episodes(road, 6, {"simulation_frequency": 15})

@@ -1,0 +1,22 @@
+"""Which sources the vehicles of a scene come from."""
+
+from charms_bench.engine.open_road import Inflow
+from charms_bench.engine.playback import Recorded
+from charms_bench.engine.prescribed import Placed
+from charms_bench.engine.running import RunningEpisodes
+from charms_bench.engine.source import Drawn, Source
+
+
+def sources_of(episodes: RunningEpisodes) -> tuple[Source, ...]:
+    """The sources that the settings of episodes name, in the order in which they act.
+
+    Raises:
+        InputError: The vehicles of one need drivers, but are driven from outside.
+        DataError: Recordings cannot be used.
+    """
+    settings = episodes.settings
+    if settings.scenario is not None:
+        return (Placed(episodes),)
+    if settings.recording is not None:
+        return (Recorded(episodes),)
+    return (Drawn(episodes), Inflow(episodes)) if settings.inflow else (Drawn(episodes),)
