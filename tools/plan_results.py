@@ -6,48 +6,35 @@ has the values of every seed.
 """
 
 import json
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
-from scipy import special
+from plan_seeds import Columns, furthest, metrics_of, of_seeds, summary, t_interval
+from plan_styles import BEFORE, of_episodes, of_group, style_variances, told_right
 
 from charms_bench import open_run
-from charms_bench.metrics import PAPER, STANDARD, Metric
 from charms_bench.report.markdown import markdown
 from charms_bench.report.number import Number
 from charms_bench.report.table import Table
-from charms_bench.runs.cells import CellRows
 from charms_bench.runs.finished_run import open_finished
-from charms_bench.statistics.intervals import CONFIDENCE, Bounds
-from charms_bench.world.scene import Floats, SceneSettings
 
 ROOT = Path(__file__).parent.parent
-Worst = Callable[[Floats], float]
-
-
-def _furthest(low: float, high: float) -> Worst:
-    """Of values that are to lie between two limits, the one that lies furthest outside."""
-    return lambda values: float(max(values, key=lambda each: max(low - each, each - high)))
-
-
-DRIVING: dict[str, tuple[str, str, Worst]] = {
+DRIVING: Columns = {
     "crashed_at_fault": ("crashed at fault", ".2%", max),
     "crashed_episodes": ("crashed", ".2%", max),
     "speed_mean": ("speed, m/s", ".2f", min),
-    "lane_changes_per_km": ("lane changes per km", ".2f", _furthest(0.1, 0.75)),
+    "lane_changes_per_km": ("lane changes per km", ".2f", furthest(0.1, 0.75)),
     "lane_changes_undone": ("undone", ".0%", max),
-    "mean_acceleration_std": ("acceleration std, m/s²", ".2f", _furthest(0.2, 0.5)),
+    "mean_acceleration_std": ("acceleration std, m/s²", ".2f", furthest(0.2, 0.5)),
     "strong_acceleration_rate": ("above 1.1 m/s²", ".1%", max),
-    "acceleration_reversals_per_min": ("reversals per minute", ".1f", _furthest(1.0, 6.0)),
-    "centre_headway_below_1s": ("headway < 1 s", ".1%", _furthest(0.05, 0.21)),
+    "acceleration_reversals_per_min": ("reversals per minute", ".1f", furthest(1.0, 6.0)),
+    "centre_headway_below_1s": ("headway < 1 s", ".1%", furthest(0.05, 0.21)),
     "yaw_std": ("yaw std", ".4f", max),
     "harsh_acc_rate": ("harsh", ".4f", max),
 }
 """Header and format of each metric, and which of the seeds' values is the worst."""
-SEALED: dict[str, tuple[str, str, Worst]] = {
+SEALED: Columns = {
     "crashed_at_fault": ("crashed at fault", ".1%", max),
     "lag_gap_mean": ("lag gap, m", ".1f", min),
     "imposed_braking_mean": ("imposed braking, m/s²", ".2f", max),
@@ -91,12 +78,6 @@ STYLES = {
     ),
 }
 """What the plan says of the styles: the metric, and the two groups that it compares."""
-STYLE_FORMS = {
-    "speed_mean": ".2f",
-    "time_headway_mean": ".2f",
-    "imposed_braking_mean": ".3f",
-    "gaps_taken_per_1000km": ".1f",
-}
 FAULT = "crashed_at_fault"
 STYLE_MEANS = {
     "speed_mean": ("speed, m/s", ".2f"),
@@ -108,7 +89,6 @@ STYLE_MEANS = {
     "worst": ("worst seed", ".2%"),
 }
 """Header and format of what the table of styles shows."""
-BEFORE = " before fine-tuning"
 OF_AN_EPISODE = (
     "speed_mean",
     "time_headway_mean",
@@ -126,7 +106,11 @@ def plan_main(run: Path) -> str:
     """The table of the main test; writes the values of every condition and seed, too."""
     folders = [run.parent / folder for folder in CONDITIONS]
     values = pl.concat(
-        of_seeds(folder, CONDITIONS[folder.name]) for folder in folders if folder.is_dir()
+        of_seeds(open_finished(folder), (*DRIVING, *SEALED)).select(
+            pl.lit(CONDITIONS[folder.name]).alias("condition"), pl.all()
+        )
+        for folder in folders
+        if folder.is_dir()
     )
     values.write_csv(ROOT / "docs" / "results" / "plan.csv")
     return summary(values.filter(_of_main()), DRIVING, KEYS)
@@ -144,7 +128,7 @@ def plan_conditions(run: Path) -> str:
             for ego in SHOWN:
                 found = part.filter(pl.col("ego") == ego)[metric].drop_nans().to_numpy()
                 record[ego] = float(found.mean()) if found.size else None
-            record["CHARMS, worst seed"] = worst_of(found) if found.size else None
+            record["CHARMS, worst seed"] = worst_of(found) if worst_of and found.size else None
             records.append(record)
         forms = dict.fromkeys([*SHOWN, "CHARMS, worst seed"], form)
         table = markdown(Table.plain(records, ("condition", "traffic"), forms))
@@ -163,7 +147,7 @@ def plan_avoidability(run: Path) -> str:
         for cell in finished.cells():
             if not cell.agent.startswith("CHARMS, seed") or cell.traffic not in AVOIDED:
                 continue
-            (metric,) = _metrics(("crashed_at_fault",))
+            (metric,) = metrics_of(("crashed_at_fault",))
             at_fault = metric.value(cell.sums([metric], finished.suite.scene)[0]) > 0
             found = opened.avoidability(ego=cell.agent, traffic=cell.traffic)
             verdicts = [
@@ -215,79 +199,17 @@ def _of_main() -> pl.Expr:
     return is_there & pl.col("traffic").is_in(MAIN)
 
 
-def of_seeds(run: Path, condition: str) -> pl.DataFrame:
-    """The metrics of every seed of every configuration, one row per traffic and seed."""
-    finished = open_finished(run)
-    metrics = _metrics((*DRIVING, *SEALED))
-    records: list[dict[str, Any]] = []
-    for cell in finished.cells():
-        ego, _, seed = cell.agent.partition(", seed ")
-        labels = {"condition": condition, "traffic": cell.traffic, "ego": ego}
-        found = _values(cell, metrics, finished.suite.scene)
-        records.append({**labels, "seed": int(seed) if seed else None, **found})
-    return pl.DataFrame(records, infer_schema_length=None).with_columns(
-        pl.selectors.float().round_sig_figs(6)
-    )
-
-
-def _metrics(names: Sequence[str]) -> list[Metric]:
-    """The metrics by name, those of the set `standard` first."""
-    known = {each.name: each for found in (PAPER, STANDARD) for each in found.metrics}
-    return [known[name] for name in dict.fromkeys(names)]
-
-
-def _values(cell: CellRows, metrics: list[Metric], scene: SceneSettings) -> dict[str, float]:
-    pairs = zip(metrics, cell.sums(metrics, scene), strict=True)
-    return {metric.name: float(metric.value(each.sum(axis=0))) for metric, each in pairs}
-
-
-def summary(
-    values: pl.DataFrame, columns: dict[str, tuple[str, str, Worst]], keys: tuple[str, ...]
-) -> str:
-    """The table of configurations from the metrics of every seed, as Markdown."""
-    records: list[dict[str, Any]] = []
-    by = [key for key in keys if key != KEYS[-1]]
-    for labels, part in values.group_by(by, maintain_order=True):
-        over = f"mean of {part.height} [t interval]" if part.height > 1 else ""
-        mean: dict[str, Any] = dict(zip(keys, (*labels, over), strict=True))
-        worst: dict[str, Any] = dict(zip(keys, (*[""] * len(by), "worst seed"), strict=True))
-        for metric, (header, form, worst_of) in columns.items():
-            found = part[metric].to_numpy()
-            mean[header] = Number(float(found.mean()), None, None, len(found))
-            if len(found) > 1:
-                low, high = t_interval(found)
-                highest = 1.0 if form.endswith("%") else np.inf
-                mean[header] = Number(found.mean(), max(low, 0.0), min(high, highest), len(found))
-                worst[header] = worst_of(found)
-        records += [mean, worst] if part.height > 1 else [mean]
-    return markdown(Table.plain(records, keys, {h: form for h, form, _ in columns.values()}))
-
-
-def t_interval(values: Floats) -> Bounds:
-    """Student's t interval of the mean of independent values (..., n), at a nominal 95 %."""
-    n = values.shape[-1]
-    t = special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
-    margin = t * values.std(axis=-1, ddof=1) / np.sqrt(n)
-    mean = values.mean(axis=-1)
-    return mean - margin, mean + margin
-
-
 def plan_styles(run: Path) -> str:
     """What the plan says of the styles, before and after fine-tuning, and how far they differ."""
     finished = open_finished(run)
-    scene, names = finished.suite.scene, tuple(name for name in STYLE_MEANS if name != "worst")
-    networks = [each.agent.rpartition(", seed ") for each in finished.cells()]
-    found = [_values(each, _metrics(names), scene) for each in finished.cells()]
-    values = pl.DataFrame(
-        [{"style": n[0], "seed": int(n[2]), **v} for n, v in zip(networks, found, strict=True)]
-    )
+    names = tuple(name for name in STYLE_MEANS if name != "worst")
+    values = of_seeds(finished, names).rename({"ego": "style"}).drop("traffic")
     after = values.filter(~pl.col("style").str.ends_with(BEFORE))
     before = values.filter(pl.col("style").str.ends_with(BEFORE)).with_columns(
         pl.col("style").str.strip_suffix(BEFORE)
     )
-    told = told_from_one_episode(
-        [cell for cell in finished.cells() if BEFORE not in cell.agent], scene
-    )
+    cells = [cell for cell in finished.cells() if BEFORE not in cell.agent]
+    told = told_right(of_episodes(cells, finished.suite.scene, OF_AN_EPISODE))
     low, high = t_interval(told)
     accuracy = f"{told.mean():.1%} [{100 * low:.1f}, {100 * high:.1f}]".replace("%", " %")
     styles = after["style"].n_unique()
@@ -316,7 +238,7 @@ def style_statements(before: pl.DataFrame, after: pl.DataFrame) -> str:
     for statement, (metric, *groups) in STYLES.items():
         record: dict[str, Any] = {"statement": statement, "metric": metric}
         for when, values in (("before", before), ("after", after)):
-            first, second = (_of_group(values, metric, group) for group in groups)
+            first, second = (of_group(values, metric, group) for group in groups)
             difference = first - second
             low, high = t_interval(difference)
             number = Number(float(difference.mean()), float(low), float(high))
@@ -326,63 +248,3 @@ def style_statements(before: pl.DataFrame, after: pl.DataFrame) -> str:
         records.append(record)
     forms = {header: ".3f" for header in records[0] if header not in ("statement", "metric")}
     return markdown(Table.plain(records, ("statement", "metric"), forms))
-
-
-def _of_group(values: pl.DataFrame, metric: str, group: str) -> Floats:
-    """The mean over the styles of a group for every seed, in the order of the seeds."""
-    words = "|".join(group.split())
-    part = values.filter(pl.col("style").str.to_lowercase().str.contains(words))
-    return part.group_by("seed").agg(pl.col(metric).mean()).sort("seed")[metric].to_numpy()
-
-
-def style_variances(values: pl.DataFrame) -> str:
-    """The standard deviation between styles and between the seeds of a style.
-
-    Components of variance of a random model with one factor: the mean square between styles is in
-    expectation the variance between seeds plus n times that between styles, for n seeds.
-    """
-    records: list[dict[str, Any]] = []
-    for metric in STYLE_FORMS:
-        table = np.stack([each[metric].to_numpy() for each in values.partition_by("style")])
-        n = table.shape[1]
-        seeds = table.var(axis=1, ddof=1).mean()
-        styles = max(table.mean(axis=1).var(ddof=1) - seeds / n, 0.0)
-        records.append({"metric": metric, "styles": np.sqrt(styles), "seeds": np.sqrt(seeds)})
-    names = "std between styles", "std between seeds of a style"
-    forms = {"styles": ".3f", "seeds": ".3f"}
-    return markdown(Table.plain(records, ("metric",), forms).named(*names))
-
-
-def told_from_one_episode(cells: Sequence[CellRows], scene: SceneSettings) -> Floats:
-    """The share of episodes whose style is told right, for every seed, which is held out.
-
-    Linear discriminant analysis of `OF_AN_EPISODE`; a metric that is not defined in an episode is
-    put at the mean.
-    """
-    metrics = _metrics(OF_AN_EPISODE)
-    by_seed: dict[str, list[Floats]] = {}
-    for cell in cells:
-        sums = cell.sums(metrics, scene)
-        values = [metric.value(each) for metric, each in zip(metrics, sums, strict=True)]
-        by_seed.setdefault(cell.agent.rpartition(", seed ")[2], []).append(np.stack(values, axis=1))
-    known = np.stack([np.stack(styles) for styles in by_seed.values()])
-    return np.array([_told(np.delete(known, k, axis=0), known[k]) for k in range(len(known))])
-
-
-def _told(known: Floats, asked: Floats) -> float:
-    """The share told right of `asked` [styles, E, K], by `known` [seeds, styles, E, K]."""
-    flat = known.reshape(-1, known.shape[-1])
-    mean, spread = np.nanmean(flat, axis=0), np.nanstd(flat, axis=0)
-
-    def scaled(values: Floats) -> Floats:
-        return np.asarray(np.nan_to_num((values - mean) / np.where(spread > 0, spread, 1.0)))
-
-    of_styles = scaled(known).swapaxes(0, 1).reshape(known.shape[1], -1, known.shape[-1])
-    centres = of_styles.mean(axis=1)
-    within = (of_styles - centres[:, None]).reshape(-1, known.shape[-1])
-    precision = np.linalg.pinv(within.T @ within / len(within))
-    scores = (
-        scaled(asked) @ precision @ centres.T
-        - np.einsum("sk,kl,sl->s", centres, precision, centres) / 2
-    )
-    return float((scores.argmax(axis=-1) == np.arange(len(centres))[:, None]).mean())

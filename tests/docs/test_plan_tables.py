@@ -1,4 +1,4 @@
-"""The tables of the plan: intervals over seeds, differences of styles, and styles told apart."""
+"""The tables of the older plans: intervals over seeds, and differences of styles."""
 
 import sys
 from collections.abc import Iterator
@@ -60,7 +60,7 @@ def values(metrics: dict[str, tuple[float, float]], rng: np.random.Generator) ->
 
 
 def test_a_difference_of_styles_is_paired_by_seed(tool: ModuleType) -> None:
-    means = dict.fromkeys(tool.STYLE_FORMS, (2.0, 3.0))
+    means = dict.fromkeys((metric for metric, *_ in tool.STYLES.values()), (2.0, 3.0))
     found = values(means, np.random.default_rng(0))
     offset = pl.col("speed_mean") + 100.0 * pl.col("seed")  # the same for all styles of a seed
     found = found.with_columns(offset)
@@ -94,36 +94,6 @@ def test_a_style_is_shown_by_the_means_of_its_seeds_and_its_worst_crash_rate(
     safe, efficient = tool.style_means(pl.DataFrame(rows)).splitlines()[2:]
     assert safe == "| Safe | 23.50 | 0.00 | 0.00 | 0.00 | 0.0 | 1.50 % | 2.00 % |"
     assert efficient.startswith("| Efficient | 26.25 |")
-
-
-def test_variances_of_styles_and_seeds_are_those_of_the_simulated_model(tool: ModuleType) -> None:
-    rng = np.random.default_rng(1)
-    rows = []
-    for style in range(400):
-        centre = rng.normal(0, 2.0)
-        rows += [
-            {"style": f"{style:03}", "seed": seed}
-            | dict.fromkeys(tool.STYLE_FORMS, centre + rng.normal(0, 0.5))
-            for seed in range(5)
-        ]
-    line = tool.style_variances(pl.DataFrame(rows)).splitlines()[2]
-    styles, seeds = (float(each) for each in line.strip("| ").split(" | ")[1:])
-    assert styles == pytest.approx(2.0, rel=0.15)
-    assert seeds == pytest.approx(0.5, rel=0.05)
-
-
-def test_styles_are_told_apart_as_well_as_their_distributions_allow(tool: ModuleType) -> None:
-    rng = np.random.default_rng(2)
-    centres = np.array([[0.0, 0.0], [2.0, 0.0]])  # of two styles, in standard deviations
-    draw = rng.standard_normal((5, 2, 4000, 2)) + centres[:, None]
-    stretched = draw @ np.array([[3.0, 1.0], [1.0, 2.0]])  # what is known of the best rule stays
-    told = tool._told(stretched[1:], stretched[0])
-    assert told == pytest.approx(stats.norm.cdf(1.0), abs=0.02)
-
-
-def test_styles_of_one_distribution_are_told_by_chance(tool: ModuleType) -> None:
-    draw = np.random.default_rng(3).standard_normal((5, 8, 500, 3))
-    assert tool._told(draw[1:], draw[0]) == pytest.approx(1 / 8, abs=0.03)
 
 
 def test_the_tables_on_the_page_are_those_of_the_numbers(tool: ModuleType) -> None:

@@ -1,0 +1,92 @@
+"""Values of training seeds: their mean with Student's t interval, the worst, and their tables."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy import special
+
+from charms_bench.metrics import PAPER, STANDARD, Metric
+from charms_bench.report.markdown import markdown
+from charms_bench.report.number import Number
+from charms_bench.report.table import Table
+from charms_bench.runs.finished_run import FinishedRun
+from charms_bench.statistics.intervals import CONFIDENCE, Bounds
+from charms_bench.world.scene import Floats
+
+SEED = ", seed "
+"""Stands between the label of a training configuration and its seed."""
+OVER = "over the seeds"
+Worst = Callable[[Floats], float]
+Columns = dict[str, tuple[str, str, Worst | None]]
+"""Header and format of each metric, and which of the seeds' values is the worst, if any is."""
+
+
+def furthest(low: float, high: float) -> Worst:
+    """Of values that are to lie between two limits, the one that lies furthest outside."""
+    return lambda values: float(max(values, key=lambda each: max(low - each, each - high)))
+
+
+def metrics_of(names: Sequence[str]) -> list[Metric]:
+    """The metrics by name, those of the set `standard` first."""
+    known = {each.name: each for found in (PAPER, STANDARD) for each in found.metrics}
+    return [known[name] for name in dict.fromkeys(names)]
+
+
+def of_seeds(run: FinishedRun, names: Sequence[str]) -> pl.DataFrame:
+    """The metrics of every cell of a run, one row per traffic model, ego and seed.
+
+    The seed is that of the ego or else that of the traffic model; rules have none.
+    """
+    metrics = metrics_of(names)
+    records: list[dict[str, Any]] = []
+    for cell in run.cells():
+        (traffic, _, of_traffic), (ego, _, of_ego) = (
+            each.partition(SEED) for each in (cell.traffic, cell.agent)
+        )
+        seed = of_ego or of_traffic
+        record: dict[str, Any] = {"traffic": traffic, "ego": ego}
+        record["seed"] = int(seed) if seed else None
+        for metric, each in zip(metrics, cell.sums(metrics, run.suite.scene), strict=True):
+            record[metric.name] = float(metric.value(each.sum(axis=0)))
+        records.append(record)
+    return pl.DataFrame(records, infer_schema_length=None).with_columns(
+        pl.selectors.float().round_sig_figs(6)
+    )
+
+
+def t_interval(values: Floats) -> Bounds:
+    """Student's t interval of the mean of independent values (..., n), at a nominal 95 %."""
+    n = values.shape[-1]
+    t = special.stdtrit(n - 1, (1 + CONFIDENCE) / 2)
+    margin = t * values.std(axis=-1, ddof=1) / np.sqrt(n)
+    mean = values.mean(axis=-1)
+    return mean - margin, mean + margin
+
+
+def mean_of(values: Floats, low: float = -np.inf, high: float = np.inf) -> Number:
+    """The mean of seeds with its interval, if there are several, cut to what values can be."""
+    if len(values) < 2:
+        return Number(float(values.mean()) if len(values) else None, n=len(values))
+    found = t_interval(values)
+    return Number(values.mean(), max(found[0], low), min(found[1], high), len(values))
+
+
+def summary(values: pl.DataFrame, columns: Columns, keys: tuple[str, ...]) -> str:
+    """The table of configurations from the metrics of every seed, as Markdown.
+
+    A configuration without seeds has one row, others have the mean and the worst seed. No metric
+    is negative. The last key says which of the two a row has.
+    """
+    records: list[dict[str, Any]] = []
+    for labels, part in values.group_by(keys[:-1], maintain_order=True):
+        over = f"mean of {part.height} [t interval]" if part.height > 1 else ""
+        mean: dict[str, Any] = dict(zip(keys, (*labels, over), strict=True))
+        worst: dict[str, Any] = dict(zip(keys, (*[""] * len(labels), "worst seed"), strict=True))
+        for metric, (header, form, worst_of) in columns.items():
+            found = part[metric].drop_nulls().drop_nans().to_numpy()
+            mean[header] = mean_of(found, 0.0, 1.0 if form.endswith("%") else np.inf)
+            worst[header] = worst_of(found) if worst_of and len(found) else ""
+        records += [mean, worst] if part.height > 1 else [mean]
+    return markdown(Table.plain(records, keys, {h: form for h, form, _ in columns.values()}))
