@@ -1,0 +1,279 @@
+"""The tables of the third plan: `python tools/plan_tables.py NETWORKS RUNS OUTPUT [names]`.
+
+NETWORKS and RUNS are the folders of `tools/plan.py`. OUTPUT gets `plan-NAME.md` for each table, and
+CSV files with the values of every cell and seed. What RUNS does not hold is left out and named.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from plan import ABLATIONS, ALGORITHMS, EGO, SEEDS
+from plan_criteria import CHARMS, CONDITIONS, CONFLICTS, RULE, Frames, limits_of
+from plan_seeds import OVER, SEED, Columns, Worst, furthest, mean_of, of_seeds, summary
+from plan_styles import (
+    PCH,
+    STYLE_TRAFFIC,
+    plan_pch,
+    plan_styles,
+    styles_frame,
+    told_frame,
+)
+from plan_verdicts import criteria_table, judged
+
+from charms_bench.errors import RunFolderError
+from charms_bench.report.markdown import markdown
+from charms_bench.report.preventable_table import crashed
+from charms_bench.report.table import Table
+from charms_bench.runs.finished_run import FinishedRun, open_finished
+
+
+def _outside(metric: str) -> Worst:
+    return furthest(*limits_of(metric))
+
+
+DRIVING: Columns = {
+    "crashed_at_fault": ("crashed at fault", ".2%", max),
+    "crashed_episodes": ("crashed", ".2%", max),
+    "speed_mean": ("speed, m/s", ".2f", min),
+    "lane_changes_per_km": ("lane changes per km", ".2f", _outside("lane_changes_per_km")),
+    "lane_changes_undone": ("undone", ".0%", max),
+    "mean_acceleration_std": ("acceleration std, m/s²", ".2f", _outside("mean_acceleration_std")),
+    "strong_acceleration_rate": ("above 1.1 m/s²", ".1%", max),
+    "acceleration_reversals_per_min": (
+        "reversals per minute",
+        ".1f",
+        _outside("acceleration_reversals_per_min"),
+    ),
+    "centre_headway_below_1s": ("headway < 1 s", ".1%", _outside("centre_headway_below_1s")),
+    CONFLICTS: ("conflicts caused per 1,000 km", ".1f", max),
+}
+SURVIVORS = {
+    "idm_mobil": [RULE],
+    "careful": ["Careful until clear", "Careful to standstill"],
+    "any": [RULE, "Careful until clear", "Careful to standstill"],
+}
+"""The egos of which one has to survive a scenario, by column of `SCENARIOS`."""
+SCENARIOS: Columns = {
+    "crashed": ("crashed", ".2%", max),
+    "at_fault": ("crashed at fault", ".2%", max),
+    "idm_mobil": ("crashed where IDM+MOBIL survives", ".2%", max),
+    "careful": ("crashed where a careful driver survives", ".2%", max),
+    "any": ("crashed where any of them survives", ".2%", max),
+}
+HAZARDS = {name: SCENARIOS[name] for name in ("crashed", "at_fault", "idm_mobil")}
+CURVE_BYTES = 250_000
+CURVE = ("steps", "return_mean", "crashed_share", "epoch", "log_likelihood", "agreement")
+"""The columns of learning curves that are kept: of reinforcement, and of learning from humans."""
+WORST = f"{CHARMS}, worst seed"
+
+
+def scenarios(run: FinishedRun) -> pl.DataFrame:
+    """How often each ego crashes in each kind of scenario, and where the rules do not.
+
+    All egos meet the same concrete scenarios, without those in which prescribed vehicles collide.
+    """
+    cells = run.cells()
+    has_crashed = {(each.agent, each.traffic): crashed(each) for each in cells}
+    records: list[dict[str, Any]] = []
+    for cell in cells:
+        ego, _, seed = cell.agent.partition(SEED)
+        mine = has_crashed[cell.agent, cell.traffic]
+        record: dict[str, Any] = {"scenario": cell.traffic, "ego": ego}
+        record |= {"seed": int(seed) if seed else None}
+        record |= {"scenarios": cell.size, "left_out": cell.left_out, "crashed": mine.mean()}
+        record["at_fault"] = cell.episodes["at_fault"].fill_null(False).mean()
+        for column, rules in SURVIVORS.items():
+            of_rules = [has_crashed.get((rule, cell.traffic)) for rule in rules]
+            survived = [~each for each in of_rules if each is not None]
+            record[column] = (mine & np.any(survived, axis=0)).mean() if survived else None
+        records.append(record)
+    return pl.DataFrame(records, infer_schema_length=None).with_columns(
+        pl.selectors.float().round_sig_figs(6)
+    )
+
+
+FRAMES: dict[str, tuple[tuple[str, ...], Callable[[FinishedRun], pl.DataFrame]]] = {
+    "driving": (tuple(CONDITIONS), lambda run: of_seeds(run, tuple(DRIVING))),
+    "r157": (("sealed-r157",), scenarios),
+    "hazards": (("sealed-hazards",), scenarios),
+    "styles": (("styles",), styles_frame),
+    "told": (("styles",), told_frame),
+    "style-traffic": (("style-traffic",), lambda run: of_seeds(run, tuple(STYLE_TRAFFIC))),
+    "pch": (("pch",), lambda run: of_seeds(run, tuple(PCH))),
+}
+"""The values of every cell and seed: the tests of `tools/plan.py` that they need, and how."""
+
+
+def plan_main(frames: Frames) -> str:
+    """The main test: every ego in both traffic models."""
+    values = frames["driving"].filter(condition="main").sort("traffic", maintain_order=True)
+    return summary(values, DRIVING, ("traffic", "ego", OVER)) if len(values) else ""
+
+
+def plan_conditions(frames: Frames) -> str:
+    """Crashes at fault and conflicts caused of the rules and CHARMS, in every condition."""
+    values, tables = frames["driving"], []
+    rules = dict.fromkeys(values.filter(pl.col("seed").is_null())["ego"])
+    for metric in ("crashed_at_fault", CONFLICTS):
+        header, form, _ = DRIVING[metric]
+        records = []
+        for (condition, traffic), part in values.group_by(
+            "condition", "traffic", maintain_order=True
+        ):
+            label, _ = CONDITIONS[str(condition)]
+            record: dict[str, Any] = {"condition": label, "traffic": traffic}
+            record |= dict(part.select("ego", metric).iter_rows())
+            found = part.filter(ego=CHARMS)[metric].to_numpy()
+            record |= {CHARMS: mean_of(found, 0.0), WORST: found.max() if found.size else None}
+            records.append(record)
+        forms = dict.fromkeys([*rules, CHARMS, WORST], form)
+        table = markdown(Table.plain(records, ("condition", "traffic"), forms))
+        tables.append(f"**{header[0].upper()}{header[1:]}**\n\n{table}")
+    return "\n".join(tables)
+
+
+def plan_scenarios(columns: Columns, values: pl.DataFrame) -> str:
+    """The rules and CHARMS in each kind of scenario, and how many scenarios there are."""
+    counts = values.group_by("scenario", maintain_order=True).first()
+    said = ", ".join(
+        f"{kind} {size}" + f" (and {left_out} left out)" * bool(left_out)
+        for kind, size, left_out in counts.select("scenario", "scenarios", "left_out").iter_rows()
+    )
+    by_scenario = pl.concat(values.partition_by("scenario", maintain_order=True))
+    table = summary(by_scenario, columns, ("scenario", "ego", OVER))
+    return (
+        f"{table}\nConcrete scenarios: {said}. Left out are those in which prescribed vehicles "
+        "collide with one another.\n"
+    )
+
+
+def trainings(networks: Path) -> dict[str, pl.DataFrame]:
+    """What the manifests say of the networks of the plan, and their learning curves."""
+    records, curves = [], []
+    for path in sorted(networks.glob("seed-*/*.json")):
+        network, seed = path.stem, int(path.parent.name.removeprefix("seed-"))
+        if seed not in SEEDS:
+            continue
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        of_ego = network in ("people", "level_1", EGO.removeprefix("charms_"), EGO)
+        is_named = network in (*ALGORITHMS, *ABLATIONS, "paper")
+        records.append(
+            {
+                "network": network,
+                "seed": seed,
+                "command": network if is_named else "ego" if of_ego else "styles",
+                "onnx_sha256": manifest["onnx_sha256"],
+                "commit": manifest.get("commit"),
+                "CPU minutes": manifest["cpu_s"] / 60,
+            }
+        )
+        labels = pl.lit(seed).alias("seed"), pl.lit(network).alias("network")
+        curve = pl.read_csv(path.with_suffix(".csv"), infer_schema_length=None)
+        curves.append(curve.select(*labels, *(each for each in CURVE if each in curve.columns)))
+    if not records:
+        return {}
+    found = pl.DataFrame(records, infer_schema_length=None)
+    return {"trainings": found, "curves": pl.concat(curves, how="diagonal_relaxed")}
+
+
+def plan_trainings(frames: Frames) -> str:
+    """The network, command, hash, commit and CPU time of each training."""
+    found = (
+        frames["trainings"]
+        .sort("network", "seed")
+        .with_columns(
+            pl.format("`{} {}`", "command", "seed").alias("command"),
+            pl.format("`{}`", pl.col("onnx_sha256").str.head(16)).alias("ONNX, SHA-256"),
+            pl.col("commit").cast(str).str.head(7),
+        )
+    )
+    keys = ["network", "seed", "command", "ONNX, SHA-256"]
+    keys += ["commit"] * (found["commit"].null_count() < found.height)
+    table = markdown(Table.plain(found.to_dicts(), tuple(keys), {"CPU minutes": ".1f"}))
+    return f"{table}\nCommands begin with `python tools/plan.py train NETWORKS RECORDINGS`.\n"
+
+
+def thinned(curves: pl.DataFrame, most_bytes: int = CURVE_BYTES) -> pl.DataFrame:
+    """The points of learning curves that fit into a CSV file: every second, third, ... and last."""
+    left = (pl.len() - 1 - pl.int_range(pl.len())).over("seed", "network")
+    rounded = curves.with_columns(pl.selectors.float().round_sig_figs(4))
+    sizes = (rounded.filter(left % step == 0) for step in count(1))
+    return next(each for each in sizes if len(each.write_csv()) <= most_bytes)
+
+
+TABLES: dict[str, tuple[tuple[str, ...], Callable[[Frames], str]]] = {
+    "main": (("driving",), plan_main),
+    "conditions": (("driving",), plan_conditions),
+    "r157": (("r157",), lambda frames: plan_scenarios(SCENARIOS, frames["r157"])),
+    "sealed-hazards": (("hazards",), lambda frames: plan_scenarios(HAZARDS, frames["hazards"])),
+    "styles": (("styles", "told"), lambda frames: plan_styles(frames["styles"], frames["told"])),
+    "style-traffic": (
+        ("style-traffic",),
+        lambda frames: summary(frames["style-traffic"], STYLE_TRAFFIC, ("traffic", OVER)),
+    ),
+    "pch": (("pch",), lambda frames: plan_pch(frames["pch"])),
+    "trainings": (("trainings", "curves"), plan_trainings),
+    "criteria": (tuple(FRAMES), lambda frames: criteria_table(frames["criteria"])),
+}
+"""By name: the values that a table needs, and what makes it. `criteria` takes those there are."""
+
+
+def values_of(runs: Path, frame: str, missing: dict[str, str]) -> pl.DataFrame | None:
+    """The values of the tests of a frame; notes the tests that are not in the folder."""
+    tests, make = FRAMES[frame]
+    found = []
+    for test in tests:
+        try:
+            run = open_finished(runs / test)
+        except RunFolderError as error:
+            missing[test] = str(error)
+            continue
+        found.append(make(run).select(pl.lit(test).alias("condition"), pl.all()))
+    return pl.concat(found, how="vertical_relaxed") if found else None
+
+
+def main() -> None:
+    """Writes the tables that the arguments name."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("networks", type=Path)
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("names", nargs="*", choices=[*TABLES, []], help="by default, all")
+    given = parser.parse_args()
+    write_tables(given.networks, given.runs, given.output, given.names or list(TABLES))
+
+
+def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str]) -> None:
+    """Writes tables and the values that they are made of, and prints what is left out and why."""
+    output.mkdir(parents=True, exist_ok=True)
+    needed = dict.fromkeys(frame for name in names for frame in TABLES[name][0])
+    frames = trainings(networks) if "trainings" in needed else {}
+    missing: dict[str, str] = {}
+    for frame in needed.keys() & FRAMES.keys():
+        if (values := values_of(runs, frame, missing)) is not None:
+            frames[frame] = values
+    if "criteria" in names:
+        frames["criteria"] = judged(frames)
+    for frame, values in frames.items():
+        kept = thinned(values) if frame == "curves" else values
+        kept.write_csv(output / ("plan.csv" if frame == "driving" else f"plan-{frame}.csv"))
+    for test, why in missing.items():
+        print(f"{test}: left out: {why}")
+    for name in names:
+        needs, make = TABLES[name]
+        text = make(frames) if name == "criteria" or frames.keys() >= set(needs) else ""
+        if text and name in ("criteria", "conditions") and missing:
+            text += f"\nWithout the runs {', '.join(sorted(missing))}.\n"
+        if text:
+            (output / f"plan-{name}.md").write_text(text, encoding="utf-8")
+        print(f"plan-{name}.md: {'written' if text else 'left out'}")
+
+
+if __name__ == "__main__":
+    main()
