@@ -53,7 +53,7 @@ def _driving(
     for (condition, traffic), part in found.group_by("condition", "traffic", maintain_order=True):
         ours, rule = (part.filter(ego=ego)[metric].drop_nans().to_numpy() for ego in (CHARMS, RULE))
         if len(ours):
-            yield str(condition), str(traffic), ours, float(rule.mean()) if len(rule) else np.nan
+            yield str(condition), str(traffic), ours, rule[0] if len(rule) else np.nan
 
 
 def _at_fault(frames: Frames) -> Iterable[Measured]:
@@ -61,7 +61,8 @@ def _at_fault(frames: Frames) -> Iterable[Measured]:
         label, part = CONDITIONS[condition]
         yield Measured(part, f"{label}, {traffic}", values)
     if "hazards" in frames:  # apart, because nobody avoids some of them; the last limit holds
-        yield from _scenarios("hazards", "at_fault", 6, frames)
+        for each in _scenarios("hazards", "at_fault", 6, frames):
+            yield each._replace(cell=f"hazard (sealed), {each.cell}")
 
 
 def _scenarios(frame: str, metric: str, part: int, frames: Frames) -> Iterable[Measured]:
@@ -79,7 +80,8 @@ def _conflicts(frames: Frames) -> Iterable[Measured]:
 
 def _faster(frames: Frames) -> Iterable[Measured]:
     for _, traffic, values, rule in _driving(frames, "speed_mean", "main"):
-        yield Measured(int(traffic == RULE), traffic, values - rule)
+        if not np.isnan(rule):
+            yield Measured(int(traffic == RULE), traffic, values - rule)
 
 
 def _main(metric: str, frames: Frames) -> Iterable[Measured]:
@@ -88,9 +90,11 @@ def _main(metric: str, frames: Frames) -> Iterable[Measured]:
 
 
 def undone(frames: Frames) -> Iterable[Measured]:
+    """The proportions of lane changes undone, with those of IDM+MOBIL as their limits."""
     cells = _driving(frames, "lane_changes_undone", "main")
     for k, (_, traffic, values, rule) in enumerate(cells):
-        yield Measured(k, traffic, values, (-np.inf, rule))
+        if not np.isnan(rule):
+            yield Measured(k, traffic, values, (-np.inf, rule))
 
 
 def _statements(frames: Frames) -> Iterable[Measured]:

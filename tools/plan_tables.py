@@ -255,7 +255,7 @@ def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str])
     needed = dict.fromkeys(frame for name in names for frame in TABLES[name][0])
     frames = trainings(networks) if "trainings" in needed else {}
     missing: dict[str, str] = {}
-    for frame in needed.keys() & FRAMES.keys():
+    for frame in (each for each in needed if each in FRAMES):
         if (values := values_of(runs, frame, missing)) is not None:
             frames[frame] = values
     if "criteria" in names:
@@ -268,8 +268,10 @@ def write_tables(networks: Path, runs: Path, output: Path, names: Sequence[str])
     for name in names:
         needs, make = TABLES[name]
         text = make(frames) if name == "criteria" or frames.keys() >= set(needs) else ""
-        if text and name in ("criteria", "conditions") and missing:
-            text += f"\nWithout the runs {', '.join(sorted(missing))}.\n"
+        tests = [test for frame in needs if frame in FRAMES for test in FRAMES[frame][0]]
+        lacks = [test for test in dict.fromkeys(tests) if test in missing]
+        if text and lacks and name in ("criteria", "conditions"):
+            text += f"\nWithout the runs {', '.join(lacks)}.\n"
         if text:
             (output / f"plan-{name}.md").write_text(text, encoding="utf-8")
         print(f"plan-{name}.md: {'written' if text else 'left out'}")

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import polars as pl
 from plan_criteria import CRITERIA, Criterion, Frames, Measured, undone
 from plan_seeds import furthest, mean_of
@@ -40,12 +41,13 @@ def judged(frames: Frames) -> pl.DataFrame:
             known = {"row": row, "part": part, "quantity": criterion.quantity, "limit": text}
             cells = [_judged(criterion, text, each) for each in found if each.part == part]
             records += [known | cell for cell in cells or [{}]]
-    return pl.DataFrame(records, schema=CELLS)
+    return pl.DataFrame(records, schema=CELLS).with_columns(pl.selectors.float().round_sig_figs(6))
 
 
 def _judged(criterion: Criterion, text: str, measured: Measured) -> dict[str, Any]:
     values = measured.values
-    number = mean_of(values) if criterion.signed else mean_of(values, 0.0)
+    largest = 1.0 if criterion.form.endswith("%") else np.inf
+    number = mean_of(values) if criterion.signed else mean_of(values, 0.0, largest)
     facts: dict[str, Any] = {"cell": measured.cell, "seeds": len(values)}
     facts |= {"mean": number.value, "low": number.low, "high": number.high}
     if text == "an interval without 0":
@@ -90,7 +92,7 @@ def criteria_table(cells: pl.DataFrame) -> str:
         )
     keys = ("quantity", "limit", "aim", "cell")
     table = markdown(Table.plain(records, keys, dict.fromkeys(list(records[0])[4:], "")))
-    return f"{table}\n{NOTE}"
+    return table.replace(r"\](", "](") + f"\n{NOTE}"
 
 
 def _text(criterion: Criterion, number: Number) -> str:

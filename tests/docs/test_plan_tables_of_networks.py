@@ -129,7 +129,7 @@ def test_of_several_cells_the_one_furthest_beyond_the_limit_is_shown(
     )
     frames = {"driving": driving(tools, speed_mean=[27.0, 27.1]), "hazards": hazards}
     text = tools.verdicts.criteria_table(tools.verdicts.judged(frames))
-    cells = row_of(text, "cut-in")
+    cells = row_of(text, "hazard (sealed), cut-in")
     assert cells[4] == "0.400 % [0.400, 0.400]"
     assert cells[5:] == ["0.650 %", "no", "no"], "the worst seed is the one of slow vehicles"
     assert cells[1] == "0.3 %", "hazards have the limit of what is sealed, and a row of their own"
