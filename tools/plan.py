@@ -54,7 +54,7 @@ ABLATIONS: dict[str, Callable[[dict[str, Any]], None]] = {
 SEEDS = range(3010, 3020)
 """The training seeds; of styles and ablations, the first five."""
 
-FIRST_EPISODE, EPISODES = 607_117_000, 6_000
+FIRST_EPISODE, EPISODES = 607_118_000, 6_000
 SCENE = {"profile": "charms", "lanes": 3, "traffic_vehicles": 20, "density": 1.0, "ego_slots": 6}
 HUMAN = {"traffic": "human", "label": "Human (I-75)"}
 IDM_MOBIL = {"traffic": "idm_mobil", "label": "IDM+MOBIL"}
@@ -172,6 +172,14 @@ def _r157(networks: Path) -> dict[str, Any]:
     return {**suite, "seed": FIRST_EPISODE, "egos": egos}
 
 
+def _trials(networks: Path) -> dict[str, Any]:
+    """The episodes by which the trials of DQN and PPO are compared, `NETWORKS/trials/NAME`."""
+    found = sorted(networks.glob("trials/*/seed-*/*.json"))
+    egos = [{"agent": str(each.with_suffix(".onnx")), "label": each.parts[-3]} for each in found]
+    common = {"seed": 970_000_000, "episodes": 600, "scene": SCENE}
+    return common | {"egos": RULES[:1] + egos, "traffic_models": BOTH}
+
+
 def _validation(networks: Path) -> dict[str, Any]:
     """The episodes by which, with the likeness to drivers, the seed that ships is selected."""
     egos = _found(networks, EGO, "CHARMS", SEEDS)
@@ -219,6 +227,7 @@ def _in(scene: dict[str, Any], models: list[dict[str, Any]]) -> Callable[[Path],
 
 
 TESTS: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "trials": _trials,
     "validation": _validation,
     "main": _main,
     "density-1-5": _in({"density": 1.5}, BOTH),
@@ -237,6 +246,8 @@ TESTS: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pch": _pch,
 }
 """The suite of each test, for a folder of networks."""
+TUNING = ("trials", "validation")
+"""What selects, and is no test."""
 
 
 class _Plain(yaml.SafeDumper):
@@ -273,7 +284,7 @@ def main() -> None:
         for seed in given.seeds:
             train(given.networks, given.recordings, given.what, seed)
     else:
-        for each in given.tests or TESTS:
+        for each in given.tests or [name for name in TESTS if name not in TUNING]:
             drive(given.networks, given.runs, each)
 
 

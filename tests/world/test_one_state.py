@@ -1,4 +1,4 @@
-"""Where a vehicle's position, heading and speed stand: in the scene, and where there is a reason."""
+"""Where positions, headings and speeds of vehicles stand: in the scene, or for a reason."""
 
 import ast
 from collections.abc import Iterator
