@@ -24,7 +24,7 @@ from plan_styles import (
     styles_frame,
     told_frame,
 )
-from plan_verdicts import criteria_table, judged
+from plan_verdicts import criteria_table, judged, trials_table
 
 from charms_bench.errors import RunFolderError
 from charms_bench.report.markdown import markdown
@@ -106,6 +106,7 @@ FRAMES: dict[str, tuple[tuple[str, ...], Callable[[FinishedRun], pl.DataFrame]]]
     "told": (("styles",), told_frame),
     "style-traffic": (("style-traffic",), lambda run: of_seeds(run, tuple(STYLE_TRAFFIC))),
     "pch": (("pch",), lambda run: of_seeds(run, tuple(PCH))),
+    "trials": (("trials",), lambda run: of_seeds(run, tuple(DRIVING))),
 }
 """The values of every cell and seed: the tests of `tools/plan.py` that they need, and how."""
 
@@ -218,6 +219,7 @@ TABLES: dict[str, tuple[tuple[str, ...], Callable[[Frames], str]]] = {
         lambda frames: summary(frames["style-traffic"], STYLE_TRAFFIC, ("traffic", OVER)),
     ),
     "pch": (("pch",), lambda frames: plan_pch(frames["pch"])),
+    "trials": (("trials",), lambda frames: trials_table(frames["trials"])),
     "trainings": (("trainings", "curves"), plan_trainings),
     "criteria": (tuple(FRAMES), lambda frames: criteria_table(frames["criteria"])),
 }

@@ -4,7 +4,16 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from plan_criteria import CRITERIA, Criterion, Frames, Measured, undone
+from plan_criteria import (
+    CHARMS,
+    CONFLICTS,
+    CRITERIA,
+    RULE,
+    Criterion,
+    Frames,
+    Measured,
+    undone,
+)
 from plan_seeds import furthest, mean_of
 
 from charms_bench.report.formatting import NOTHING, write_column
@@ -93,6 +102,30 @@ def criteria_table(cells: pl.DataFrame) -> str:
     keys = ("quantity", "limit", "aim", "cell")
     table = markdown(Table.plain(records, keys, dict.fromkeys(list(records[0])[4:], "")))
     return table.replace(r"\](", "](") + f"\n{NOTE}"
+
+
+def trials_table(values: pl.DataFrame) -> str:
+    """The trials of the baselines, those first that meet most limits of the main test.
+
+    Of several, the one comes first with the fewest crashes at fault, then the fastest. `values` has
+    one row per traffic model and ego.
+    """
+    values = values.with_columns(condition=pl.lit("main"))
+    records: list[dict[str, Any]] = []
+    for (trial,), its in values.group_by("ego", maintain_order=True):
+        if trial == RULE:
+            continue
+        as_ours = its.with_columns(ego=pl.lit(CHARMS))
+        cells = judged({"driving": pl.concat([as_ours, values.filter(ego=RULE)])})
+        means = its.select("crashed_at_fault", CONFLICTS, "speed_mean").mean().row(0)
+        met = cells["mean_holds"].drop_nulls()
+        records.append({"trial": trial, "limits met": int(met.sum()), "of": len(met)})
+        records[-1] |= dict(zip(("at fault", "conflicts caused", "speed"), means, strict=True))
+    found = pl.DataFrame(records).sort(
+        pl.col("trial").str.head(3), -pl.col("limits met"), "at fault", -pl.col("speed")
+    )
+    forms = {"limits met": ".0f", "of": ".0f", "at fault": ".2%", "conflicts caused": ".0f"}
+    return markdown(Table.plain(found.to_dicts(), ("trial",), forms | {"speed": ".2f"}))
 
 
 def _text(criterion: Criterion, number: Number) -> str:
