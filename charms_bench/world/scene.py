@@ -122,8 +122,7 @@ class SceneSettings(FrozenModel):
     ends when the ego has reached its end."""
     recording: RecordedMoments | None = None
     """Recordings at moments of which episodes start. They decide the lanes' width and the number of
-    vehicles, and of lanes if it is not given: that of most vehicles; `moments.scene_of` reads them.
-    """
+    vehicles, and of lanes if it is not given: that of most vehicles."""
     network: Annotated[str | None, Field(exclude=True)] = None
     """highway-env's name of an environment whose road the scene has; a suite gives it as the
     traffic model."""
@@ -148,7 +147,8 @@ class SceneSettings(FrozenModel):
                 f"simulation_hz {self.simulation_hz} is not a multiple of "
                 f"decision_hz {self.decision_hz}"
             )
-        if self.ego_slots > 1 + self.traffic_vehicles:
+        is_unread = self.recording is not None and not self.recording.sha256
+        if self.ego_slots > 1 + self.traffic_vehicles and not is_unread:
             raise ValueError(
                 f"ego_slots {self.ego_slots} exceeds the {1 + self.traffic_vehicles} vehicles of a "
                 "scene"

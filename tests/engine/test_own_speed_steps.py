@@ -163,7 +163,7 @@ class Planner(Scripted):
 
 def test_a_rollout_continues_the_planners_own_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Scripted([SLOWER], (0.3, 0.9))
-    monkeypatch.setattr("charms_bench.engine.rollouts.make_agent", lambda name: other)
+    monkeypatch.setattr("charms_bench.plugins.registry.make_agent", lambda name: other)
     planner = Planner([FASTER, FASTER, FASTER, SLOWER], GROWING)
     settings = SceneSettings.model_validate(
         PAIR | {"profile": {"name": "charms", "ego_speed_mps": 25.0}}
