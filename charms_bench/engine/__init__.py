@@ -33,14 +33,16 @@ ENGINES: tuple[EngineName, ...] = ("batched", "highway-env")
 class Engine(Protocol):
     """B scenes of N vehicles that advance together."""
 
-    scene: Scene
-    """The scenes along the ways of the egos."""
     drivers: Ints
     """[B, N] the index of each vehicle's agent."""
     measures: Mapping[str, Floats]
     """[B] what a road adds to the rows of episodes, by column; the straight road adds nothing."""
     goals: Bools
     """[B] whether the ego has reached the goal of its road; the straight road has none."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scenes along the ways of their egos; to be asked for anew after a step."""
 
     @property
     def state(self) -> Scene:

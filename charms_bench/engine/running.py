@@ -174,7 +174,7 @@ class RunningEpisodes:
     @property
     def ego_vehicles(self) -> Vehicles:
         """The egos (B,) of all scenes."""
-        return self.everyone, self.scene.ego
+        return self.everyone, self.engine.state.ego
 
     @property
     def frames(self) -> Ints:

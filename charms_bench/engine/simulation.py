@@ -124,20 +124,18 @@ class Simulation(RunningEpisodes):
 
     def advance(self, ego_actions: Actions | None = None) -> None:
         """Advances every running episode by one simulation step."""
-        active = self.scene.active
+        state = self.engine.state
         if ego_actions is not None:
-            rows = np.nonzero(active)[0]
-            self.command((rows, self.scene.ego[rows]), ego_actions[rows])
+            rows = np.nonzero(state.active)[0]
+            self.command((rows, state.ego[rows]), ego_actions[rows])
         self.decided = []  # all policies see the scene before any action is carried out
         for agent, policy in self.policies.items():
             period = round(self.settings.simulation_hz / policy.decision_hz)
             if self.settings.steps_per_decision % period == 0 and self.phase % period:
                 continue  # quicker than to look at every scene
             frames = self.frames
-            now = active & (frames % period == 0)
-            vehicles = vehicles_of(
-                agent, self.engine.drivers, now, self.engine.state.present, self.scene.entry
-            )
+            now = state.active & (frames % period == 0)
+            vehicles = vehicles_of(agent, self.engine.drivers, now, state.present, state.entry)
             if vehicles[0].size:
                 number = (frames // period)[vehicles[0]].astype(np.uint64)
                 self.decided.append((vehicles, self._decide(agent, policy, vehicles, number)))
@@ -200,11 +198,10 @@ class Simulation(RunningEpisodes):
 
     def _note_collisions(self) -> None:
         """Notes how vehicles have just collided, before the wrecks move on."""
-        scene = self.scene
-        if are_noted(scene.crashed, self.collision):
+        if are_noted(self.engine.state.crashed, self.collision):
             return
         least_cos = ANY_ANGLE if self.settings.network is None else REAR_END_COS
-        note_collisions(scene, self.collision, least_cos)
+        note_collisions(self.scene, self.collision, least_cos)
         for watch in self.collision_watchers:
             watch()
         if not self.egos_end_episodes:

@@ -84,8 +84,10 @@ class RoadEngine(Shown):
         self.episodes = Episodes(settings.network, scenes, rates)
         """The scenes on the network, of whose tables `state` is a view."""
         parameters = max((len(model.parameters) for model in models.values()), default=0)
-        self.scene = Scene.empty(settings, scenes, parameters, memory)
-        shape = self.scene.x.shape
+        self._seen = Scene.empty(settings, scenes, parameters, memory)
+        self._moved = np.zeros(scenes, dtype=np.bool_)
+        """[B] whether vehicles have moved since `_seen` was straightened."""
+        shape = self._seen.x.shape
         self.drivers = np.zeros(shape, dtype=np.int64)
         self._present = np.zeros(shape, dtype=np.bool_)
         """[B, N] whether there is a vehicle at the place, also one that the ego cannot see."""
@@ -100,9 +102,21 @@ class RoadEngine(Shown):
         self._continuous, self._prescribed = list(continuous), list(prescribed)
         self._rule = command_rule(settings.profile)
         self._own_rules = {k: command_rule(settings.profile, own) for k, own in own_actions.items()}
-        self._views = self.scene
+        self._views = self._seen
         """[B N, N] each scene as each of its vehicles sees it, if agents drive the traffic."""
         self._roads: dict[tuple[bool, int, float], Scene] = {}
+
+    @property
+    def scene(self) -> Scene:  # type: ignore[override]  # nobody sets it
+        """The scenes as their egos see them, straightened when they are asked for."""
+        self._show(np.nonzero(self._moved)[0])
+        return self._seen
+
+    def _show(self, rows: Ints) -> None:
+        """Straightens the scenes `rows` (R,) as their egos see them."""
+        if rows.size:
+            show(self.episodes.scenes, self._seen.unpacked, self._ways, rows)
+            self._moved[rows] = False
 
     @cached_property
     def state(self) -> Scene:
@@ -110,11 +124,11 @@ class RoadEngine(Shown):
         scenes = self.episodes.scenes
         arrays: dict[str, Any] = {name: scenes.vehicles[each] for name, each in _COLUMNS.items()}
         arrays |= {"present": self._present, "generator": scenes.generator, "road": scenes.road}
-        return self.scene._replace(**arrays)
+        return self._seen._replace(**arrays)
 
     @cached_property
     def _shown_views(self) -> Scene:
-        return self._shown if self._views is self.scene else self._views.read_only()
+        return self._shown if self._views is self._seen else self._views.read_only()
 
     def __getstate__(self) -> dict[str, Any]:
         own = super().__getstate__()
@@ -127,7 +141,7 @@ class RoadEngine(Shown):
     ) -> None:
         if draws is not None:
             raise InputError(f"{self.episodes.name}: vehicles are placed by seeds only")
-        episodes, scene = self.episodes, self.scene
+        episodes, scene = self.episodes, self._seen
         episodes.seed(rows, seeds)
         episodes.start(rows)
         episodes.task.navigate(episodes.scenes, rows)
@@ -147,7 +161,7 @@ class RoadEngine(Shown):
                 wanted = nearest_target_speed(wanted, 0, self._rule.speeds)
                 vehicles["target_speed"][each] = wanted
         self._entries.start(rows, episodes.task.entering(episodes.scenes)[rows])
-        show(episodes.scenes, scene.unpacked, self._ways, rows)
+        self._show(rows)
 
     def _seat(self, rows: Ints) -> None:
         """Gives the vehicles of the scenes `rows` to their drivers."""
@@ -163,8 +177,8 @@ class RoadEngine(Shown):
             vehicles["kind"][rows],
             np.where(kinds == BY_CONTROLS, CONTINUOUS, COMMANDED),
         )
-        if self._views is self.scene and kinds[:, 1:].any():
-            scenes, widths = self.scene, (self.scene.parameters, self.scene.memory)
+        if self._views is self._seen and kinds[:, 1:].any():
+            scenes, widths = self._seen, (self._seen.parameters, self._seen.memory)
             count = scenes.x.size
             self._views = Scene.empty(self._settings, count, *(each.shape[2] for each in widths))
             self._views.active[:] = True
@@ -185,7 +199,7 @@ class RoadEngine(Shown):
             end = start + array[0].size * kind.itemsize
             part = np.ascontiguousarray(saved[:, start:end]).view(kind)
             array[rows], start = part.reshape(rows.size, *array.shape[1:]), end
-        vehicles, scene = self.episodes.scenes.vehicles, self.scene
+        vehicles = self.episodes.scenes.vehicles
         had_targets = vehicles["kind"][rows] != CONTINUOUS
         self._seat(rows)
         gets_targets = (vehicles["kind"][rows] == COMMANDED) & ~had_targets
@@ -193,7 +207,7 @@ class RoadEngine(Shown):
         target_speed = np.where(gets_targets, speed, target_speed)
         target_speed *= self._kinds[rows] != BY_CONTROLS
         vehicles["target_speed"][rows] = target_speed
-        show(self.episodes.scenes, scene.unpacked, self._ways, rows)
+        self._show(rows)
 
     @property
     def _kept(self) -> tuple[NDArray[Any], ...]:
@@ -206,14 +220,15 @@ class RoadEngine(Shown):
     def seen_by(self, vehicles: Vehicles) -> tuple[Scene, Vehicles]:
         rows, places = vehicles
         if not places.any():
+            self._show(np.nonzero(self._moved)[0])
             return self._shown, vehicles
         scenes, views = self.episodes.scenes, self._views
-        show_each(scenes, self.scene.unpacked, views.unpacked, self._ways, rows, places)
+        show_each(scenes, self._seen.unpacked, views.unpacked, self._ways, rows, places)
         return self._shown_views, (self._views_of(vehicles), places)
 
     def _views_of(self, vehicles: Vehicles) -> Ints:
         """What M vehicles see, as indices of `_views`."""
-        return np.asarray(vehicles[0] * self.scene.x.shape[1] + vehicles[1])
+        return np.asarray(vehicles[0] * self._seen.x.shape[1] + vehicles[1])
 
     def _rule_of(self, vehicle: tuple[Any, Any]) -> Any:
         """How a vehicle carries out meta-actions."""
@@ -225,7 +240,8 @@ class RoadEngine(Shown):
             return
         if actions.ndim == 2:
             control = controls_of(actions)
-            self.scene.acceleration[vehicles], self.scene.steering[vehicles] = control
+            scene = self.scene
+            scene.acceleration[vehicles], scene.steering[vehicles] = control
             table = self.episodes.scenes.vehicles
             table["acceleration"][vehicles], table["steering"][vehicles] = control
             return
@@ -238,16 +254,16 @@ class RoadEngine(Shown):
             elif some.size:
                 view = self._views_of(each), each[1]
                 command(self._views, *view, actions[some], rule)
-                self.scene.repeats[each] = self._views.repeats[view]
+                self._seen.repeats[each] = self._views.repeats[view]
                 self._carry_out(each)
 
     def _carry_out(self, vehicles: Vehicles) -> None:
         """Has M vehicles of the traffic do what their views say."""
         scenes, views = self.episodes.scenes, self._views
-        carry_out(scenes, self.scene.unpacked, views.unpacked, self._ways, *vehicles)
+        carry_out(scenes, self._seen.unpacked, views.unpacked, self._ways, *vehicles)
 
     def advance(self, hold_egos: bool = False, before_move: BeforeMove | None = None) -> None:
-        scene = self.scene
+        scene = self._seen
         rows = np.nonzero(scene.active)[0]
         for agent, model in self._models.items():
             found = vehicles_of(agent, self.drivers, scene.active, self._present, scene.entry)
@@ -256,7 +272,9 @@ class RoadEngine(Shown):
                 if some.size and not (is_ego and hold_egos):
                     self._drive(model, (found[0][some], found[1][some]))
         views = self._views.unpacked
-        advance(self.episodes.scenes, scene.unpacked, views, self._ways, rows, self._kinds)
+        told = rows, ~self._moved[rows]
+        advance(self.episodes.scenes, scene.unpacked, views, self._ways, *told, self._kinds)
+        self._moved[rows] = True
         self._entries.note(self.episodes.scenes, rows)
         self.goals[rows] = self.episodes.task.has_reached_goal(self.episodes.scenes)[rows]
 
@@ -272,7 +290,7 @@ class RoadEngine(Shown):
             answers = model.drive(self._on_road(is_traffic, int(lanes), limit), each)
             obey(scene, *each, *answers)
         if is_traffic:
-            self.scene.memory[vehicles] = self._views.memory[seats]
+            self._seen.memory[vehicles] = self._views.memory[seats]
             self._carry_out(vehicles)
 
     def _on_road(self, is_traffic: bool, lanes: int, speed_limit: float) -> Scene:
@@ -360,25 +378,32 @@ def packed(kind: np.dtype[Any]) -> np.dtype[Any]:
 
 
 @compiled_of_scenes
-def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kinds: Ints) -> None:
+def advance(
+    scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, told: Bools, kinds: Ints
+) -> None:
     """One simulation step of the scenes `rows`, after the agents have answered.
 
     Args:
         scenes: The scenes.
-        shown: The same, straightened as their egos see them: with the answers, and afterwards as
-            they are then.
+        shown: The same, straightened as their egos see them, with the answers.
         views: As each vehicle sees them, with the accelerations of driver models.
         ways: The ways of the vehicles.
         rows: (R,) the scenes to advance.
+        told: (R,) whether `shown` is the present moment; if not, the ego goes on as it did.
         kinds: (B, N) what drives the vehicles.
     """
     profile = shown.scene.constants
     can_reverse = profile.can_reverse and profile.speed_min < 0.0
-    for b in rows:
-        scene, here = shown.scene, here_of(scenes, b)
+    for r in range(rows.size):
+        b, scene = rows[r], shown.scene
+        here = here_of(scenes, b)
         for i in range(here.places):
             forget(here, i)
-        take(here, ways, b, 0, scene, b)
+        ego = vehicle_of(here, 0)
+        acceleration, steering = ego.acceleration, ego.steering
+        if told[r]:
+            acceleration, steering = scene.acceleration[b, 0], scene.steering[b, 0]
+            take(here, ways, b, 0, scene, b)
         for i in range(here.places):
             if kinds[b, i] != BY_ENVIRONMENT and decides_lane(here, vehicle_of(here, i)):
                 change_to_route(here, i)
@@ -388,9 +413,9 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
             if kind == BY_MODEL and i > 0:
                 vehicle.acceleration = views.scene.acceleration[b * here.places + i, i]
             elif i == 0 and kind != BY_TARGETS:
-                vehicle.acceleration = scene.acceleration[b, 0]
+                vehicle.acceleration = acceleration
             if kind == BY_CONTROLS:
-                vehicle.steering = scene.steering[b, 0] if i == 0 else vehicle.steering
+                vehicle.steering = steering if i == 0 else vehicle.steering
                 vehicle.target_lane = vehicle.lane
         move_all(here)
         for i in range(here.places):
@@ -403,7 +428,6 @@ def advance(scenes: Scenes, shown: Any, views: Any, ways: Ways, rows: Ints, kind
             vehicle.timer_s += here.constants.dt
             find_way(scenes, b, i, ways)
         collide(here)
-        straighten(scenes, here, ways, b, 0, scene, b)
 
 
 @compiled
