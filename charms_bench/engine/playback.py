@@ -24,7 +24,6 @@ from charms_bench.engine.stepping import Put
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled
 from charms_bench.foundation.generator import seeded
-from charms_bench.world.actions import follows_profile
 from charms_bench.world.gaps import gap_to, side_gap
 from charms_bench.world.moments import Tracks, moments_of
 from charms_bench.world.road import closest_lane
@@ -71,9 +70,6 @@ class Recorded(Source):
         self._moments = moments_of(episodes.settings)
         self._played = Played(np.full(shape, -1), np.zeros(shape[0], np.int64), np.ones(shape[0]))
         self._models = [*episodes.models]
-        own = episodes.own_actions
-        self._unrounded = [*self._models, *(k for k in own if not follows_profile(own[k]))]
-        """Agents whose vehicles do not start at one of the profile's target speeds."""
         self._followers = episodes.follow_recording
         successor = episodes.traffic.after_deviation
         self._successor = episodes.agents.index(successor) if successor else -1
@@ -138,7 +134,7 @@ class Recorded(Source):
         episodes, tracks = self._episodes, self._moments.tracks
         drivers = episodes.engine.drivers
         follows, modelled = np.isin(drivers, self._followers), np.isin(drivers, self._models)
-        seated = follows, modelled, np.isin(drivers, self._unrounded)
+        seated = follows, modelled, np.isin(drivers, episodes.unrounded)
         return appear(
             episodes.scene, self._played, tracks, rows, now, is_start, *seated, self._speeds
         )
@@ -158,7 +154,7 @@ class Recorded(Source):
             drivers[taken] = self._successor
             scene.repeats[taken] = 0
             if self._successor not in self._models:
-                rounds = self._speeds.size and self._successor not in self._unrounded
+                rounds = self._speeds.size and self._successor not in episodes.unrounded
                 wanted = [nearest_target_speed(v, 0, self._speeds) if rounds else v
                           for v in scene.speed[taken]]  # fmt: skip
                 scene.target_speed[taken] = wanted

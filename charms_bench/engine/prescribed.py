@@ -17,7 +17,6 @@ from charms_bench.engine.stepping import Put
 from charms_bench.foundation import maths
 from charms_bench.foundation.compiled import clip, compiled
 from charms_bench.foundation.generator import seeded
-from charms_bench.world.actions import follows_profile
 from charms_bench.world.placement import Placement, place
 from charms_bench.world.road import position
 from charms_bench.world.scenario import Scenario
@@ -37,7 +36,7 @@ class Script:
 
     def place(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> None:
         """Places the vehicles of the scenes `rows` (R,) at the points with these numbers."""
-        found = self.choose(scene, rows, numbers)
+        found = self.choose(rows, numbers)
         scene.ego[rows] = 0
         scene.length[rows], scene.width[rows] = found.length, found.width
         scene.x[rows], scene.lane[rows], scene.speed[rows] = found.x, found.lane, found.speed
@@ -50,7 +49,7 @@ class Script:
         scene.active[rows] = True
         locate(scene, rows)
 
-    def choose(self, scene: Scene, rows: Ints, numbers: NDArray[Any]) -> Placement:
+    def choose(self, rows: Ints, numbers: NDArray[Any]) -> Placement:
         """Prescribes the motion of points with these numbers in the scenes `rows` (R,)."""
         found = place(self._scenario, self._settings, numbers)
         for whole, part in zip(self._placement, found, strict=True):
@@ -71,9 +70,6 @@ class Placed(Source):
         assert settings.scenario is not None
         self._script = Script(settings.scenario, settings, scenes)
         self._speeds = np.array(settings.profile.target_speeds_mps, dtype=np.float64)
-        own = episodes.own_actions
-        self._unbound = [*episodes.models, *(k for k in own if not follows_profile(own[k]))]
-        """Agents whose vehicles do not start at one of the profile's target speeds."""
         self._is_prescribed = np.zeros(episodes.scene.x.shape, dtype=np.bool_)
 
     def start(self, rows: Ints, seats: Ints, draws: Floats | None) -> None:
@@ -82,13 +78,13 @@ class Placed(Source):
         scene.generator[rows] = seeded(seeds)
         episodes.engine.drivers[rows] = seats
         if self._speeds.size:
-            is_free = np.isin(episodes.engine.drivers, self._unbound)
+            is_free = np.isin(episodes.engine.drivers, episodes.unrounded)
             choose_target_speeds(scene, rows, is_free, self._speeds)
         self._mark(rows)
         episodes.engine.restore(rows, seeds)
 
     def resume(self, rows: Ints) -> None:
-        self._script.choose(self._episodes.scene, rows, self._episodes.seeds[rows])
+        self._script.choose(rows, self._episodes.seeds[rows])
         self._mark(rows)
 
     def _mark(self, rows: Ints) -> None:

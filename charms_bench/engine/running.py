@@ -27,6 +27,7 @@ from charms_bench.world.actions import (
     DEFAULT_ACTIONS,
     Actions,
     ActionsLike,
+    follows_profile,
     meta_actions_of,
 )
 from charms_bench.world.scenario import PRESCRIBED
@@ -119,6 +120,9 @@ class RunningEpisodes:
             k: own for k, own in self.meta_actions.items() if own and own != DEFAULT_ACTIONS
         }
         """Those of the agents that have other ones than highway-env's."""
+        bound_to_none = (k for k, own in self.own_actions.items() if not follows_profile(own))
+        self.unrounded = [*models, *bound_to_none]
+        """The agents whose vehicles do not start at one of the profile's target speeds."""
         names = {k: [action.name for action in own] for k, own in self.own_actions.items()}
         self.action_names = tuple(dict.fromkeys([*ACTIONS, *chain(*names.values())]))
         """The names of the meta-actions of all agents; highway-env's come first."""
