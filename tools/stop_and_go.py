@@ -29,6 +29,7 @@ from charms_bench.plugins.traffic import OneAgent
 from charms_bench.report.figures.drawing import EDGE, SERIES, panels, save
 from charms_bench.report.markdown import markdown
 from charms_bench.report.table import Table
+from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.profile import PROFILES, IdmMobilConstants
 from charms_bench.world.scene import Floats, SceneSettings
 
@@ -60,7 +61,7 @@ def equilibrium(density_per_km: float, p: IdmMobilConstants, desired: float) -> 
     delta = (p.exponent_low + p.exponent_high) / 2
 
     def excess(speed: float) -> float:
-        wanted = p.jam_distance_m + speed * p.time_headway_s
+        wanted = equilibrium_gap(speed, p)
         return 1 - (speed / desired) ** delta - (wanted / gap) ** 2
 
     return float(brentq(excess, 0.0, desired))
@@ -74,7 +75,7 @@ def slopes(density_per_km: float, p: IdmMobilConstants, desired: float) -> Slope
         p.acceleration_mps2,
         p.deceleration_mps2,
     )
-    wanted = p.jam_distance_m + speed * p.time_headway_s
+    wanted = equilibrium_gap(speed, p)
     free = delta * speed ** (delta - 1) / desired**delta
     return Slopes(
         gap=2 * a * wanted**2 / gap**3,

@@ -1,14 +1,21 @@
-"""The Intelligent Driver Model (Treiber et al. 2000) as highway-env computes it, compiled."""
+"""IDM on the straight road: the formulas of `world.idm_mobil`, applied to vehicles of a scene."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from charms_bench.foundation import maths
-from charms_bench.foundation.compiled import clip, compiled, index, inlined, not_zero
+from charms_bench.foundation.compiled import compiled, index, inlined
+from charms_bench.world import idm_mobil
 from charms_bench.world.candidate_lanes import CANDIDATES, OWN
 from charms_bench.world.gaps import following_distance, overhang
+from charms_bench.world.idm_mobil import (
+    Velocity,
+    closing_speed,
+    desired_gap,
+    free_acceleration,
+    share_of_speed,
+)
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import Straight, distance_along
 from charms_bench.world.scene import Floats, Ints, Scene
@@ -29,7 +36,7 @@ class Motion(NamedTuple):
     speed: float
     direction_x: float
     direction_y: float
-    wanted_speed: float
+    target_speed: float
     overhang: float
 
 
@@ -46,7 +53,7 @@ def motion(b: int, i: int, scene: Scene) -> Motion:
         scene.speed[b, i],
         scene.direction_x[b, i],
         scene.direction_y[b, i],
-        clip(scene.target_speed[b, i], 0.0, scene.road.speed_limit),
+        scene.target_speed[b, i],
         overhang(scene.length[b, i], scene.constants.length),
     )
 
@@ -65,34 +72,10 @@ def distance(road: Straight, vehicle: Motion, leader: Motion) -> float:
 
 
 @compiled
-def desired_gap(speed: float, closing_speed: float, p: IdmMobilParameters) -> float:
-    """Desired gap to a leader, centre to centre, m [`IDMVehicle.desired_gap`]."""
-    braking = 2 * math.sqrt(p.acceleration_mps2 * p.deceleration_mps2)
-    gap = p.jam_distance_m + speed * p.time_headway_s + speed * closing_speed / braking
-    return float(max(gap, p.least_gap_m))
-
-
-@compiled
-def closing_speed(vehicle: Motion, leader: Motion) -> float:
-    """Speed at which a vehicle approaches its leader, along its own heading, m/s."""
-    ahead = vehicle.speed * vehicle.direction_x - leader.speed * leader.direction_x
-    aside = vehicle.speed * vehicle.direction_y - leader.speed * leader.direction_y
-    return ahead * vehicle.direction_x + aside * vehicle.direction_y
-
-
-@compiled
-def free_acceleration(vehicle: Motion, exponent: float, p: IdmMobilParameters) -> float:
-    """IDM acceleration on a free road, m/s2, Treiber et al. 2000 eq. 3, first part."""
-    share = max(vehicle.speed, 0.0) / abs(not_zero(vehicle.wanted_speed))
-    return float(p.acceleration_mps2 * (1 - maths.power(share, exponent)))
-
-
-@compiled
 def interaction(road: Straight, vehicle: Motion, leader: Motion, p: IdmMobilParameters) -> float:
-    """IDM deceleration behind a leader, m/s2, Treiber et al. 2000 eq. 3, second part."""
+    """The deceleration of a vehicle behind a leader, m/s2."""
     wanted = desired_gap(vehicle.speed, closing_speed(vehicle, leader), p)
-    crowding = wanted / not_zero(distance(road, vehicle, leader))
-    return p.acceleration_mps2 * (crowding * crowding)
+    return idm_mobil.interaction(wanted, distance(road, vehicle, leader), p.acceleration_mps2)
 
 
 @compiled
@@ -101,10 +84,10 @@ def on_own_lane(
 ) -> tuple[Floats, Floats]:
     """IDM accelerations of M vehicles on a free road, and behind the leaders on their lanes.
 
-    It computes the same as `free_acceleration` and `following`, in loops that vectorise.
+    It computes the same as `following`, in loops that vectorise.
     """
     c, road, vehicles = scene.constants, scene.road, scene.x.shape[1]
-    x, speed, wanted_speed = scene.x.ravel(), scene.speed.ravel(), scene.target_speed.ravel()
+    x, speed, target_speed = scene.x.ravel(), scene.speed.ravel(), scene.target_speed.ravel()
     direction_x, direction_y = scene.direction_x.ravel(), scene.direction_y.ravel()
     y, lane, leaders, length = (
         scene.y.ravel(),
@@ -119,9 +102,9 @@ def on_own_lane(
         leader = leaders[index((rows[m] * vehicles + places[m]) * len(CANDIDATES) + OWN)]
         j = index(rows[m] * vehicles + leader) if leader >= 0 else i
         v, ux, uy = speed[i], direction_x[i], direction_y[i]
-        free[m] = max(v, 0.0) / abs(not_zero(clip(wanted_speed[i], 0.0, road.speed_limit)))
-        ahead, aside = v * ux - speed[j] * direction_x[j], v * uy - speed[j] * direction_y[j]
-        wanted[m] = desired_gap(v, ahead * ux + aside * uy, p)
+        free[m] = share_of_speed(v, target_speed[i], road.speed_limit)
+        leading = Velocity(speed[j], direction_x[j], direction_y[j])
+        wanted[m] = desired_gap(v, closing_speed(Velocity(v, ux, uy), leading), p)
         gap[m] = distance_along(road, lane[i], x[i], y[i], x[j], y[j])
         gap[m] = gap[m] if leader >= 0 else math.inf
     for m in range(rows.size if c.mixed_sizes else 0):
@@ -131,21 +114,24 @@ def on_own_lane(
         own, other = overhang(length[index(i)], c.length), overhang(length[index(j)], c.length)
         gap[m] = following_distance(gap[m], own, other)
     for m in range(rows.size):
-        free[m] = p.acceleration_mps2 * (1 - maths.power(free[m], exponents[m]))
+        free[m] = free_acceleration(free[m], exponents[m], p.acceleration_mps2)
     for m in range(rows.size):
-        crowding = wanted[m] / not_zero(gap[m])
-        wanted[m] = free[m] - p.acceleration_mps2 * (crowding * crowding)
+        wanted[m] = free[m] - idm_mobil.interaction(wanted[m], gap[m], p.acceleration_mps2)
     return free, wanted
 
 
 @compiled
 def following(
-    road: Straight, vehicle: Motion, leader: Motion, exponent: float, p: IdmMobilParameters
+    driver: tuple[Straight, float, IdmMobilParameters], vehicle: Motion, leader: Motion
 ) -> float:
-    """IDM acceleration behind a leader, m/s2 [`IDMVehicle.acceleration`].
+    """IDM acceleration behind a leader, m/s2, as a driver expects it [`IDMVehicle.acceleration`].
 
-    A vehicle that does not exist accelerates by 0. `exponent` is that of the deciding driver.
+    A vehicle that does not exist accelerates by 0. A driver is the road, an exponent and
+    parameters.
     """
     if not vehicle.exists:
         return 0.0
-    return free_acceleration(vehicle, exponent, p) - interaction(road, vehicle, leader, p)
+    road, exponent, p = driver
+    share = share_of_speed(vehicle.speed, vehicle.target_speed, road.speed_limit)
+    free = free_acceleration(share, exponent, p.acceleration_mps2)
+    return free - interaction(road, vehicle, leader, p)

@@ -6,8 +6,6 @@ import numpy as np
 
 from charms_baselines.idm import (
     Motion,
-    closing_speed,
-    desired_gap,
     distance,
     following,
     interaction,
@@ -17,6 +15,7 @@ from charms_baselines.idm import (
 from charms_bench import DriverModel
 from charms_bench.foundation.compiled import clip, compiled, compiled_of_scenes, index, inlined
 from charms_bench.world.candidate_lanes import LEFT, OWN, RIGHT, TARGET
+from charms_bench.world.idm_mobil import closing_speed, desired_gap, mobil
 from charms_bench.world.profile import IdmMobilParameters
 from charms_bench.world.road import Straight, is_reachable, side_lanes
 from charms_bench.world.scene import Floats, Ints, Scene, Vehicles
@@ -163,22 +162,11 @@ def _changes(
     exponent: float,
     p: IdmMobilParameters,
 ) -> bool:
-    """Whether MOBIL changes lanes (Kesting et al. 2007, eqs. 2 and 3) [`IDMVehicle.mobil`]."""
+    """Whether MOBIL changes lanes."""
     if abs(own.speed) < 1:
         return False
     gain = (free - interaction(road, own, new_leader, p)) - (
         free - interaction(road, own, leader, p)
     )
-    if p.politeness == 0 and not gain >= p.lane_change_gain_mps2:
-        return False  # before the costly part; the result is the same
-    new_follower_after = following(road, new_follower, own, exponent, p)
-    if new_follower_after < -p.imposed_braking_mps2:
-        return False
-    if p.politeness > 0:
-        gain += p.politeness * (
-            new_follower_after
-            - following(road, new_follower, new_leader, exponent, p)
-            + following(road, follower, leader, exponent, p)
-            - following(road, follower, own, exponent, p)
-        )
-    return bool(gain >= p.lane_change_gain_mps2)
+    driver, behind, ahead = (road, exponent, p), (follower, new_follower), (leader, new_leader)
+    return mobil(following, driver, gain, own, behind, ahead, p)

@@ -25,6 +25,7 @@ from charms_bench.engine.type_draws import draw_vehicles
 from charms_bench.errors import InputError
 from charms_bench.foundation.compiled import compiled_of_scenes
 from charms_bench.world.gaps import following_distance, overhang
+from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.road import is_near_lane, position
 from charms_bench.world.scene import Bools, Floats, Ints, Scene
 
@@ -121,7 +122,7 @@ class Inflow(Source):
             newcomer = self._next[row] = self._next[row] or self._arrival(row)
             lane, room, leader_speed = entrance(scene, row, newcomer.length)
             speed = min(newcomer.desired_speed, leader_speed)
-            if room < c.jam_distance_m + c.time_headway_s * speed:
+            if room < equilibrium_gap(speed, c):
                 break
             self._admit(row, newcomer, lane, speed)
             episodes.engine.restore(

@@ -45,7 +45,9 @@ from charms_bench.roads.scenes import (
     put,
     vehicle_of,
 )
+from charms_bench.world import idm_mobil
 from charms_bench.world.actions import FASTER, LANE_LEFT, LANE_RIGHT, SLOWER
+from charms_bench.world.idm_mobil import closing_speed, desired_gap, imposes_braking, mobil
 from charms_bench.world.lane_geometry import END_MARGIN_M, line_heading
 from charms_bench.world.road import next_lane
 from charms_bench.world.road_network import Network
@@ -250,33 +252,32 @@ def accelerate_freely(batch: Row, acceleration: float) -> None:
     A loop over the powers alone would be unrolled before it could be vectorised.
     """
     for k in range(BATCH):
-        share = maths.power(number_of(batch, SHARE, k), number_of(batch, EXPONENT, k))
-        put(batch, FREE, k, acceleration * (1 - share))
+        share, exponent = number_of(batch, SHARE, k), number_of(batch, EXPONENT, k)
+        put(batch, FREE, k, idm_mobil.free_acceleration(share, exponent, acceleration))
 
 
 @inlined
 def share_of_speed(here: Here, i: int) -> float:
-    """The speed as a share of the target speed, as IDM sees them."""
+    """The speed of vehicle i as a share of its target speed."""
     vehicle = vehicle_of(here, i)
     limit = lane_of(here, vehicle.lane).speed_limit
-    wanted = abs(not_zero(clip(vehicle.target_speed, 0.0, limit)))
-    return float(max(vehicle.speed, 0.0) / wanted)
+    return idm_mobil.share_of_speed(vehicle.speed, vehicle.target_speed, limit)
 
 
 @compiled
 def free_acceleration(here: Here, i: int, exponent: float) -> float:
-    """The first part of `idm`: the acceleration of a vehicle on a free road."""
-    share = share_of_speed(here, i)
-    return float(here.constants.acceleration_mps2 * (1 - maths.power(share, exponent)))
+    """The acceleration of vehicle i on a free road."""
+    most = here.constants.acceleration_mps2
+    return idm_mobil.free_acceleration(share_of_speed(here, i), exponent, most)
 
 
 @compiled
 def interaction(here: Here, i: int, j: int) -> float:
-    """The second part of `idm`: the deceleration behind vehicle j, -1 for none."""
+    """The deceleration of vehicle i behind vehicle j, -1 for none."""
     if j < 0:
         return 0.0
-    crowding = desired_gap(here, i, j) / not_zero(distance_to(here, i, j))
-    return float(here.constants.acceleration_mps2 * (crowding * crowding))
+    most = here.constants.acceleration_mps2
+    return idm_mobil.interaction(wanted_gap(here, i, j), distance_to(here, i, j), most)
 
 
 @inlined
@@ -288,16 +289,17 @@ def own_acceleration(here: Here, i: int, j: int, free: float) -> float:
 
 
 @inlined
-def expected_acceleration(here: Here, i: int, j: int, driver: int) -> float:
-    """The acceleration that a driver expects of vehicle i behind vehicle j.
+def expected_acceleration(driver: tuple[Here, int], i: int, j: int) -> float:
+    """The acceleration that a driver of a scene expects of vehicle i behind vehicle j.
 
     Of what is no vehicle, IDM expects 0 [`IDMVehicle.acceleration`].
     """
+    here, own = driver
     if here.constants.is_linear:
-        return linear_acceleration(here, i, j, driver)
+        return linear_acceleration(here, i, j, own)
     if i < 0 or vehicle_of(here, i).kind <= OBSTACLE:
         return 0.0
-    return free_acceleration(here, i, vehicle_of(here, driver).exponent) - interaction(here, i, j)
+    return free_acceleration(here, i, vehicle_of(here, own).exponent) - interaction(here, i, j)
 
 
 @inlined
@@ -308,20 +310,15 @@ def distance_to(here: Here, i: int, j: int) -> float:
 
 
 @inlined
-def desired_gap(here: Here, i: int, j: int) -> float:
-    """The gap that vehicle i wants behind vehicle j, m [`IDMVehicle.desired_gap`]."""
-    own, other, c = vehicle_of(here, i), vehicle_of(here, j), here.constants
-    ahead = own.speed * own.direction_x - other.speed * other.direction_x
-    aside = own.speed * own.direction_y - other.speed * other.direction_y
-    closing = ahead * own.direction_x + aside * own.direction_y
-    braking = 2 * math.sqrt(c.acceleration_mps2 * c.deceleration_mps2)
-    gap = c.jam_distance_m + own.speed * c.time_headway_s + own.speed * closing / braking
-    return float(gap)
+def wanted_gap(here: Here, i: int, j: int) -> float:
+    """The gap that vehicle i wants behind vehicle j, m."""
+    own = vehicle_of(here, i)
+    return desired_gap(own.speed, closing_speed(own, vehicle_of(here, j)), here.constants)
 
 
 @inlined
 def choose_lane(here: Here, i: int, free: float, own: float, front: int, rear: int) -> None:
-    """[`IDMVehicle.change_lane_policy`] The last four arguments are those of `mobil`."""
+    """[`IDMVehicle.change_lane_policy`] The last four arguments are those of `changes`."""
     vehicle = vehicle_of(here, i)
     if vehicle.lane != vehicle.target_lane:
         own_road = lane_of(here, vehicle.lane).first
@@ -341,7 +338,7 @@ def consider_sides(here: Here, i: int, free: float, own: float, front: int, rear
     for side in (row.left, row.right):
         if side < 0 or not is_reachable(here, i, side):
             continue
-        if mobil(here, i, side, free, own, front, rear):
+        if changes(here, i, side, free, own, front, rear):
             vehicle.target_lane = side
 
 
@@ -355,40 +352,29 @@ def gap_is_taken(here: Here, i: int) -> bool:
         if j == i or other.kind <= CONTINUOUS:
             continue
         is_changing = other.lane != target and other.target_lane == target
-        if is_changing and 0 < distance_to(here, i, j) < desired_gap(here, i, j):
+        if is_changing and 0 < distance_to(here, i, j) < wanted_gap(here, i, j):
             return True
     return False
 
 
 @compiled
-def mobil(here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int) -> bool:
+def changes(here: Here, i: int, lane: int, free: float, own: float, front: int, rear: int) -> bool:
     """Whether to change to a lane [`IDMVehicle.mobil`].
 
     `free` and `own` are the accelerations on a free road and on the present lane, on which
-    `front` and `rear` are the neighbours. What costs least is compared first; the result is the
-    same.
+    `front` and `rear` are the neighbours. A route decides by itself what is gained.
     """
-    vehicle, c = vehicle_of(here, i), here.constants
+    vehicle, driver, p = vehicle_of(here, i), (here, i), here.constants
     new_front, new_rear = neighbours(here, i, lane)
     own_after = own_acceleration(here, i, new_front, free)
-    gain, step, wanted = own_after - own, vehicle.route_step, -1
+    step, wanted = vehicle.route_step, -1
     if step < vehicle.route_end:
         wanted = vehicle.route_numbers[step]
-    if wanted >= 0:
-        number = vehicle.target_lane - lane_of(here, vehicle.target_lane).first
-        side = lane - lane_of(here, lane).first
-        if np.sign(side - number) != np.sign(wanted - number):
-            return False
-        if own_after < -c.imposed_braking_mps2:
-            return False
-    elif c.politeness == 0 and gain < c.lane_change_gain_mps2:
+    if wanted < 0:
+        gain, behind, ahead = own_after - own, (rear, new_rear), (front, new_front)
+        return mobil(expected_acceleration, driver, gain, i, behind, ahead, p)
+    number = vehicle.target_lane - lane_of(here, vehicle.target_lane).first
+    side = lane - lane_of(here, lane).first
+    if np.sign(side - number) != np.sign(wanted - number) or imposes_braking(own_after, p):
         return False
-    rear_after = expected_acceleration(here, new_rear, i, i)
-    if rear_after < -c.imposed_braking_mps2:
-        return False
-    if wanted < 0 and c.politeness > 0:
-        others = rear_after - expected_acceleration(here, new_rear, new_front, i)
-        others = others + expected_acceleration(here, rear, front, i)
-        gain += c.politeness * (others - expected_acceleration(here, rear, i, i))
-        return not gain < c.lane_change_gain_mps2
-    return True
+    return not imposes_braking(expected_acceleration(driver, new_rear, i), p)

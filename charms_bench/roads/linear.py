@@ -14,6 +14,7 @@ from charms_bench.foundation.arrays import Floats
 from charms_bench.foundation.compiled import clip, compiled, not_zero, wrap_to_pi
 from charms_bench.roads.locating import coordinates_of
 from charms_bench.roads.scenes import CONTINUOUS, Here, lane_of, vehicle_of
+from charms_bench.world.idm_mobil import equilibrium_gap
 from charms_bench.world.lane_geometry import line_heading
 
 
@@ -53,8 +54,7 @@ def linear_acceleration(here: Here, i: int, j: int, driver: int) -> float:
         ahead, lane = vehicle_of(here, j), own.lane
         distance = coordinates_of(here, j, lane).s - coordinates_of(here, i, lane).s
         closing = min(ahead.speed - own.speed, 0.0)
-        wanted = c.jam_distance_m + max(own.speed, 0.0) * c.time_headway_s
-        short = min(distance - wanted, 0.0)
+        short = min(distance - equilibrium_gap(max(own.speed, 0.0), c), 0.0)
     return float(gains[0] * missing + gains[1] * closing + gains[2] * short)
 
 
