@@ -190,9 +190,11 @@ class RunningEpisodes:
 
         They are drawn from a random stream of each seed: drivers do not change where vehicles are.
         """
-        index = {name: k for k, name in enumerate(self.agents)}
         seats = np.full((rows.size, count), len(self.agents) - 1)
-        for r, seed in enumerate(self.seeds[rows].tolist() if self._assigns else ()):
+        if not self._assigns:
+            return seats
+        index = {name: k for k, name in enumerate(self.agents)}
+        for r, seed in enumerate(self.seeds[rows].tolist()):
             rng = np.random.default_rng([seed, stream])
             try:
                 names = list(map(str, assigned(self.traffic, rng, 1, count)[0]))

@@ -78,8 +78,9 @@ class Simulation(RunningEpisodes):
         """
         rows = np.arange(self.seeds.size) if rows is None else rows
         self.seeds[rows] = seeds
-        of_ego = np.full((rows.size, 1), self.agents.index(self.ego_agent))
-        seats = np.hstack([of_ego, self.seats_of(1, rows, self.settings.vehicles - 1)])
+        seats = np.empty((rows.size, self.settings.vehicles), dtype=np.int64)
+        seats[:, 0] = self.agents.index(self.ego_agent)
+        seats[:, 1:] = self.seats_of(1, rows, self.settings.vehicles - 1)
         if self.settings.recording is None:
             for k in self.follow_recording:
                 if (seats == k).any():
@@ -152,8 +153,11 @@ class Simulation(RunningEpisodes):
             source.after_step()
 
     def _before_move(self) -> Put | None:
-        puts = [source.before_move() for source in self.sources]
-        return next((put for put in puts if put is not None), None)
+        """Where the step ends for the vehicles of the source that says it."""
+        put = None
+        for source in self.sources:
+            put = source.before_move() or put
+        return put
 
     def finish_step(self) -> None:
         """Counts the decision interval and ends the episodes that are over."""

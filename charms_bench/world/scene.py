@@ -33,6 +33,7 @@ from charms_bench.world.gaps import gap_to
 from charms_bench.world.profile import CHARMS, PROFILES, Constants, Profile
 from charms_bench.world.recordings import RecordedMoments
 from charms_bench.world.road import Straight, distance_along
+from charms_bench.world.road_network import Network
 from charms_bench.world.scenario import Scenario
 from charms_bench.world.scene_arrays import SceneArrays
 from charms_bench.world.vehicle_types import LENGTHS_M, WIDTHS_M, VehicleType, range_of
@@ -297,7 +298,8 @@ class Scene(SceneArrays):
 
     def __repr__(self) -> str:
         scenes, vehicles = self.x.shape
-        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {self.road.lanes} lanes>"
+        lanes = np.size(self.road.lanes) if isinstance(self.road, Network) else self.road.lanes
+        return f"<Scene: {scenes} scenes x {vehicles} vehicles, {lanes} lanes>"
 
     @cached_property
     def unpacked(self) -> Unpacked:

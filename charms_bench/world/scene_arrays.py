@@ -82,4 +82,5 @@ class SceneArrays(NamedTuple):
     impact: Bools
     """[B, N] whether there is such a displacement."""
     road: Straight
+    """In the `Engine.state` of one of highway-env's roads, a `Network`, of which lanes are rows."""
     constants: Constants

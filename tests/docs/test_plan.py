@@ -1,5 +1,6 @@
 """The tool of the training plan: its suites are valid, and what it holds out is not trained."""
 
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,3 +69,15 @@ def test_an_ablation_takes_away_what_it_is_called_after(plan: ModuleType, tmp_pa
     assert without("no-prior").stages["efficient_egoistic"].prior is None
     suite = without("level-0")
     assert "level_1" not in suite.drivers_of(suite.stages["efficient_egoistic"])
+
+
+def test_the_trials_of_a_folder_are_egos_beside_idm_mobil(plan: ModuleType, tmp_path: Path) -> None:
+    network = ROOT / "networks" / "seed-3010" / "charms_efficient_egoistic"
+    for name in ("ppo-drawn-0", "dqn-default"):
+        folder = tmp_path / "trials" / name / "seed-2000"
+        folder.mkdir(parents=True)
+        for suffix in (".onnx", ".json"):
+            shutil.copy(network.with_suffix(suffix), folder / f"{name[:3]}{suffix}")
+    suite = load_suite(plan.write_test(tmp_path, tmp_path, "trials"))
+    assert [each.label for each in suite.egos] == ["IDM+MOBIL", "dqn-default", "ppo-drawn-0"]
+    assert (suite.seed, suite.episodes) == (970_000_000, 600)

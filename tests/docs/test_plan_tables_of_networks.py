@@ -322,3 +322,34 @@ def test_a_run_becomes_tables_with_its_metrics_and_what_is_missing_is_named(
     assert "pch: left out" in printed
     assert "plan-pch.md: left out" in printed
     assert "density-2" in criteria.splitlines()[-1]
+
+
+def test_trials_are_ordered_by_limits_met_then_by_crashes_then_by_speed(
+    tools: SimpleNamespace,
+) -> None:
+    within = {  # each of the nine criteria of the main test, within its limits
+        "crashed_at_fault": 0.0005, "crashed_episodes": 0.001, "speed_mean": 26.0,
+        "lane_changes_per_km": 0.3, "lane_changes_undone": 0.01, "mean_acceleration_std": 0.3,
+        "strong_acceleration_rate": 0.01, "acceleration_reversals_per_min": 3.0,
+        "centre_headway_below_1s": 0.1, "conflicts_by_per_1000km": 5.0,
+    }  # fmt: skip
+    egos = {
+        "IDM+MOBIL": within | {"speed_mean": 25.0},
+        "ppo-slower": within | {"speed_mean": 25.5},
+        "ppo-crashes-and-crawls": within | {"crashed_at_fault": 0.05, "speed_mean": 20.0},
+        "ppo-best": within,
+        "ppo-safer": within | {"crashed_at_fault": 0.0, "lane_changes_per_km": 2.0},
+    }
+    models = ("Human (I-75)", "IDM+MOBIL")
+    rows = [
+        {"traffic": m, "ego": e, "seed": None, **its} for m in models for e, its in egos.items()
+    ]
+    table = tools.verdicts.trials_table(pl.DataFrame(rows)).splitlines()[2:]
+    cells = [[cell.strip() for cell in row[1:-1].split("|")][:3] for row in table if row]
+    # Conflicts have one limit, the others one in each traffic model.
+    assert cells == [
+        ["ppo-best", "17", "17"],
+        ["ppo-slower", "17", "17"],
+        ["ppo-safer", "15", "17"],
+        ["ppo-crashes-and-crawls", "13", "17"],
+    ]

@@ -86,10 +86,31 @@ def test_a_state_has_the_vehicles_where_they_are_on_the_network() -> None:
         for name in ("x", "y", "heading", "speed", "target_lane", "crashed"):
             np.testing.assert_array_equal(getattr(state, name), vehicles[name], name)
         assert (state.present == (vehicles["kind"] > OBSTACLE)).all()
+        assert repr(each.engine.state).endswith(f"{each.engine.state.road.lanes.size} lanes>")
         faster = state.speed + 1.0
         each.restore(state.with_arrays({"speed": faster}))
         assert (on_network(each)["speed"] == faster).all()
         assert each.scene.speed[:, 0] == pytest.approx(faster[:, 0])
+
+
+@pytest.mark.parametrize("road", ["exit-v1", "roundabout-v1"])
+@pytest.mark.parametrize("rate", ["decision", "simulation"])
+def test_looking_at_scenes_in_every_step_changes_nothing(road: str, rate: str) -> None:
+    profile = {**FREE, "ego_control_rate": rate}
+    ours, watched = (
+        simulation(road, Sequence(), 6, OneAgent("charms"), profile=profile, decision_hz=3)
+        for _ in range(2)
+    )
+    watched.step_watchers.append(lambda: watched.scene.x.sum())
+    for _ in range(12):
+        ours.step()
+        watched.step()
+        assert ours.state() == watched.state()
+        seen = ours.scene.present
+        assert (seen == watched.scene.present).all()
+        for name in ("x", "y", "heading", "speed", "lane", "target_lane", "timer_s"):
+            one, other = (getattr(each.scene, name)[seen] for each in (ours, watched))
+            np.testing.assert_array_equal(one, other, name)
 
 
 @pytest.mark.parametrize("road", ["merge-v0", "exit-v1", "u-turn-v0", "roundabout-v1"])
