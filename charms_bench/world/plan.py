@@ -6,13 +6,11 @@ import numpy as np
 
 from charms_bench.world.lane_geometry import STRAIGHT
 from charms_bench.world.road import position, width_at
-from charms_bench.world.road_network import Network
+from charms_bench.world.road_network import NO_LINE, STRIPED, Network
 from charms_bench.world.scene import Bools, Floats
 
 STEP_M = 2.0
 """About how far apart the points of a line are."""
-NO_LINE, STRIPED = 0, 1
-"""Kinds of lines between lanes; the others are continuous [`LineType`]."""
 SHOULDER_M = 1.0
 
 

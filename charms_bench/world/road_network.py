@@ -28,6 +28,8 @@ from charms_bench.world.lane_geometry import (
     line_position,
 )
 
+NO_LINE, STRIPED, SOLID, SOLID_LINE = range(4)
+"""Kinds of lines beside lanes, of which the last two are drawn alike [`LineType`]."""
 _FLOATS = (
     "x y direction_x direction_y heading length width speed_limit amplitude pulsation phase "
     "radius start_phase turn"
@@ -66,8 +68,8 @@ class _Lane:
     speed_limit: float = 20.0
     forbidden: bool = False
     priority: int = 0
-    line_types: tuple[int, int] = (1, 1)
-    """The lines on the left and on the right [`LineType`]."""
+    line_types: tuple[int, int] = (STRIPED, STRIPED)
+    """The lines on the left and on the right."""
 
 
 @dataclass(frozen=True, kw_only=True)
