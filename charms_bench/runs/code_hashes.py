@@ -2,7 +2,7 @@
 
 The rows of a shard depend on the module that workers run (`ENTRY`) and on every module that it
 imports, directly or not. These modules are found in the sources, so no list has to be kept. The
-engine of highway-env's roads (`ROADS`) decides only the rows on these.
+engine of highway-env's roads (`ROADS`) decides only the rows on these; all of its modules do.
 """
 
 import ast
@@ -55,7 +55,9 @@ def row_modules(
             continue
         if source.is_file():  # else it is a name inside a module
             found[name] = source
-            imports = imported_modules(source.read_text(encoding="utf-8"))
+            imports = {*imported_modules(source.read_text(encoding="utf-8"))}
+            if name == ROADS:  # it imports its environments by their names
+                imports |= {f"{ROADS}.{each.stem}" for each in path.glob("*.py")}
             named = {name.rpartition(".")[0] or name, *imports} - seen
             waiting += named
             seen |= named

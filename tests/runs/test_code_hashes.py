@@ -72,6 +72,7 @@ def test_a_change_of_the_roads_leaves_the_rows_of_the_straight_road(copied: Path
     straight = harness_sha256.__wrapped__(copied, without=ROADS)
     assert straight != harness_sha256()
     assert hashed_with_a_change(copied, package / "roads" / "stepping.py", ROADS) == straight
+    assert hashed_with_a_change(copied, package / "roads" / "merge.py") != harness_sha256()
     assert hashed_with_a_change(copied, package / "engine" / "stepping.py", ROADS) != straight
 
 
